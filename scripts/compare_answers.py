@@ -22,7 +22,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 TOLERANCE = 1e-9
-PLANS = ("tumble", "four-position", "mmpm", "six-position", "two-position")
+PLANS = ("tumble", "four-position", "mmpm", "poses", "two-position")
 EFFECTS = ("none", "bias", "quadratic", "bias_temperature", "hysteresis", "stage_eccentricity", "scale")
 
 MAKE = """

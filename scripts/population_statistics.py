@@ -38,7 +38,7 @@ from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.detect import detectable
 from adis_gonio.tracing.selection.design import linearise
 from adis_gonio.tracing.selection.search import Search, price
-from tracing.named_truth import Term, _term
+from tracing.named_truth import Term, catalogued_term
 from tracing.plans import Bench, Floats, draw_bench, draw_noise
 
 EFFECTS = (
@@ -158,7 +158,7 @@ def draw_unit(
 
 def truth_of(rng: np.random.Generator, name: str, axes: str) -> Term:
     """The effect at unit amplitude."""
-    return _term(name, axes, float(np.exp(rng.uniform(np.log(60), np.log(400)))))
+    return catalogued_term(name, axes, float(np.exp(rng.uniform(np.log(60), np.log(400)))))
 
 
 def signed(rng: np.random.Generator, term: Term, sign: str) -> Term:

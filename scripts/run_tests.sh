@@ -1,16 +1,27 @@
 #!/usr/bin/env bash
 # Sets everything up in .venv and runs all checks: lint, format, types, tests on all cores.
 # Arguments go to pytest, such as: scripts/run_tests.sh tests/sim -k stall
+# --quick as the first argument runs only the unit tests that take seconds; they use every package (tests/levels.py).
 # EXTRAS=dev,rigs adds the firmware's rig; scripts/install_rigs.sh installs what it needs beyond pip.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
+cores="$(nproc 2>/dev/null || echo 2)"
+# Rigs that run in real time wait more than they work: one worker more than cores.
+workers=$((cores + 1))
+selection=()
+if [ "${1:-}" = --quick ]; then
+  shift
+  workers="$cores"
+  selection=(-m "unit and not slow")
+fi
 [ -x .venv/bin/python ] || python3 -m venv .venv
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".[${EXTRAS:-dev}]"
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 .venv/bin/mypy
 .venv/bin/python scripts/generate_protocol.py --check
-# A worker a core: threads of BLAS besides would wait for one another on matrices of a hundred rows.
+# Threads of BLAS in addition to the workers would wait for one another on matrices of a hundred rows.
 export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
-exec .venv/bin/pytest -n auto "$@"
+# A worker that has run its tests takes half of the tests that another one still has.
+exec .venv/bin/pytest -n "$workers" --dist worksteal ${selection[@]+"${selection[@]}"} "$@"

@@ -1,13 +1,32 @@
-"""Settings of all tests: no deadline for an example, and no skip in CI."""
+"""Settings of all tests: the level of each, no deadline for an example, and no skip in CI."""
 
 import os
+from pathlib import PurePosixPath
 
 import pytest
 from hypothesis import settings
 
+from levels import ORDER, TESTS, is_quick, level_of
+
 # A busy machine is slow, not wrong: hypothesis' limit of time for an example would fail it.
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
+
+
+@pytest.hookimpl(tryfirst=True)  # before `-m` selects
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark each test with its level, and run the levels with the longest tests first."""
+    rank = {}
+    for item in items:
+        if not item.path.is_relative_to(TESTS):
+            continue
+        file = PurePosixPath(item.path.relative_to(TESTS).as_posix())
+        level, quick = level_of(file), is_quick(file)
+        item.add_marker(level)
+        if level == "unit" and not quick:
+            item.add_marker("slow")
+        rank[item] = (ORDER.index(level), quick)
+    items.sort(key=lambda item: rank.get(item, (len(ORDER), True)))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

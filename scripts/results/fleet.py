@@ -89,7 +89,7 @@ def measured(files: list[str], options: Options, most: int) -> dict[str, float |
 
 def run(effort: Effort) -> Section:
     """The section."""
-    count, traced, big = effort.sessions(1000, 6), effort.sessions(20, 2), effort.sessions(100_000, 1000)
+    count, traced, big = effort.sessions(1000, 4), effort.sessions(20, 2), effort.sessions(100_000, 1000)
     most = max(2, cores())
     with tempfile.TemporaryDirectory() as folder:
         rng = effort.generator()

@@ -24,7 +24,7 @@ def run(effort: Effort) -> Section:
     """Simulated hands, two turns each; some of the parts turned forth and back, and once, beside them."""
     beside = effort.sessions(BESIDE, 2)
     return section_of(
-        hands.run(effort.sessions(HANDS, 4), effort.seed, effort.jobs, 2),
+        hands.run(effort.sessions(HANDS, 2), effort.seed, effort.jobs, 2),
         hands.run(beside, effort.seed, effort.jobs, 2, returns=True),
         hands.run(beside, effort.seed, effort.jobs, 1),
     )

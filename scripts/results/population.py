@@ -15,8 +15,8 @@ def run(effort: Effort) -> Section:
     """A hundred populations with an effect and a hundred without, and some that should mislead."""
     from population_statistics import outcomes
 
-    units = effort.sessions(UNITS, 60)
-    populations = effort.sessions(100, 2)
+    units = effort.sessions(UNITS, 20)
+    populations = effort.sessions(100, 1)
     return section_of(outcomes(populations, units, effort.seed, effort.jobs), units)
 
 

@@ -24,7 +24,7 @@ Row = Mapping[str, Any]
 
 def run(effort: Effort) -> Section:
     """Sessions with one fault and without, with gyros; fewer without gyros."""
-    faulty, good = effort.sessions(FAULTY, 6), effort.sessions(GOOD, 3)
+    faulty, good = effort.sessions(FAULTY, 3), effort.sessions(GOOD, 1)
     beside = effort.sessions(BESIDE_FAULTY, 3), effort.sessions(BESIDE_GOOD, 1)
     return section_of(
         sessions.run(faulty, good, effort.seed, effort.jobs),

@@ -17,46 +17,16 @@ from adis_gonio.base.errors import (
     ProtocolError,
     UsageError,
 )
-from adis_gonio.device.bus import BusUrl, Capability, SpiTiming
-from adis_gonio.device.bus.cp2130 import find_devices, open_from_url
+from adis_gonio.device.bus import SpiTiming
+from adis_gonio.device.bus.cp2130 import find_devices
 from adis_gonio.device.bus.cp2130 import requests as r
 from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.sim.testing.bus_contract import BusContract, Rig, WatchedChip
-from adis_gonio.sim.testing.clocks import VirtualClock
+from adis_gonio.sim.testing.bus_contract import BusContract, Rig
 from adis_gonio.sim.testing.faults import Faults
-from adis_gonio.sim.testing.pins import ChipPins
-from fakes.cp2130_device import OPEN_DRAIN, PUSH_PULL, READ_FIRST, Cp2130Device
+from fakes.benches import Cp2130Bench as Bench
+from fakes.cp2130_device import OPEN_DRAIN, PUSH_PULL, READ_FIRST
 
-FakeUsbBackend = pytest.importorskip("fakes.cp2130_usb", reason="pyusb is not installed").FakeUsbBackend
-UsbBoard = pytest.importorskip("fakes.cp2130_usb").UsbBoard
-usb_error = pytest.importorskip("fakes.cp2130_usb").usb_error
-
-SEED = 6
-
-
-class Bench:
-    """Boards at ports, and the URL that opens the first."""
-
-    def __init__(self, serials=("A1",), *, faults=None, latency_s=0.1e-3, **otp):
-        self.clock = VirtualClock()
-        self.boards = []
-        for k, serial in enumerate(serials):
-            chip = WatchedChip(World(seed=SEED), start_s=-0.5)
-            device = Cp2130Device(ChipPins(chip, self.clock), serial, **otp)
-            self.boards.append(UsbBoard(device, address=5 + k, faults=faults, latency_s=latency_s))
-        self.backend = FakeUsbBackend(*self.boards)
-        self.board = self.boards[0] if self.boards else None
-
-    @property
-    def device(self):
-        return self.board.device
-
-    @property
-    def chip(self):
-        return self.device.pins.chip
-
-    def open(self, url="cp2130:"):
-        return open_from_url(BusUrl.parse(url), backend=self.backend, clock=self.clock)
+usb_error = pytest.importorskip("fakes.cp2130_usb", reason="pyusb is not installed").usb_error
 
 
 class TestCp2130(BusContract):
@@ -78,7 +48,7 @@ class TestCp2130(BusContract):
             "stuck": (lambda: setattr(bench.device, "stuck", True), BusTimeoutError),
             "hung": (silence, BusTimeoutError),
         }
-        twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
+        twin = SimulatedChip(World(seed=Bench.seed), start_s=-0.5)
         return Rig(bus, bench.chip, twin, faults, slowest_hz=93_750)
 
 
@@ -119,14 +89,6 @@ def test_scans_of_four_registers_come_at_the_rates_that_the_documentation_has(tr
         assert least < 50 / (bench.clock.now_s() - before) < most
 
 
-@pytest.mark.parametrize(
-    ("asked", "kept"), [(1e6, 750e3), (250e3, 187.5e3), (1.5e6, 1.5e6), (93_751, 93_750)]
-)
-def test_the_clock_is_the_fastest_that_is_not_above_what_was_asked(asked, kept):
-    with Bench().open() as bus:
-        assert bus.configure(SpiTiming(asked, 9, 40)).clock_hz == kept
-
-
 def test_a_clock_below_the_slowest_is_refused_and_the_old_one_stays():
     with Bench().open() as bus:
         before = bus.timing
@@ -148,48 +110,6 @@ def test_the_otp_memory_is_never_touched():
 
 
 # -- which board ---------------------------------------------------------------------------------------
-
-
-def test_boards_are_listed_and_told_apart_by_serial_number():
-    bench = Bench(("A1", "B2"))
-    assert [d.url for d in find_devices(backend=bench.backend)] == ["cp2130:A1", "cp2130:B2"]
-    with bench.open("cp2130:B2") as bus:
-        bus.exchange([0])
-    assert len(bench.boards[1].device.pins.chip.seen) == 1
-    assert not bench.boards[0].device.pins.chip.seen
-
-
-def test_with_two_boards_the_first_one_is_never_taken():
-    bench = Bench(("A1", "B2"))
-    with pytest.raises(UsageError, match="cp2130:A1 or cp2130:B2"):
-        bench.open()
-    assert not any(board.claimed for board in bench.boards)
-
-
-def test_boards_of_the_same_serial_number_are_told_apart_by_address():
-    bench = Bench(("A1", "A1"))
-    urls = [d.url for d in find_devices(backend=bench.backend)]
-    assert urls == ["cp2130:?bus=1&address=5", "cp2130:?bus=1&address=6"]
-    with bench.open(urls[1]) as bus:
-        bus.exchange([0])
-    assert len(bench.boards[1].device.pins.chip.seen) == 1
-
-
-def test_a_missing_board_is_said_with_what_is_there():
-    with pytest.raises(CannotOpenError, match="no CP2130 is connected"):
-        Bench(()).open()
-    with pytest.raises(CannotOpenError, match="no such CP2130 is connected; connected: cp2130:A1"):
-        Bench().open("cp2130:ZZ")
-
-
-def test_a_board_that_another_has_claimed_is_busy_and_is_free_after_closing():
-    bench = Bench()
-    bus = bench.open()
-    with pytest.raises(CannotOpenError, match="busy"):
-        bench.open()
-    bus.close()
-    bench.open().close()
-    assert not bench.board.claimed
 
 
 def test_a_failed_opening_gives_the_board_back():
@@ -305,16 +225,6 @@ def test_the_event_counter_may_count_edges_or_pulses_of_either_kind(mode):
         assert bus.read_event_counter() == pytest.approx(819.2, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    "url", ["cp2130:?cs=11", "cp2130:?speed=1", "cp2130:?cs=2&reset_gpio=2", "cp2130:?timeout_ms=x"]
-)
-def test_a_wrong_option_is_refused(url):
-    bench = Bench()
-    with pytest.raises(UsageError):
-        bench.open(url)
-    bench.open().close()
-
-
 # -- failures -------------------------------------------------------------------------------------------
 
 
@@ -328,18 +238,6 @@ def test_after_a_time_out_the_port_is_reset_and_set_up_anew():
     assert bench.board.resets == 1
     assert bus.exchange([0x3800, 0])[1] == 0x0402
     assert bench.chip.seen[-1].clock_hz == 750e3
-
-
-def test_a_late_reply_is_not_taken_for_the_next_one():
-    bench = Bench()
-    bus = bench.open()
-    bus.exchange([0x3600, 0])
-    bench.board.faults = Faults(delay=1.0, delay_s=0.2, seed=1)
-    for _ in range(40):
-        with contextlib.suppress(BusError):
-            assert bus.exchange([0x3800, 0x3600, 0])[1:] == [0x0402, 0x0001]
-    bench.board.faults = Faults()
-    assert bus.exchange([0x3800, 0x3600, 0])[1:] == [0x0402, 0x0001]
 
 
 @pytest.mark.parametrize("count", [1, 5, 30])
@@ -462,58 +360,6 @@ def test_a_frame_is_never_sent_again():
     with pytest.raises(ProtocolError, match="1 bytes"):
         bus.exchange([0xA012, 0])
     assert [f.word for f in bench.chip.seen] == [0xA012]
-
-
-def test_unplugging_is_a_clear_error_and_plugging_in_again_works():
-    bench = Bench()
-    bus = bench.open()
-    bench.board.plugged = False
-    for _ in range(2):
-        with pytest.raises(CannotOpenError, match="gone"):
-            bus.exchange([0])
-    bus.close()
-    bench.board.replug()
-    with bench.open() as again:
-        assert again.exchange([0x3800, 0])[1] == 0x0402
-
-
-def test_a_silent_device_fails_within_its_time_out():
-    bench = Bench()
-    bus = bench.open("cp2130:?timeout_ms=100")
-    bench.board.faults = Faults(drop=1.0)
-    before = bench.clock.now_s()
-    with pytest.raises(BusTimeoutError, match=r"0\.1 s"):
-        bus.exchange([0] * 100)
-    assert bench.clock.now_s() - before < 0.35
-
-
-def test_capabilities_are_those_that_were_wired():
-    assert Bench().open().capabilities == frozenset()
-    both = Bench().open("cp2130:?reset_gpio=5&event_counter=1").capabilities
-    assert both == {Capability.HARD_RESET, Capability.EVENT_COUNTER}
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_under_faults_no_wrong_word_is_accepted(seed):
-    rates = dict.fromkeys(("drop", "delay", "busy", "stuck", "short"), 0.01)
-    bench = Bench(faults=Faults(seed=seed, hang=0.001, **rates))
-    bus = None
-    while bus is None:
-        with contextlib.suppress(BusError):
-            bus = bench.open()
-    good = bad = 0
-    for _ in range(400):
-        try:
-            replies = bus.exchange([0x3800, 0x3600, 0x3A00, 0])
-        except BusError:
-            bad += 1
-            continue
-        good += 1
-        assert replies[1:] == [0x0402, 0x0001, 0x0000]
-    assert good > 200
-    assert bad > 5
-    bench.board.faults = Faults()
-    assert bus.exchange([0x3800, 0])[1] == 0x0402
 
 
 @pytest.mark.parametrize(

@@ -13,46 +13,15 @@ from adis_gonio.base.errors import (
     CannotOpenError,
     NotInstalledError,
     ProtocolError,
-    UsageError,
 )
-from adis_gonio.device.bus import BusUrl, Capability, SpiTiming
+from adis_gonio.device.bus import BusUrl, SpiTiming
 from adis_gonio.device.bus.mcp2210 import find_devices, open_from_url, writes
 from adis_gonio.device.bus.mcp2210 import reports as r
 from adis_gonio.device.bus.mcp2210.writes import TimedWrites
 from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.sim.testing.bus_contract import BusContract, Rig, WatchedChip
-from adis_gonio.sim.testing.clocks import VirtualClock
+from adis_gonio.sim.testing.bus_contract import BusContract, Rig
 from adis_gonio.sim.testing.faults import Faults
-from adis_gonio.sim.testing.pins import ChipPins
-from fakes.mcp2210_device import Mcp2210Device
-from fakes.mcp2210_hid import FakeHid, HidBoard
-
-SEED = 5
-
-
-class Bench:
-    """Boards at ports, and the URL that opens the first."""
-
-    def __init__(self, serials=("A1",), *, faults=None, latency_s=0.5e-3):
-        self.clock = VirtualClock()
-        self.boards = []
-        for k, serial in enumerate(serials):
-            chip = WatchedChip(World(seed=SEED), start_s=-0.5)
-            device = Mcp2210Device(ChipPins(chip, self.clock), serial)
-            self.boards.append(HidBoard(device, path=f"1-{k + 1}:1.0", faults=faults, latency_s=latency_s))
-        self.hid = FakeHid(*self.boards)
-        self.board = self.boards[0] if self.boards else None
-
-    @property
-    def device(self):
-        return self.board.device
-
-    @property
-    def chip(self):
-        return self.device.pins.chip
-
-    def open(self, url="mcp2210:"):
-        return open_from_url(BusUrl.parse(url), hid=self.hid, clock=self.clock)
+from fakes.benches import Mcp2210Bench as Bench
 
 
 class TestMcp2210(BusContract):
@@ -74,7 +43,7 @@ class TestMcp2210(BusContract):
             "busy for ever": (lambda: setattr(bench.device, "busy", 2), CannotOpenError),
             "hung": (silence, BusTimeoutError),
         }
-        twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
+        twin = SimulatedChip(World(seed=Bench.seed), start_s=-0.5)
         return Rig(bus, bench.chip, twin, faults, slowest_hz=1_500)
 
 
@@ -94,12 +63,6 @@ def test_a_frame_is_one_transaction_of_two_bytes_in_mode_3_with_cs_on_the_pin_th
     spi = bench.device.spi
     assert (spi.transaction, spi.mode, spi.idle_cs, spi.active_cs) == (2, 3, 0x1FF, 0x1EF)
     assert (spi.cs_to_data, spi.last_to_cs, spi.between) == (0, 0, 0)
-
-
-@pytest.mark.parametrize(("asked", "kept"), [(1e6, 1e6), (300e3, 300e3), (7e5, 12e6 // 18), (1999, 1998)])
-def test_the_clock_is_the_fastest_divider_that_is_not_above_what_was_asked(asked, kept):
-    with Bench().open() as bus:
-        assert bus.configure(SpiTiming(asked, 9, 40)).clock_hz == kept
 
 
 @pytest.mark.parametrize(("report_s", "scans_per_s"), [(1e-3, 62), (1.5e-3, 42)])
@@ -151,47 +114,6 @@ class _anything:  # noqa: N801
 # -- which board ------------------------------------------------------------------------------------
 
 
-def test_boards_are_listed_and_told_apart_by_serial_number():
-    bench = Bench(("A1", "B2"))
-    assert [d.url for d in find_devices(hid=bench.hid)] == ["mcp2210:A1", "mcp2210:B2"]
-    with bench.open("mcp2210:B2") as bus:
-        bus.exchange([0])
-    assert len(bench.boards[1].device.pins.chip.seen) == 1
-    assert not bench.boards[0].device.pins.chip.seen
-
-
-def test_with_two_boards_the_first_one_is_never_taken():
-    bench = Bench(("A1", "B2"))
-    with pytest.raises(UsageError, match="mcp2210:A1 or mcp2210:B2"):
-        bench.open()
-    assert not any(board.sent for board in bench.boards)
-
-
-def test_boards_of_the_same_serial_number_are_told_apart_by_path():
-    bench = Bench(("A1", "A1"))
-    urls = [d.url for d in find_devices(hid=bench.hid)]
-    assert urls == ["mcp2210:?path=1-1%3A1.0", "mcp2210:?path=1-2%3A1.0"]
-    with bench.open(urls[1]) as bus:
-        bus.exchange([0])
-    assert len(bench.boards[1].device.pins.chip.seen) == 1
-
-
-def test_a_missing_board_is_said_with_what_is_there():
-    with pytest.raises(CannotOpenError, match="no MCP2210 is connected"):
-        Bench(()).open()
-    with pytest.raises(CannotOpenError, match="no such MCP2210 is connected; connected: mcp2210:A1"):
-        Bench().open("mcp2210:ZZ")
-
-
-def test_a_board_that_another_has_open_is_busy_and_is_free_after_closing():
-    bench = Bench()
-    bus = bench.open()
-    with pytest.raises(CannotOpenError, match="busy"):
-        bench.open()
-    bus.close()
-    bench.open().close()
-
-
 def test_a_failed_opening_gives_the_board_back():
     bench = Bench()
     bench.board.faults = Faults(drop=1.0)
@@ -225,25 +147,6 @@ def test_without_hidapi_the_extra_is_named(monkeypatch):
         open_from_url(BusUrl.parse("mcp2210:"))
     with pytest.raises(NotInstalledError, match=r"adis-gonio\[hid\]"):
         find_devices()
-
-
-@pytest.mark.parametrize(
-    "url",
-    [
-        "mcp2210:?cs=9",
-        "mcp2210:?cs=x",
-        "mcp2210:?chip=1",
-        "mcp2210:?backend=usb",
-        "mcp2210:?timeout_ms=0",
-        "mcp2210:?cs=3&reset_gpio=3",
-        "mcp2210:?cs=6&event_counter=1",
-    ],
-)
-def test_a_wrong_option_is_refused(url):
-    bench = Bench()
-    with pytest.raises(UsageError):
-        bench.open(url)
-    bench.open().close()
 
 
 # -- failures ----------------------------------------------------------------------------------------
@@ -427,19 +330,6 @@ def test_a_poll_that_is_refused_for_another_master_is_no_transfer_in_progress():
             bus.exchange([0])
 
 
-def test_a_late_answer_is_not_taken_for_the_next_one():
-    bench = Bench()
-    bus = bench.open()
-    bus.exchange([0x3600, 0])
-    bench.board.faults = Faults(delay=1.0, delay_s=0.2, seed=1)
-    for _ in range(40):
-        with _anything():
-            bus.exchange([0x3800, 0x3600, 0])
-    bench.board.faults = Faults()
-    bench.clock.sleep_s(2.0)
-    assert bus.exchange([0x3800, 0x3600, 0])[1:] == [0x0402, 0x0001]
-
-
 def test_the_late_answer_of_an_earlier_cancel_is_not_taken_for_that_of_the_last():
     bench = Bench()
     bus = bench.open()
@@ -462,60 +352,6 @@ def test_the_late_answer_of_an_earlier_cancel_is_not_taken_for_that_of_the_last(
         with _anything():
             assert bus.exchange([frame, 0])[1] == {0x3800: 0x0402, 0x3600: 0x0001}[frame]
     assert bus.exchange([0x3600, 0])[1] == 0x0001
-
-
-def test_unplugging_is_a_clear_error_and_plugging_in_again_works():
-    bench = Bench()
-    bus = bench.open()
-    bench.board.plugged = False
-    for _ in range(2):
-        with pytest.raises(CannotOpenError, match="gone"):
-            bus.exchange([0])
-    bus.close()
-    bench.board.replug()
-    with bench.open() as again:
-        assert again.exchange([0x3800, 0])[1] == 0x0402
-
-
-def test_a_silent_device_fails_within_its_time_out():
-    bench = Bench()
-    bus = bench.open("mcp2210:?timeout_ms=100")
-    bench.board.faults = Faults(drop=1.0)
-    before = bench.clock.now_s()
-    with pytest.raises(BusTimeoutError, match=r"0\.1 s"):
-        bus.exchange([0] * 100)
-    assert bench.clock.now_s() - before < 0.25
-
-
-def test_capabilities_are_those_that_were_wired():
-    assert Bench().open().capabilities == frozenset()
-    both = Bench().open("mcp2210:?reset_gpio=3&event_counter=1").capabilities
-    assert both == {Capability.HARD_RESET, Capability.EVENT_COUNTER}
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_under_faults_no_wrong_word_is_accepted(seed):
-    rates = dict.fromkeys(("drop", "duplicate", "flip", "delay", "busy", "stuck", "short"), 0.01)
-    bench = Bench(faults=Faults(seed=seed, hang=0.001, progress=0.05, **rates))
-    bus = None
-    while bus is None:
-        with _anything():
-            bus = bench.open()
-    good = bad = 0
-    for _ in range(400):
-        try:
-            replies = bus.exchange([0x3800, 0x3600, 0x3A00, 0])
-        except BusError:
-            bad += 1
-            continue
-        good += 1
-        assert replies[1:] == [0x0402, 0x0001, 0x0000]
-    assert good > 400 / 3
-    assert bad > 5
-    assert bench.board.faults.seen["progress"] > 100
-    bench.board.faults = Faults()
-    bench.clock.sleep_s(2.0)
-    assert bus.exchange([0x3800, 0])[1] == 0x0402
 
 
 # -- parsers ------------------------------------------------------------------------------------------

@@ -36,31 +36,13 @@ from adis_gonio.sim.testing.clocks import VirtualClock, WorkClock
 from adis_gonio.sim.testing.faults import Faults
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
 from adis_gonio.sim.testing.pins import ChipPins
+from fakes.benches import SerialBench as Bench
 from fakes.boot_loader import BootingBoard, BootLoader
 from fakes.numbered_scans import Judge, NumberedChip, words_of
 from fakes.serial_port import FakePort
 
-SEED = 8
 FAST = SpiTiming(1e6, 9.0, 40.0)
 SEVEN = [0x0400, 0x0600, 0x0800, 0x0A00, 0x0C00, 0x0E00, 0x1000]
-
-
-class Bench:
-    """A board in virtual time."""
-
-    def __init__(self, *, faults=None, watched=True, **board):
-        self.clock = VirtualClock()
-        kind = WatchedChip if watched else SimulatedChip
-        self.chip = kind(World(seed=SEED), start_s=-0.5)
-        self.firmware = SimulatedFirmware(ChipPins(self.chip, self.clock), **board)
-        self.port = FakePort(self.firmware, faults)
-
-    def open(self, options=""):
-        return open_from_url(BusUrl.parse(f"serial:fake{options}"), port=self.port, clock=self.clock)
-
-    def replug(self):
-        self.port = FakePort(self.firmware)
-        self.firmware.restart()
 
 
 class TestSerial(BusContract):
@@ -73,7 +55,7 @@ class TestSerial(BusContract):
             bench.port.faults.hangs(bench.clock.now_s())
             bench.port.faults.hang = 0.0
 
-        twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
+        twin = SimulatedChip(World(seed=Bench.seed), start_s=-0.5)
         return Rig(bus, bench.chip, twin, {"hung": (silence, BusTimeoutError)}, slowest_hz=125_000)
 
 
@@ -87,11 +69,13 @@ class TestSerialOverAPty(BusContract):
     @pytest.fixture
     def rig(self):
         clock = WorkClock()
-        chip = WatchedChip(World(seed=SEED), start_s=-0.5)
+        chip = WatchedChip(World(seed=Bench.seed), start_s=-0.5)
         with SimulatedBoard(SimulatedFirmware(ChipPins(chip, clock))) as board:
             bus = open_bus(f"serial:{board.path}")
             try:
-                yield Rig(bus, chip, SimulatedChip(World(seed=SEED), start_s=-0.5), slowest_hz=125_000)
+                yield Rig(
+                    bus, chip, SimulatedChip(World(seed=Bench.seed), start_s=-0.5), slowest_hz=125_000
+                )
             finally:
                 bus.close()
 
@@ -171,7 +155,7 @@ class BootingBench(Bench):
 
     def __init__(self, **loader):
         self.clock = VirtualClock()
-        self.chip = SimulatedChip(World(seed=SEED), start_s=-0.5)
+        self.chip = SimulatedChip(World(seed=Bench.seed), start_s=-0.5)
         self.firmware = BootingBoard(ChipPins(self.chip, self.clock), **loader)
         self.port = FakePort(self.firmware)
 
@@ -343,38 +327,7 @@ def test_fractions_of_a_microsecond_are_rounded_up():
         assert bus.configure(SpiTiming(1e6, 9.2, 40.5)) == SpiTiming(1e6, 10.0, 41.0)
 
 
-@pytest.mark.parametrize("options", ["?baud=x", "?edge=both", "?speed=1", "?boot_ms=1"])
-def test_a_wrong_option_is_refused(options):
-    with pytest.raises(UsageError):
-        Bench().open(options)
-
-
 # -- faults -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_under_faults_no_wrong_word_is_accepted(seed):
-    rates = dict.fromkeys(("drop", "duplicate", "flip", "delay", "chunk"), 0.01)
-    bench = Bench(watched=False)
-    bus = bench.open()
-    bus.configure(FAST)
-    bench.port.faults = Faults(seed=seed, hang=0.001, **rates)
-    good = bad = 0
-    for k in range(400):
-        ask = [0x3800, 0x3600, 0x3A00, 0] if k % 2 else [0x3600, 0x3800, 0x3800, 0]
-        try:
-            replies = bus.exchange(ask)
-        except BusError:
-            bad += 1
-            continue
-        good += 1
-        assert replies[1:] == ([0x0402, 0x0001, 0] if k % 2 else [0x0001, 0x0402, 0x0402])
-    assert good > 400 / 3  # about half get through; what counts is that none is wrong
-    assert bad > 5
-    assert bus._link.counts.retries > 100
-    bench.port.faults = Faults()
-    bench.clock.sleep_s(2.0)
-    assert bus.exchange([0x3800, 0])[1] == 0x0402
 
 
 def test_late_replies_are_discarded_and_counted():
@@ -387,19 +340,6 @@ def test_late_replies_are_discarded_and_counted():
             replies = bus.exchange([0x3800, 0x3600, 0] if k % 2 else [0x3600, 0x3800, 0])
             assert replies[1:] == ([0x0402, 0x0001] if k % 2 else [0x0001, 0x0402])
     assert bus._link.counts.late > 3
-
-
-def test_unplugging_is_a_clear_error_and_plugging_in_again_works():
-    bench = Bench()
-    bus = bench.open()
-    bench.port.plugged = False
-    for _ in range(2):
-        with pytest.raises(CannotOpenError, match="gone"):
-            bus.exchange([0])
-    bus.close()
-    bench.replug()
-    with bench.open() as again:
-        assert again.exchange([0x3800, 0])[1] == 0x0402
 
 
 def test_unplugging_within_a_stream_is_a_clear_error():

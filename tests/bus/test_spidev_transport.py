@@ -6,15 +6,15 @@ import sys
 
 import pytest
 
-from adis_gonio.base.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
+from adis_gonio.base.errors import BusTimeoutError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.device.bus import BusUrl, Capability, SpiTiming
 from adis_gonio.device.bus.spidev import find_devices, open_from_url
 from adis_gonio.device.bus.spidev import kernel as k
 from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.sim.testing.bus_contract import BusContract, Rig, WatchedChip, assert_timing
-from adis_gonio.sim.testing.clocks import VirtualClock
+from adis_gonio.sim.testing.bus_contract import BusContract, Rig, assert_timing
 from adis_gonio.sim.testing.faults import Faults
-from adis_gonio.sim.testing.pins import ChipPins
+from fakes.benches import SPIDEV_PATH
+from fakes.benches import SpidevBench as Bench
 from fakes.spidev_kernel import (
     CPHA,
     CS_HIGH,
@@ -23,26 +23,9 @@ from fakes.spidev_kernel import (
     LSB_FIRST,
     THREE_WIRE,
     CsFlag,
-    FakeSpidevKernel,
 )
 
-SEED = 7
-PATH = "/dev/spidev0.0"
 FAST = SpiTiming(1e6, 9.0, 40.0)
-
-
-class Bench:
-    """A machine with one SPI file."""
-
-    def __init__(self, **options):
-        self.clock = VirtualClock()
-        self.chip = WatchedChip(World(seed=SEED), start_s=-0.5)
-        self.pins = ChipPins(self.chip, self.clock)
-        self.kernel = FakeSpidevKernel({PATH: self.pins}, **options)
-
-    def open(self, options=""):
-        url = BusUrl.parse(f"spidev:{PATH}{options}")
-        return open_from_url(url, system=self.kernel, clock=self.clock)
 
 
 class TestSpidev(BusContract):
@@ -72,7 +55,7 @@ class TestSpidev(BusContract):
             "busy": (once(busy=1.0), ProtocolError),
             "short": (once(short=1.0), ProtocolError),
         }
-        twin = SimulatedChip(World(seed=SEED), start_s=-0.5)
+        twin = SimulatedChip(World(seed=Bench.seed), start_s=-0.5)
         return Rig(bench.open(self.options), bench.chip, twin, faults)
 
     def machine(self):
@@ -110,7 +93,7 @@ def test_a_chip_select_of_any_kind_of_any_kernel_reaches_the_chip(flag):
     bench = Bench(cs_flag=flag)
     with bench.open() as bus:
         assert bus.exchange([0x3800, 0])[1] == 0x0402
-    assert bench.kernel.modes[PATH] == 3 | (0 if flag is CsFlag.NATIVE else CS_HIGH)
+    assert bench.kernel.modes[SPIDEV_PATH] == 3 | (0 if flag is CsFlag.NATIVE else CS_HIGH)
 
 
 def test_flags_of_the_device_tree_stay_and_those_that_change_the_bits_of_a_frame_go():
@@ -118,7 +101,7 @@ def test_flags_of_the_device_tree_stay_and_those_that_change_the_bits_of_a_frame
     bench = Bench(mode=no_cs | ready | LSB_FIRST | THREE_WIRE | LOOP | CPHA)
     with bench.open() as bus:
         assert bus.exchange([0x3800, 0])[1] == 0x0402
-    assert bench.kernel.modes[PATH] == no_cs | ready | CS_HIGH | 3
+    assert bench.kernel.modes[SPIDEV_PATH] == no_cs | ready | CS_HIGH | 3
 
 
 @pytest.mark.parametrize("wrong", [0, 1, 2, 3 | LSB_FIRST, 3 | THREE_WIRE, 3 | LOOP])
@@ -284,12 +267,6 @@ def test_without_any_file_the_message_says_what_to_enable(tmp_path):
         open_from_url(BusUrl.parse("spidev:"), system=Bench().kernel, folder=str(tmp_path))
 
 
-@pytest.mark.parametrize("options", ["?reset_gpio=x", "?cs_high_us=-1", "?speed=1"])
-def test_a_wrong_option_is_refused(options):
-    with pytest.raises(UsageError):
-        Bench().open(options)
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="a real ioctl needs Linux")
 def test_a_file_that_is_no_spidev_is_said_by_the_real_kernel():
     with pytest.raises(ProtocolError, match="no spidev file"):
@@ -312,21 +289,3 @@ def test_the_controller_going_away_is_a_clear_error(code):
 def test_only_a_wired_reset_is_a_capability():
     assert Bench().open().capabilities == frozenset()
     assert Bench().open("?reset_gpio=gpiochip0:17").capabilities == {Capability.HARD_RESET}
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_under_faults_no_wrong_word_is_accepted(seed):
-    bench = Bench(faults=Faults(seed=seed, drop=0.01, hang=0.01, busy=0.01, short=0.01))
-    bus = bench.open()
-    bus.configure(FAST)
-    good = bad = 0
-    for _ in range(500):
-        try:
-            replies = bus.exchange([0x3800, 0x3600, 0x3A00, 0])
-        except BusError:
-            bad += 1
-            continue
-        good += 1
-        assert replies[1:] == [0x0402, 0x0001, 0x0000]
-    assert good > 300
-    assert bad > 20

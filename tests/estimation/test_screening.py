@@ -9,10 +9,10 @@ import pytest
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
+from adis_gonio.base.numbers import name_positions
 from adis_gonio.fitting.estimation.converter import Limit
 from adis_gonio.fitting.estimation.screening import (
     _at_limit,
-    _positions,
     _same_everywhere,
     _still_against_others,
     limits_in_words,
@@ -152,6 +152,6 @@ def test_limits_are_told_with_their_samples_and_what_they_spoil() -> None:
 
 
 def test_of_many_positions_eight_are_named() -> None:
-    assert _positions([3]) == "position 3"
-    assert _positions(range(8)) == "positions 0, 1, 2, 3, 4, 5, 6, 7"
-    assert _positions(range(9)) == "positions 0, 1, 2, 3, 4, 5, 6, 7 and others"
+    assert name_positions([3]) == "position 3"
+    assert name_positions(range(8)) == "positions 0, 1, 2, 3, 4, 5, 6, 7"
+    assert name_positions(range(9)) == "positions 0, 1, 2, 3, 4, 5, 6, 7 and others"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ from adis_gonio.fitting.closed_form import (
 )
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
 from adis_gonio.fitting.estimation.shown import ShownAngle, gradient_of_base
-from adis_gonio.fitting.methods import _applicable, _two, default_method, fit_readings
+from adis_gonio.fitting.methods import applicable_to, default_method, fit_readings
 from adis_gonio.fitting.noise import NoiseAssumptions
 from adis_gonio.model.effects import Conditions
 
@@ -251,8 +253,16 @@ def test_what_a_bias_does_to_two_positions_is_its_slope() -> None:
 # -- which method ----------------------------------------------------------------------------------------
 
 
-def applicable(*angles: float, **more: bool) -> tuple[str, ...]:
-    return _applicable(np.array(angles), **{"planar": True, "free": False, "known_zero": True, **more})
+def applicable(
+    *angles: float, planar: bool = True, free: bool = False, known_zero: bool = True
+) -> tuple[str, ...]:
+    readings: Any = SimpleNamespace(
+        angle_rad=np.radians(angles),
+        planar=planar,
+        fixture_rad=math.inf if free else 0.0,
+        unit=SimpleNamespace(known=known_zero),
+    )
+    return applicable_to(readings)
 
 
 def test_methods_follow_from_what_was_measured() -> None:
@@ -276,10 +286,13 @@ def test_methods_follow_from_what_was_measured() -> None:
 
 
 def test_two_positions_alone_are_the_closed_form_whichever_way_the_stage_turned() -> None:
-    assert _two(turned((0.0, 270.0))) == (0, 270)
-    assert _two(turned((0.0, 90.0, 270.0))) == (0, 90)
-    assert _two(turned((90.0, 270.0))) == (0, 90)
-    assert _two(turned((45.0, 270.0))) == (0, 90)
+    for measured, used in (((0.0, 270.0), (0, 270)), ((0.0, 90.0, 270.0), (0, 90))):
+        found = fit_readings(turned(measured), "two-position")
+        expected = fit_positions(turned(measured), "two-position", used)
+        assert found["delta_phi"] == expected["delta_phi"]
+    for missing in ((90.0, 270.0), (45.0, 270.0)):
+        with pytest.raises(FitError, match="at 0, 90 degrees"):
+            fit_readings(turned(missing), "two-position")
     assert default_method(turned((0.0, 90.0, 90.2))) == "two-position"
     assert default_method(turned((0.0, 270.0))) == "two-position"
     assert default_method(turned((0.0, 90.0, 180.0))) == "ml"

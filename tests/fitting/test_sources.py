@@ -16,7 +16,7 @@ from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.sources import FIXTURE, LINKS, MODEL, REPEATABILITY, TEMPERATURE, Source
 from adis_gonio.model.records import Session
 from fitting.test_uncertainty import FOUR, NINE, turn
-from gyros.test_links import _part
+from gyros.test_links import linked_part
 
 
 def source(result: FitResult, name: str) -> Source:
@@ -113,7 +113,7 @@ def test_a_coefficient_of_temperature_is_as_large_as_the_sheet_and_the_session_a
 
 
 def test_turns_between_poses_are_a_source_and_all_together_are_the_inverse_information() -> None:
-    data, links = _part(6, np.random.default_rng(6))
+    data, links = linked_part(6, np.random.default_rng(6))
     result = fit_readings(replace(data, links=links))
     made = result.origin
     own = source(result, LINKS)

@@ -127,7 +127,7 @@ BIAS_MG = np.array([12.0, -7.0, 20.0])
 DRIFTING = 0.3
 
 
-def _part(poses: int, rng: np.random.Generator) -> tuple[Readings, Links]:
+def linked_part(poses: int, rng: np.random.Generator) -> tuple[Readings, Links]:
     """Readings with noise of unequal axes and shared noise, and links whose neighbours correlate."""
     unit = rng.standard_normal((poses, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
@@ -201,7 +201,7 @@ def _full_least_squares(data: Readings, links: Links) -> tuple[Floats, Floats]:
 
 @pytest.mark.parametrize("poses", [5, 9])
 def test_links_are_least_squares_with_all_attitudes_unknown(poses: int) -> None:
-    data, links = _part(poses, np.random.default_rng(poses))
+    data, links = linked_part(poses, np.random.default_rng(poses))
     found = determine(replace(data, links=links))
     natural = natural_units(data)
     whole, inverse = _full_least_squares(data, links)
@@ -217,7 +217,7 @@ def test_links_are_least_squares_with_all_attitudes_unknown(poses: int) -> None:
 
 
 def test_poses_that_gravity_alone_leaves_undetermined_are_determined_by_links() -> None:
-    data, links = _part(5, np.random.default_rng(5))
+    data, links = linked_part(5, np.random.default_rng(5))
     assert determine(data).null.shape[1] or determine(data).held
     linked = fit_readings(replace(data, links=links))
     assert {one.name for one in linked.parameters} == set(names_of(data))
@@ -225,7 +225,7 @@ def test_poses_that_gravity_alone_leaves_undetermined_are_determined_by_links() 
 
 
 def test_slopes_by_readings_and_rotations_are_those_of_a_fit_made_anew() -> None:
-    data, links = _part(7, np.random.default_rng(7))
+    data, links = linked_part(7, np.random.default_rng(7))
     data = replace(data, links=links)
     found = determine(data)
     inverse, natural = covariance(found.fisher, found.free, found.null), natural_units(data)
@@ -257,7 +257,7 @@ def test_u_with_links_covers_what_it_says() -> None:
     rng = np.random.default_rng(11)
     inside = []
     for _ in range(80):
-        data, links = _part(6, rng)
+        data, links = linked_part(6, rng)
         result = fit_readings(replace(data, links=links))
         true = dict(zip(names_of(data), [*TRUE[:3], *np.degrees(TRUE[3:]), *BIAS_MG], strict=True))
         inside += [abs(one.value - true[one.name]) <= one.U for one in result.parameters if one.U]
@@ -268,7 +268,7 @@ def test_u_with_links_covers_what_it_says() -> None:
 
 @pytest.mark.parametrize("noise_mg", [1e-3, 1.0, 1e4, 1e7])
 def test_an_attitude_moves_by_what_its_reading_moves_along_its_tangent(noise_mg: float) -> None:
-    data, links = _part(5, np.random.default_rng(4))
+    data, links = linked_part(5, np.random.default_rng(4))
     fit = determine(data).fit
     root = noise_mg**-1 * data.own_root
     rows = LinkRows.at(links, fit.values.attitude, fit.tangent, root)
@@ -302,7 +302,7 @@ class _Fixed:
 def test_the_link_that_contradicts_gravity_and_the_others_is_left_out_by_the_numbers_of_its_dwells() -> (
     None
 ):
-    data, links = _part(9, np.random.default_rng(9))
+    data, links = linked_part(9, np.random.default_rng(9))
     data = replace(data, position=10 + np.arange(9))
     sound = _Judged.of(data, _Fixed(links))
     assert sound.links is not None
@@ -325,7 +325,7 @@ def test_the_link_that_contradicts_gravity_and_the_others_is_left_out_by_the_num
 def test_a_quarter_of_the_links_may_be_left_out_whatever_for(
     far: tuple[int, ...], odd: tuple[int, ...], believed: bool
 ) -> None:
-    data, links = _part(9, np.random.default_rng(9))
+    data, links = linked_part(9, np.random.default_rng(9))
     turned = links.rotation.copy()
     for k in far:
         turned[k] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[k]
@@ -342,7 +342,7 @@ def test_a_quarter_of_the_links_may_be_left_out_whatever_for(
 
 
 def test_a_parameter_of_the_gyros_that_is_known_exactly_is_settled_at_once() -> None:
-    data, links = _part(6, np.random.default_rng(6))
+    data, links = linked_part(6, np.random.default_rng(6))
     spread = np.array([1e-3, 1e-3, 0.0, 1e-3])
     found = _Fixed(replace(links, modes_rad=links.modes_rad * spread), spread)
     settled = _Judged.of(data, found)
@@ -364,7 +364,7 @@ class _Turning(_Fixed):
 
 
 def test_links_are_linearised_where_the_parameters_of_the_gyros_end_up() -> None:
-    data, links = _part(9, np.random.default_rng(9))
+    data, links = linked_part(9, np.random.default_rng(9))
     gyros = _Turning(replace(links, modes_rad=20 * links.modes_rad))
     found = _Judged.of(data, gyros)
     assert found.links is not None
@@ -375,17 +375,17 @@ def test_links_are_linearised_where_the_parameters_of_the_gyros_end_up() -> None
 
 
 def test_links_are_judged_by_what_they_add_to_chi2_where_the_noise_is_known() -> None:
-    data, links = _part(11, np.random.default_rng(11))
+    data, links = linked_part(11, np.random.default_rng(11))
     alone, linked = determine(data).fit.chi2, determine(replace(data, links=links)).fit.chi2
     assert alone > 0.5
     assert _Judged.of(data, _Fixed(links)).chi2 == pytest.approx(linked - alone, rel=1e-3)
-    few, links = _part(6, np.random.default_rng(6))
+    few, links = linked_part(6, np.random.default_rng(6))
     found = _Judged.of(replace(few, known=np.zeros(6, dtype=bool)), _Fixed(links))
     assert (found.links, found.why) == (None, "nothing tells the noise of the poses")
 
 
 def test_one_link_of_three_poses_cannot_be_tested_and_two_can() -> None:
-    data, links = _part(3, np.random.default_rng(3))
+    data, links = linked_part(3, np.random.default_rng(3))
     found = _Judged.of(data, _Fixed(links.only(np.array([0]))))
     # Three norms and two equations of the link determine five parameters: none is left over.
     assert (found.links, found.why) == (None, "they are too few to be tested against gravity")
@@ -395,7 +395,7 @@ def test_one_link_of_three_poses_cannot_be_tested_and_two_can() -> None:
 
 
 def test_without_links_between_fitted_poses_the_reason_of_the_first_refusal_is_told() -> None:
-    data, links = _part(5, np.random.default_rng(5))
+    data, links = linked_part(5, np.random.default_rng(5))
     none = _Fixed(links.only(np.zeros(4, dtype=bool)))
     assert _Judged.of(data, none).why == "saturated"
     none.refused = ()
@@ -403,7 +403,7 @@ def test_without_links_between_fitted_poses_the_reason_of_the_first_refusal_is_t
 
 
 def test_links_that_turn_gravity_elsewhere_are_left_out_and_many_of_them_are_false_gyros() -> None:
-    data, links = _part(9, np.random.default_rng(9))
+    data, links = linked_part(9, np.random.default_rng(9))
     turned = links.rotation.copy()
     turned[[2]] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[[2]]
     found = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
@@ -419,7 +419,7 @@ def test_links_that_turn_gravity_elsewhere_are_left_out_and_many_of_them_are_fal
 
 
 def test_links_follow_readings_that_are_left_out() -> None:
-    data, links = _part(6, np.random.default_rng(6))
+    data, links = linked_part(6, np.random.default_rng(6))
     data = replace(data, links=links)
     rest = data.rows(np.array([True, True, False, True, True, True])).links
     assert rest is not None
@@ -432,7 +432,7 @@ def test_links_follow_readings_that_are_left_out() -> None:
 
 def test_the_band_is_the_root_of_the_whole_covariance() -> None:
     rng = np.random.default_rng(8)
-    _, links = _part(6, rng)
+    _, links = linked_part(6, rng)
     band = Band.of(links.own_rad2, links.next_rad2[:-1])
     dense = block_diag(*links.own_rad2)
     for k in range(4):
@@ -712,7 +712,7 @@ def test_monte_carlo_draws_the_links_too(simulated: tuple[Session, World]) -> No
 
 
 def test_rows_of_a_fit_without_links_are_those_of_its_dwells() -> None:
-    data, links = _part(7, np.random.default_rng(9))
+    data, links = linked_part(7, np.random.default_rng(9))
     data = replace(data, slow=None)
     links = replace(links, modes_rad=0.0 * links.modes_rad)
     plain, linked = Fit.begin(data), Fit.begin(replace(data, links=links))

@@ -13,7 +13,7 @@ from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fleet.population import SessionEvidence, evidence_of
 from adis_gonio.model.effects import effect
 from population.units import evidence_with, session_with
-from tracing.named_truth import _term
+from tracing.named_truth import catalogued_term
 from tracing.plans import draw_bench
 
 HYSTERESIS = "hysteresis||x|hysteresis_x|mg"
@@ -21,7 +21,7 @@ HYSTERESIS = "hysteresis||x|hysteresis_x|mg"
 
 def test_an_estimate_is_that_of_the_full_nonlinear_fit() -> None:
     rng = np.random.default_rng(3)
-    session = session_with(draw_bench(rng), rng, [_term("hysteresis", "x", 0.0)])
+    session = session_with(draw_bench(rng), rng, [catalogued_term("hysteresis", "x", 0.0)])
     evidence = evidence_of(session)
     data = readings_of(session).training
     terms = tuple(

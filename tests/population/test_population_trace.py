@@ -11,7 +11,7 @@ from adis_gonio.fleet.population import PopulationResult, trace_population
 from adis_gonio.fleet.population.mixture import Block, grid_of, log_factor, log_sum
 from adis_gonio.fleet.population.units import inflations
 from population.units import drawn, evidence_with
-from tracing.named_truth import _term
+from tracing.named_truth import catalogued_term
 
 HYSTERESIS = "hysteresis||x|hysteresis_x|mg"
 CUBIC = "cubic||y|k3_y|mg/g³"
@@ -84,7 +84,7 @@ def test_share_and_mean_are_within_their_intervals() -> None:
 def test_sessions_from_their_samples_agree() -> None:
     """Whole sessions by the tests' own physics, 0.45 mg of hysteresis in every second one."""
     rng = np.random.default_rng(21)
-    term = _term("hysteresis", "y", 0.0).scaled(0.12)
+    term = catalogued_term("hysteresis", "y", 0.0).scaled(0.12)
     every = [evidence_with(rng, [term] if i % 2 else []) for i in range(60)]
     result = trace_population([replace(one, source=f"{i}") for i, one in enumerate(every)])
     assert names(result) == [("hysteresis",)]

@@ -1,13 +1,9 @@
-"""Error of the shown angle by method against the bound, and the section of the results that shows it."""
-
-import re
+"""Error of the shown angle by method against the bound."""
 
 import numpy as np
 import pytest
 
 import shown_angle
-from results import angle
-from results.section import Effort
 
 Cell = shown_angle.Cell
 
@@ -52,12 +48,3 @@ def test_the_bound_grows_by_the_effects_that_have_to_be_found():
     own = [np.sqrt((one[0] ** 2).mean()) for one in bounds]
     assert own[0] == pytest.approx(own[1], rel=0.01)
     assert own[1] < own[2] < own[3]
-
-
-def test_the_section_names_its_figures_and_holds_every_method():
-    made = angle.run(Effort(fast=True, seed=1))
-    named = set(re.findall(r"\(angle-(\w+)\.svg\)", made.markdown))
-    assert named == set(made.figures)
-    assert all(svg.startswith("<svg") for svg in made.figures.values())
-    assert {entry["method"] for entry in made.document["angle"]} == set(shown_angle.ORDER)
-    assert {line["parameter"] for line in made.document["efficiency"]} >= {"delta_k", "skew_xy", "bias_z"}

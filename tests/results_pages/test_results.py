@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+import shown_angle
 from results import SECTIONS
 
 ROOT = Path(__file__).parents[2]
@@ -22,8 +23,9 @@ def check_files(name, folder, command):
     assert re.search(rf"Made by `{command}`\.\n$", page)
     assert re.fullmatch(command, document["command"])
     assert len(document) > 1
-    for figure in re.findall(r"!\[[^]]*\]\(([^)]+)\)", page):
-        assert figure.startswith(f"{name}-")
+    figures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", page)
+    assert set(figures) == {path.name for path in folder.glob(f"{name}-*.svg")}
+    for figure in figures:
         assert ElementTree.parse(folder / figure).getroot().tag.endswith("}svg")
 
 
@@ -34,6 +36,10 @@ def test_the_fast_part_of_a_section_is_made(name, tmp_path):
     assert done.returncode == 0, done.stderr
     assert f"{name}: written to" in done.stdout
     check_files(name, tmp_path, f"python scripts/results {name} --seed 1 --fast")
+    if name == "angle":
+        document = json.loads((tmp_path / "angle.json").read_text("utf-8"))
+        assert {entry["method"] for entry in document["angle"]} == set(shown_angle.ORDER)
+        assert {line["parameter"] for line in document["efficiency"]} >= {"delta_k", "skew_xy", "bias_z"}
 
 
 @pytest.mark.parametrize("name", SECTIONS)

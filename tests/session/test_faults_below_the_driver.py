@@ -8,8 +8,6 @@ import pytest
 import session_faults as rig
 from fakes.faulty_chip import FAULTS
 
-pytestmark = pytest.mark.timeout(120)
-
 
 def task(kind, **changes):
     """A session of four short dwells with a fault in the dwell at any position."""

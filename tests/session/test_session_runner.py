@@ -134,7 +134,8 @@ def test_the_archive_holds_all_that_surrounded_the_dwells(path):
     assert facts["registers"]["after"]["SENS_AVG"] == 0x0104
     assert set(facts["registers"]["after"]) == set(facts["registers"]["before"])
     assert facts["software"].startswith("adis-gonio ")
-    assert facts["truth"]["delta_k"] == pytest.approx(facts["truth"]["delta_k"])
+    with open_sensor(URL) as opened:
+        assert facts["truth"]["delta_k"] == pytest.approx(opened.bus.world.truth()["delta_k"], rel=1e-6)
     assert session.notes == ()
     (configured,) = of(events, Configured)
     assert configured.changed["SENS_AVG"] == (0x0402, 0x0104)

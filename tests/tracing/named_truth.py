@@ -149,7 +149,7 @@ MOST_CYCLES = 24
 NAMES = (*_READING, *_STAGE, *_LASTING, "stage_periodic", "position_slip", "outlier_dwell")
 
 
-def _term(name: str, axes: str, choice: float) -> Term:
+def catalogued_term(name: str, axes: str, choice: float) -> Term:
     """Term of unit coefficients; `choice` is τ in s, cycles a turn or the number of a dwell."""
     ones = np.ones(len(axes))
     if name in _READING:
@@ -210,7 +210,7 @@ def draw_named(
     elif name in {"position_slip", "outlier_dwell"}:
         choice = float(rng.choice(np.flatnonzero(~check)[1:]))
         axes = choices[-1]
-    term = _term(name, axes, choice)
+    term = catalogued_term(name, axes, choice)
     size = rng.choice([-1, 1], len(term.coefficients)) * rng.uniform(0.5, 1, len(term.coefficients))
     return replace(term, coefficients=term.coefficients * size)
 
@@ -218,14 +218,14 @@ def draw_named(
 def alternatives(name: str, rows: Rows, axes: str = "xy") -> list[Term]:
     """All that `name` could mean in a session: every axis, time constants by grid, each dwell, degrees."""
     if name in _OF_ONE_AXIS:
-        return [_term(name, axis, 0.0) for axis in axes]
+        return [catalogued_term(name, axis, 0.0) for axis in axes]
     if name == "stage_periodic":
-        return [_term(name, axes, float(cycles)) for cycles in range(3, MOST_CYCLES + 1)]
+        return [catalogued_term(name, axes, float(cycles)) for cycles in range(3, MOST_CYCLES + 1)]
     if name in _LASTING:
         taus = rows.time_s[-1] * np.geomspace(0.01, 4, 14)
-        return [_term(name, axes, float(tau)) for tau in taus]
+        return [catalogued_term(name, axes, float(tau)) for tau in taus]
     if name in {"position_slip", "outlier_dwell"}:
-        return [_term(name, axes, float(k)) for k in rows.order]
+        return [catalogued_term(name, axes, float(k)) for k in rows.order]
     if name == "bias_temperature":
         powers = []
         for degree in (1, 2, 3):
@@ -239,4 +239,4 @@ def alternatives(name: str, rows: Rows, axes: str = "xy") -> list[Term]:
 
             powers.append(Term(name, basis, np.ones(len(axes) * degree), needs=("surroundings",)))
         return powers
-    return [_term(name, axes, 0.0)]
+    return [catalogued_term(name, axes, 0.0)]

@@ -23,7 +23,7 @@ from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamelessTerm
-from adis_gonio.model.effects import Conditions, catalogue
+from adis_gonio.model.effects import Conditions
 from adis_gonio.model.rates import MeanRate
 from adis_gonio.tracing.advice.proposals import _columns, _hypothesis, _prior
 from adis_gonio.tracing.candidates.grammar import nameless_terms
@@ -1135,26 +1135,6 @@ class TestNamedCandidates:
         data = replace(data, check=np.array([False, False, True, False, False, False]))
         terms = [t for t in named_terms(data)[0] if t.name == "position_slip"]
         assert [t.dwell for t in terms] == [0, 2, 3]
-
-    def test_covariates_are_what_an_effect_follows_in_words(self) -> None:
-        expected = {
-            "bias": (),
-            "bias_drift": ("time",),
-            "scale_drift": ("time",),
-            "warm_up": ("time",),
-            "creep": ("previous_angle",),
-            "quadratic": ("reading",),
-            "cubic": ("reading",),
-            "supply_bias": ("supply",),
-            "bias_temperature": ("temperature",),
-            "thermal_lag": ("temperature",),
-            "backlash": ("approach",),
-            "stage_periodic": ("angle",),
-            "position_slip": ("order",),
-            "outlier_dwell": ("order",),
-        }
-        kinds = catalogue("accelerometer")
-        assert {name: kinds[name].covariates for name in expected} == expected
 
     @pytest.mark.parametrize(("levels", "degrees"), [(2, {1}), (3, {1, 2}), (24, {1, 2, 3})])
     def test_a_temperature_of_few_levels_shows_few_powers(self, levels: int, degrees: set[int]) -> None:

@@ -40,6 +40,7 @@ class Saturation(SampleEffect):
     """Samples stop at ± the limit."""
 
     name = "saturation"
+    covariates = ("reading",)
     cause = "The output stops at the end of the range."
     formula = "sample_i = clip(sample_i, −limit, limit)"
     separated_by = (
@@ -63,6 +64,7 @@ class Quantization(SampleEffect):
     """Samples stand on multiples of a step."""
 
     name = "quantization"
+    covariates = ("reading",)
     cause = "The converter gives whole steps; where noise is below a step the mean follows a staircase."
     formula = "sample_i = lsb · round(sample_i/lsb)"
     separated_by = (
@@ -87,6 +89,7 @@ class Tone(SampleEffect):
     """One spectral line, of one phase on all axes."""
 
     name = "tone"
+    covariates = ("reading",)
     cause = "A machine or the mains shakes the table: a spectral line within the dwells."
     formula = "sample_i += tone_i · sin(2π f t + phase)"
     separated_by = (
@@ -118,6 +121,7 @@ class NoiseChange(SampleEffect):
     """White noise joins from a moment on, on top of the sensor's own."""
 
     name = "noise_change"
+    covariates = ("reading",)
     cause = "From a moment on the samples scatter more: a loose contact, a machine, a supply."
     formula = "sample_i += extra_i · N(0, 1) for t ≥ start"
     separated_by = (
@@ -151,6 +155,7 @@ class Settling(CourseEffect):
     """
 
     name = "settling"
+    covariates = ("reading",)
     cause = "After each move the sensor, its mount or the stage settles exponentially."
     formula = "a_i += settling_i · exp(−t/τ), t from the end of the move"
     separated_by = (

@@ -258,6 +258,7 @@ class Gravity(Effect):
     """
 
     name = "gravity"
+    covariates = ("reading",)
     cause = "Local gravity differs from the one that the session declares."
     formula = "a_i += gravity · a_i on every axis"
     separated_by = (

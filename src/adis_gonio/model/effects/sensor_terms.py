@@ -47,6 +47,7 @@ class Scale(LinearAxisEffect):
     """A relative error of the gain; in every fit of this package it is a base parameter."""
 
     name = "scale"
+    covariates = ("reading",)
     cause = "The sensitivity of an axis differs from its nominal one."
     formula = "a_i += scale_i · a_i"
     separated_by = (
@@ -72,6 +73,7 @@ class Misalignment(CrossEffect):
     """
 
     name = "misalignment"
+    covariates = ("reading",)
     cause = "The sensitive direction of an axis is misaligned towards another axis by a small angle."
     formula = "a_i += misalignment_ip · a_p (angle in radians)"
     separated_by = (
@@ -98,6 +100,7 @@ class CrossAxis(CrossEffect):
     """
 
     name = "cross_axis"
+    covariates = ("reading",)
     cause = "Acceleration across an axis deflects its proof mass and so changes its sensitivity (K_ip)."
     formula = "a_i += kip_ip · (a_i/1000)(a_p/1000)"
     separated_by = (
@@ -118,6 +121,7 @@ class Quadratic(LinearAxisEffect):
     """K2: mg at 1 g along the axis."""
 
     name = "quadratic"
+    covariates = ("reading",)
     cause = "The response of an axis is curved: the same change for +1 g and for −1 g (K2)."
     formula = "a_i += k2_i · (a_i/1000)²"
     separated_by = (
@@ -140,6 +144,7 @@ class Cubic(LinearAxisEffect):
     """K3: mg at 1 g along the axis."""
 
     name = "cubic"
+    covariates = ("reading",)
     cause = "The sensitivity of an axis changes alike towards both ends of its range (K3)."
     formula = "a_i += k3_i · (a_i/1000)³"
     separated_by = (
@@ -160,6 +165,7 @@ class Asymmetry(LinearAxisEffect):
     """Gain 1 + A/1000 for positive readings, 1 − A/1000 for negative ones."""
 
     name = "asymmetry"
+    covariates = ("reading",)
     cause = "The gain of an axis differs between positive and negative acceleration."
     formula = "a_i += asymmetry_i · |a_i|/1000"
     separated_by = (
@@ -180,6 +186,7 @@ class CrossQuadratic(CrossEffect):
     """K_pp: mg at 1 g across the axis."""
 
     name = "cross_quadratic"
+    covariates = ("reading",)
     cause = "Acceleration across an axis shifts its zero by its square (K_pp)."
     formula = "a_i += kpp_ip · (a_p/1000)²"
     separated_by = (

@@ -286,6 +286,7 @@ class AxisTilt(Effect):
     """
 
     name = "axis_tilt"
+    covariates = ("reading",)
     cause = "The axis of rotation is not horizontal, so that gravity leaves the plane of rotation."
     formula = "a_x, a_y += (cos ε − 1) a_x, a_y; a_z += ρ sin ε (for a_z = 0), ρ² = a_x² + a_y²"
     separated_by = (
