@@ -20,6 +20,7 @@ from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, Kin
 from adis_gonio.device.sensor.variants import VARIANTS, variant
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
+from adis_gonio.record.provenance import changed_registers
 from adis_gonio.record.write_journal import Numbers
 
 if TYPE_CHECKING:
@@ -205,7 +206,7 @@ def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None
             )
         )
     unsure = (text for axis in axes for text in _unsure(axis))
-    doubts = (*_mixed(session), *_lacks(session, result), *unsure)
+    doubts = (*changed_registers(session), *_lacks(session, result), *unsure)
     return WritePlan(session.source, session.sensor, result.method, tuple(axes), doubts)
 
 
@@ -249,14 +250,8 @@ def plan_gyro_offsets(
             )
         )
     unsure = (text for axis in axes for text in _unsure(axis))
-    doubts = (*_mixed(session), *doubts, *unsure)
+    doubts = (*changed_registers(session), *doubts, *unsure)
     return WritePlan(session.source, session.sensor, gyro.method, tuple(axes), doubts)
-
-
-def _mixed(session: Session) -> list[str]:
-    """Say that registers changed while the session was recorded: its biases belong to no one state."""
-    doubts = session.facts.get("doubts") or []
-    return [str(doubt["message"]) for doubt in doubts if doubt["kind"] == "registers"]
 
 
 def _lacks(session: Session, result: FitResult) -> list[str]:
