@@ -164,11 +164,38 @@ def test_a_data_line_stuck_at_ones_is_not_taken_for_a_self_test(tmp_path, monkey
     run(tmp_path / "q.session", None, DwellDone)
 
 
-def test_fit_of_an_archive_whose_registers_changed_says_so(tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def mixed(tmp_path, monkeypatch):
     """An older program compared nothing; its archive holds the registers before and after."""
     path = tmp_path / "q.session"
     monkeypatch.setattr("adis_gonio.bench.bench.SessionBench.settings_lost", lambda bench: "")
     run(path, restart, DwellDone, 40)
+    return path
+
+
+@pytest.mark.parametrize("ending", ["h", "xml", "txt"])
+def test_coefficients_of_a_session_whose_registers_changed_are_not_exported(mixed, capsys, ending):
+    made = mixed.with_name(f"out.{ending}")
+    assert main(["export", str(mixed), "-o", str(made)]) == 1
+    assert not made.exists()
+    told = capsys.readouterr().err
+    assert "XACCL_OFF 40 → 0" in told
+    assert "record the session again" in told
+
+
+@pytest.mark.parametrize("ending", ["json", "csv"])
+def test_data_of_a_session_whose_registers_changed_are_exported_with_the_remark(mixed, capsys, ending):
+    made = mixed.with_name(f"out.{ending}")
+    for output in (str(made), "-"):
+        assert main(["export", str(mixed), "-o", output, "--format", ending]) == 0
+        assert "XACCL_OFF 40 → 0" in capsys.readouterr().err
+    assert "XACCL_OFF 40 → 0" in made.read_text(encoding="utf-8")
+    if ending == "json":  # no calibration, which other commands would take without the session's remark
+        assert main(["export", str(made), "-o", str(mixed.with_name("out.h"))]) == 1
+
+
+def test_fit_of_an_archive_whose_registers_changed_says_so(mixed, capsys):
+    path = mixed
     (doubt,) = load_session(path).facts["doubts"]
     assert "XACCL_OFF 40 → 0" in doubt["message"]
     assert any("XACCL_OFF 40 → 0" in warning for warning in fit(load_session(path)).warnings)

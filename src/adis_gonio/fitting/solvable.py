@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Concatenate, ParamSpec, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from adis_gonio.base.errors import FitError
 from adis_gonio.model.records import Session
 
-P = ParamSpec("P")
-R = TypeVar("R")
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 def unsolvable(name: str, error: Exception) -> FitError:
@@ -23,7 +22,7 @@ def unsolvable(name: str, error: Exception) -> FitError:
     )
 
 
-def solvable(compute: Callable[Concatenate[Session, P], R]) -> Callable[Concatenate[Session, P], R]:
+def solvable(compute: F) -> F:
     """Let a function of a session raise `FitError` instead of numpy's `LinAlgError`.
 
     Values that are finite one by one can still give a matrix without an inverse, such as times that differ
@@ -31,10 +30,10 @@ def solvable(compute: Callable[Concatenate[Session, P], R]) -> Callable[Concaten
     """
 
     @wraps(compute)
-    def computed(session: Session, /, *args: P.args, **options: P.kwargs) -> R:
+    def computed(session: Session, *args: Any, **options: Any) -> Any:
         try:
             return compute(session, *args, **options)
         except np.linalg.LinAlgError as error:
             raise unsolvable(session.source or "session", error) from error
 
-    return computed
+    return cast(F, computed)

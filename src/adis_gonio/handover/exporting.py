@@ -19,6 +19,7 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.export import session_dict
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.overrides import Overrides
+from adis_gonio.record.provenance import changed_registers
 from adis_gonio.tracing.calibrations import gyro_calibration_of, gyros_alone, with_gyros
 from adis_gonio.tracing.loading import load_gyro_calibration
 
@@ -88,8 +89,11 @@ class ExportSource:
         if self.name != DEFAULT_NAME and kind != "c-header":
             raise UsageError("--name goes with --format c-header")
 
-    def write(self, kind: str, path: Path) -> None:
-        """Write a format to a file that is not there yet, or is empty.
+    def write(self, kind: str, path: Path) -> list[str]:
+        """Write a format to a file that is not there yet, or is empty; return the remarks on its content.
+
+        Of a session whose registers changed while it was recorded, only the data are written: a calibration
+        holds for no register state, as in `adis-gonio write`.
 
         Raises
         ------
@@ -97,11 +101,15 @@ class ExportSource:
             As its parts.
         """
         self.check(kind)
-        if kind in OF_SAMPLES:
-            _SAMPLES[kind](self._session(kind), path)
-            return
-        text = self._json() if kind == "json" else _TEXTS[kind](self._calibration(), self.name)
-        write_utf8(path, text)
+        if kind not in (*OF_SAMPLES, "json"):
+            write_utf8(path, _TEXTS[kind](self._calibration(), self.name))
+            return []
+        session = self._session(kind)
+        if kind == "json":
+            write_utf8(path, self._json(session))
+        else:
+            _SAMPLES[kind](session, path)
+        return changed_registers(session)
 
     def _session(self, kind: str) -> Session:
         if calibration_in(self.path) is not None:
@@ -112,6 +120,12 @@ class ExportSource:
         made = calibration_in(self.path)
         if made is None:
             session = load_session(self.path, self.overrides)
+            changed = changed_registers(session)
+            if changed:
+                raise FitError(
+                    f"{self.path}: {'; '.join(changed)}: a calibration holds for no register state;"
+                    " record the session again; csv, parquet and json hold its data"
+                )
             try:
                 own = self._result(session).calibration()
             except FitError as error:
@@ -139,14 +153,15 @@ class ExportSource:
 
         return fit(session, method=self.method)
 
-    def _json(self) -> str:
+    def _json(self, session: Session) -> str:
         """The calibration, where the session determines one; the fit or trace; what is known of it."""
-        session = self._session("json")
         about = session_dict(session)
         if not self.samples:
             del about["dwells"]
         result = self._result(session)
         document: dict[str, Any] = {"coefficients": result.as_dict(), "session": about}
+        if changed_registers(session):
+            return json_text(finite(document))
         try:
             made = result.calibration()
         except FitError:  # what is known of the parameters is in the coefficients then

@@ -111,6 +111,12 @@ def provenance_of(session: Session) -> Provenance:
     return kept
 
 
+def changed_registers(session: Session) -> list[str]:
+    """Say that registers changed while the session was recorded: its biases belong to no one state."""
+    doubts = session.facts.get("doubts") or []
+    return [str(doubt["message"]) for doubt in doubts if doubt["kind"] == "registers"]
+
+
 def digest_of(session: Session) -> str:
     """SHA-256 over sensor, unit, plane and every dwell's angle, use and samples, as hexadecimal digits.
 

@@ -24,6 +24,7 @@ from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.device.sensor.variants import VARIANTS, variant
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
+from adis_gonio.record.provenance import changed_registers
 from adis_gonio.record.write_journal import INTERRUPTED, Numbers, operations_of
 
 if TYPE_CHECKING:
@@ -245,14 +246,8 @@ def _plan(
         axes.append(replace(axis, unit="mg" if unit == "mg" else "dps"))
     unsure = (text for axis in axes for text in _unsure(axis))
     return WritePlan(
-        session.source, session.sensor, method, tuple(axes), (*_mixed(session), *doubts, *unsure)
+        session.source, session.sensor, method, tuple(axes), (*changed_registers(session), *doubts, *unsure)
     )
-
-
-def _mixed(session: Session) -> list[str]:
-    """Say that registers changed while the session was recorded: its biases belong to no one state."""
-    doubts = session.facts.get("doubts") or []
-    return [str(doubt["message"]) for doubt in doubts if doubt["kind"] == "registers"]
 
 
 def _lacks(session: Session, result: FitResult) -> list[str]:

@@ -64,6 +64,7 @@ def command(
     dcc        .xml            digital calibration certificate
     registers  .txt            offsets, as adis-gonio registers takes them
 
+    A session whose registers changed in the middle gives no coefficients but in the fit of its json.
     SESSION may be a calibration file for c-header, dcc and registers.
     """
     from adis_gonio.base.output import check_output, replacing
@@ -80,17 +81,20 @@ def command(
     checked = None if output in (None, STANDARD_OUTPUT) else check_output(Path(str(output)), force=force)
     with working(f"tracing {session.name}") if traced else nullcontext():
         if checked is None:
-            _to_standard_output(source, kind)
-            return
-        with replacing(checked) as beside:
-            source.write(kind, beside)
+            remarks = _to_standard_output(source, kind)
+        else:
+            with replacing(checked) as beside:
+                remarks = source.write(kind, beside)
+    for remark in remarks:
+        click.echo(f"{session}: {remark}", err=True)
 
 
-def _to_standard_output(source: ExportSource, kind: str) -> None:
-    """Whole or not at all: what fails half-way has said nothing."""
+def _to_standard_output(source: ExportSource, kind: str) -> list[str]:
+    """Whole or not at all: what fails half-way has said nothing. Returns the remarks on the content."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "export"
-        source.write(kind, path)
+        remarks = source.write(kind, path)
         with path.open("rb") as file:
             shutil.copyfileobj(file, sys.stdout.buffer)
         sys.stdout.flush()
+    return remarks
