@@ -12,7 +12,7 @@ import re
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -81,13 +81,7 @@ class IioMeasuring:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        return {
-            "sample_rate_hz": self.sample_rate_hz,
-            "device": self.device,
-            "buffered": self.buffered,
-            "scales": dict(self.scales),
-            "offsets": dict(self.offsets),
-        }
+        return asdict(self)
 
 
 class IioSource(SampleSource):
