@@ -272,7 +272,7 @@ def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
                 "the rows of a dwell must be contiguous: give a second visit a number of its own",
             )
         if len(numbers) == MOST_DWELLS:
-            raise table.fail(row, f"more than {MOST_DWELLS} positions: divide the file")
+            raise table.fail(row, f"more than {counted(MOST_DWELLS, 'position')}: divide the file")
         seen[number] = table.line_of(row)
         numbers.append(number)
         starts.append(row)
