@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -36,6 +37,8 @@ SHORT = Settings(dwell_s=1.0, settle_s=0.1)
 LONGER = Settings(dwell_s=2.0)
 QUIET = "sim:?seed={}&bias_instability_mg=0&fixture_sigma_deg=0.002"
 """A stage of 0.002° and no slow noise: what is left is then white, as the trace supposes."""
+
+TRACE = import_module("adis_gonio.tracing.trace")  # the package has a function of this name
 
 
 class Scripted:
@@ -305,7 +308,7 @@ def advised(monkeypatch, measurements, *, adequate=True, tested=True, visited=0,
         confounded=(),
         measurements=measurements,
     )
-    monkeypatch.setattr("adis_gonio.tracing.trace", lambda session, most: result)
+    monkeypatch.setattr(TRACE, "trace", lambda session, most: result)
     return TraceAdvisor(most).advise(Session(()), visited, reach or (lambda position: True))
 
 
@@ -360,7 +363,7 @@ def test_what_no_position_decides_is_named_at_the_end(monkeypatch):
             confounded=confounded,
             measurements=(),
         )
-        monkeypatch.setattr("adis_gonio.tracing.trace", lambda session, most: result)
+        monkeypatch.setattr(TRACE, "trace", lambda session, most: result)
         return TraceAdvisor().advise(Session(()), 0, lambda position: True).ended
 
     assert "decide between quadratic and cross_quadratic:" in with_pair([("quadratic", "cross_quadratic")])

@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio.base.errors import BusTimeoutError, CannotOpenError
 from adis_gonio.bench.judge import Judge, PriorKnowledge
-from adis_gonio.bench.live import LiveView
+from adis_gonio.bench.knowledge import LiveView
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.calibrate import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration

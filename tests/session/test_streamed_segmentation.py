@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adis_gonio.record import segmentation
-from adis_gonio.record.quantiles import Quantiles
-from adis_gonio.record.segmentation import Piece, segment_pieces, segment_with_notes
+from adis_gonio.record.segmentation import Piece, Quantiles, segment_pieces, segment_with_notes
 
 RATE = 100.0
 STEP_S = 40.0

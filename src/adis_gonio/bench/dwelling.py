@@ -20,7 +20,7 @@ from adis_gonio.bench.guards import (
     shock_guard,
     stuck_guard,
 )
-from adis_gonio.bench.live import vector
+from adis_gonio.bench.knowledge import vector
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
 from adis_gonio.bench.recording import Recording
 from adis_gonio.device.sensor.decoding import ScanBlock
@@ -40,101 +40,6 @@ WARMING_S = 600.0
 """Wait for another temperature, where the program sets it."""
 
 
-class Guarding:
-    """Remembers of each dwell what was asked about it and kept."""
-
-    def __init__(self, questions: Questions) -> None:
-        self._questions, self._ledger, self._knowledge = questions, questions.ledger, questions.knowledge
-        self._kept_kinds: set[str] = set()
-        self._doubts: list[Guard] = []
-        self._stops: Counter[int] = Counter()
-
-    def begin(self) -> None:
-        """Forget the dwell before."""
-        self._kept_kinds, self._doubts = set(), []
-
-    def kept(self, kind: str) -> bool:
-        """True where what a guard of this kind stops at has been kept in this dwell."""
-        return kind in self._kept_kinds
-
-    def complete(self, number: int) -> bool:
-        """The dwell is complete: write down what was doubted of it; True where there was something."""
-        for guard in self._doubts:
-            self._ledger.note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
-        self._stops.clear()
-        return bool(self._doubts)
-
-    def ask(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
-        """Put what a guard stopped at to the operator; True where the dwell is to go on or to stay."""
-        ledger = self._ledger
-        self._stops[place] += 1
-        shown = insistent(guard, self._stops[place] if ledger.done else 1)
-        answer = yield from self._questions.ask_guard(guard, place, shown)
-        if answer is Reply.KEEP:
-            self._keep(guard)
-        elif answer is Reply.REVERSE:
-            self._knowledge.reverse()
-        elif answer is Reply.SKIP:
-            ledger.skip(place)
-            if guard.contradicts and ledger.done:
-                taken = sorted(ledger.done.values())
-                doubt = {"place": place, "dwells": taken, "kind": guard.kind, "message": guard.message}
-                ledger.note("contradiction", doubt)
-        return answer in (Reply.KEEP, Reply.REVERSE)
-
-    def settled(
-        self, recording: Recording, mean_mg: Floats, rested_mg: Floats | None
-    ) -> Generator[Event, None, Guard | None]:
-        """What cannot be right where the part has come to rest; with nobody to ask it is told."""
-        judge, limits, place = self._knowledge.judge, self._knowledge.limits, recording.place
-        recording.rested_mg = mean_mg
-        if judge is None or limits is None:
-            return None
-        turned = judge.turned(place, recording.position, mean_mg)
-        if turned is not None:
-            yield turned
-        guard = judge.settled(recording.position, mean_mg)
-        if guard is None and rested_mg is not None and not self._questions.auto:
-            guard = judge_shift(mean_mg, rested_mg, limits.upper)
-        if guard is None or self.kept(guard.kind):
-            return None
-        if not self._questions.auto:
-            return guard
-        self._keep(guard)
-        yield self._told(guard, recording)
-        return None
-
-    def within(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
-        """Ask about what happened within a dwell; with nobody to ask a problem is told."""
-        ledger, place = self._ledger, recording.place
-        told = {problem.kind for problem in found}
-        for guard in judge_dwell(scans, found):
-            if self._questions.auto:
-                if guard.kind not in told and not (guard.kind == "over_range" and "alarm" in told):
-                    yield self._told(guard, recording)
-                continue
-            stays = yield from self.ask(guard, place)
-            if self._questions.stopped:
-                return
-            if not stays:
-                skipped = place in ledger.skipped
-                yield self._knowledge.withdraw(place)
-                if skipped:
-                    ledger.skipped.add(place)
-                return
-            if place in ledger.faulty:
-                ledger.keep_faulty([place])
-
-    def _keep(self, guard: Guard) -> None:
-        self._kept_kinds.add(guard.kind)
-        if guard.spoils:
-            self._doubts.append(guard)
-
-    def _told(self, guard: Guard, recording: Recording) -> Problem:
-        problem = Problem(guard.kind, f"{recording.position}: {guard.message}", recording.place)
-        return self._ledger.problem(problem)
-
-
 @dataclass(frozen=True)
 class _Broken:
     """Why a dwell was broken off, and what has to be asked about it."""
@@ -148,7 +53,10 @@ class DwellRecorder(Recorder):
 
     def __init__(self, questions: Questions) -> None:
         super().__init__(questions)
-        self._guarding = Guarding(questions)
+        # Of the dwell in hand: kinds of guards whose question was answered by keeping it, and doubts.
+        self._kept_kinds: set[str] = set()
+        self._doubts: list[Guard] = []
+        self._stops: Counter[int] = Counter()
 
     def take(self, place: int) -> Iterator[Event]:
         """Make the dwell of a place; it is begun anew where it is disturbed.
@@ -159,7 +67,7 @@ class DwellRecorder(Recorder):
             No dwell is possible, and nobody is there to ask.
         """
         recording = self._new_recording(place)
-        self._guarding.begin()
+        self._kept_kinds, self._doubts = set(), []
         if not (yield from self._go_to(recording)):
             return
         restarts, rested_mg = 0, None
@@ -177,7 +85,7 @@ class DwellRecorder(Recorder):
                     yield self._ledger.problem(Problem("stillness", message, place))
                     return
             if guard is not None:
-                if not (yield from self._guarding.ask(guard, place)):
+                if not (yield from self._ask(guard, place)):
                     return
                 restarts, rested_mg = 0, None
             recording = self._new_recording(place)
@@ -258,7 +166,7 @@ class DwellRecorder(Recorder):
                     return disturbed
             if recording.try_begin() and look is not None:
                 watch.anchor(recording.begin)
-                guard = yield from self._guarding.settled(recording, look.mean_mg, rested_mg)
+                guard = yield from self._settled(recording, look.mean_mg, rested_mg)
                 if guard is not None:
                     return _Broken(guard.message, guard)
             if questions.interrupted:
@@ -284,7 +192,7 @@ class DwellRecorder(Recorder):
         if look.state == "still":
             recording.still(look.end)
         elif recording.begun:
-            moved_on = look.shifted and not auto and not self._guarding.kept("drift")
+            moved_on = look.shifted and not auto and "drift" not in self._kept_kinds
             return _Broken(look.why, drift_guard(look.why) if moved_on else None)
         else:
             recording.moving(look.why)
@@ -312,7 +220,7 @@ class DwellRecorder(Recorder):
         alarms = count_alarms(scans)
         if attempt.status or alarms:
             ledger.faulty.add(place)
-        doubted = self._guarding.complete(number)
+        doubted = self._note_doubts(number)
         ledger.count(place, number)
         self._knowledge.learn(place, recording.position, scans, doubted=doubted)
         self._note_turn(number)
@@ -321,7 +229,7 @@ class DwellRecorder(Recorder):
         found = problems(place, scans, status)
         for problem in found:
             yield ledger.problem(problem)
-        yield from self._guarding.within(recording, scans, found)
+        yield from self._within(recording, scans, found)
         running = self._knowledge.running()
         if running is not None and ledger.done.get(place) == number:
             yield running
@@ -335,6 +243,85 @@ class DwellRecorder(Recorder):
             angle = [float(angle) for angle in turn.angle_deg]
             kept = {"attempt": number, "since": done[since], "angle_deg": angle, "u_deg": turn.zero_u_deg}
             self._ledger.note("turned", kept)
+
+    # -- guards ---------------------------------------------------------------------------------------
+
+    def _note_doubts(self, number: int) -> bool:
+        """Write down what was doubted of a complete dwell; True where there was something."""
+        for guard in self._doubts:
+            self._ledger.note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
+        self._stops.clear()
+        return bool(self._doubts)
+
+    def _ask(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
+        """Put what a guard stopped at to the operator; True where the dwell is to go on or to stay."""
+        ledger = self._ledger
+        self._stops[place] += 1
+        shown = insistent(guard, self._stops[place] if ledger.done else 1)
+        answer = yield from self._questions.ask_guard(guard, place, shown)
+        if answer is Reply.KEEP:
+            self._keep(guard)
+        elif answer is Reply.REVERSE:
+            self._knowledge.reverse()
+        elif answer is Reply.SKIP:
+            ledger.skip(place)
+            if guard.contradicts and ledger.done:
+                taken = sorted(ledger.done.values())
+                doubt = {"place": place, "dwells": taken, "kind": guard.kind, "message": guard.message}
+                ledger.note("contradiction", doubt)
+        return answer in (Reply.KEEP, Reply.REVERSE)
+
+    def _settled(
+        self, recording: Recording, mean_mg: Floats, rested_mg: Floats | None
+    ) -> Generator[Event, None, Guard | None]:
+        """What cannot be right where the part has come to rest; with nobody to ask it is told."""
+        judge, limits, place = self._knowledge.judge, self._knowledge.limits, recording.place
+        recording.rested_mg = mean_mg
+        if judge is None or limits is None:
+            return None
+        turned = judge.turned(place, recording.position, mean_mg)
+        if turned is not None:
+            yield turned
+        guard = judge.settled(recording.position, mean_mg)
+        if guard is None and rested_mg is not None and not self._questions.auto:
+            guard = judge_shift(mean_mg, rested_mg, limits.upper)
+        if guard is None or guard.kind in self._kept_kinds:
+            return None
+        if not self._questions.auto:
+            return guard
+        self._keep(guard)
+        yield self._told(guard, recording)
+        return None
+
+    def _within(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
+        """Ask about what happened within a dwell; with nobody to ask a problem is told."""
+        ledger, place = self._ledger, recording.place
+        told = {problem.kind for problem in found}
+        for guard in judge_dwell(scans, found):
+            if self._questions.auto:
+                if guard.kind not in told and not (guard.kind == "over_range" and "alarm" in told):
+                    yield self._told(guard, recording)
+                continue
+            stays = yield from self._ask(guard, place)
+            if self._questions.stopped:
+                return
+            if not stays:
+                skipped = place in ledger.skipped
+                yield self._knowledge.withdraw(place)
+                if skipped:
+                    ledger.skipped.add(place)
+                return
+            if place in ledger.faulty:
+                ledger.keep_faulty([place])
+
+    def _keep(self, guard: Guard) -> None:
+        self._kept_kinds.add(guard.kind)
+        if guard.spoils:
+            self._doubts.append(guard)
+
+    def _told(self, guard: Guard, recording: Recording) -> Problem:
+        problem = Problem(guard.kind, f"{recording.position}: {guard.message}", recording.place)
+        return self._ledger.problem(problem)
 
 
 def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
@@ -367,3 +354,6 @@ def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
         text = f"{counted(scans.dropped, 'scan')} ({share:.2g} %) left out: {WITHOUT_NEWS}"
         found.append(Problem("dropped", text, place))
     return found
+
+
+__all__ = ["DwellRecorder", "problems"]

@@ -224,12 +224,10 @@ def _told(found: PositionFinding, here: int, angles_deg: Sequence[float | None],
     if found.finding == "swapped":
         other = next((k for k in (found.position, *found.others) if k != here), here)
         return f"by {by} the part stands where {angles_deg[other]:g}° was asked for, and stood here then"
-    where = "" if found.position == here else f" since {_degrees(angles_deg[found.position])}"
+    angle = angles_deg[found.position]
+    since = "a dwell that was kept" if angle is None else f"{angle:g}°"
+    where = "" if found.position == here else f" since {since}"
     return f"by {by} the part stands {off} from what is asked{where}: {names}"
-
-
-def _degrees(angle: float | None) -> str:
-    return "a dwell that was kept" if angle is None else f"{angle:g}°"
 
 
 @dataclass(frozen=True)
@@ -331,7 +329,7 @@ class Judge:
         last = self._taken[-1].place == place if self._taken else False
         kept = [entry for entry in self._taken if entry.place != place]
         if last:
-            kept.append(_doubtful(self._taken[-1]))
+            kept.append(replace(self._taken[-1], place=-1, doubted=True))
         self._taken = kept
         self._rebuild()
 
@@ -397,10 +395,6 @@ class Judge:
 
 def _direction(position: Position) -> Floats | None:
     return None if position.direction is None else np.array(position.direction)
-
-
-def _doubtful(taken: _Taken) -> _Taken:
-    return replace(taken, place=-1, doubted=True)
 
 
 __all__ = ["Judge"]

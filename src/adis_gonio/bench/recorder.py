@@ -1,4 +1,4 @@
-"""What every recorder of a session has, and how it follows a turn while its scans come in.
+"""The base of the recorders of a session, and a turn that is followed while its scans come in.
 
 A plan chooses its recorder (`recorder_of`): dwells at positions, one free turn, or dwells between the whole
 turns of gyros. The session around it is the same.
@@ -29,7 +29,7 @@ class FollowedTurn(ABC):
     Attributes
     ----------
     phase : {"dwell", "before"}
-        As what its scans go into the archive.
+        Phase of its scans in the archive.
     rest_before_s : float
         Rest before the turn begins.
     piece_s : float
@@ -39,13 +39,13 @@ class FollowedTurn(ABC):
     turns : int
         Full turns to make.
     blocks, moves : list
-        What is not in the archive yet.
+        Scans and moves that are not in the archive yet.
     turned_deg, rate_dps : float
         Counter-clockwise positive: since the beginning, and now.
     turns_made : int
         Full turns so far.
     travelled_deg : float
-        All the way, there and back.
+        Length of the whole way, there and back.
     rest_s, peak_dps : float
         As in `TurnProgress`.
     """
@@ -80,7 +80,7 @@ class FollowedTurn(ABC):
     @property
     @abstractmethod
     def ended(self) -> str | None:
-        """None while the recording goes on; at its end what is wrong with it, or nothing."""
+        """None while the recording goes on; at its end an error message, empty if there is none."""
 
     def add(self, block: Block) -> None:
         """Take scans."""
@@ -122,7 +122,7 @@ class FollowedTurn(ABC):
 
 
 class Recorder(ABC):
-    """Records what a session wants of a place, into the archive and the ledger.
+    """Records the places of a plan into the archive and the ledger.
 
     Attributes
     ----------
@@ -144,7 +144,10 @@ class Recorder(ABC):
         """Record a place."""
 
     def _record_turn(self, turn: FollowedTurn) -> Generator[Event, None, str]:
-        """Record a turn until it ends; what broke it off, or nothing. An error leaves what there is."""
+        """Record a turn until it ends and return why it was broken off, or nothing.
+
+        If an error ends it, the scans so far are archived.
+        """
         try:
             return (yield from self._follow(turn))
         except BaseException as error:
@@ -171,7 +174,7 @@ class Recorder(ABC):
         return BROKEN_STREAM
 
     def _write(self, turn: FollowedTurn, outcome: Outcome, reason: str, status: int | None = None) -> int:
-        """Write what is not yet in the archive; number of the attempt."""
+        """Archive the remaining scans of a turn as an attempt, and return its number."""
         now_s = self._bench.now_s
         blocks = [(turn.phase, block) for block in turn.blocks]
         number = self._ledger.archive.add_attempt(

@@ -22,18 +22,7 @@ _HOMES = {
     "read_session": "archive",
 }
 
-__all__ = [
-    "Archive",
-    "Overrides",
-    "Plan",
-    "Position",
-    "Settings",
-    "export_csv",
-    "export_json",
-    "load_session",
-    "plan",
-    "read_session",
-]
+__all__ = [*sorted(_HOMES)]  # noqa: PLE0604 (all are strings)
 
 if TYPE_CHECKING:
     from adis_gonio.record.archive import Archive as Archive

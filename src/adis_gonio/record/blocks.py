@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -176,7 +177,7 @@ def session_columns(block: Block) -> dict[str, Floats]:
     return columns
 
 
-def session_series(columns: dict[str, Floats]) -> dict[str, Floats | None]:
+def session_series(columns: dict[str, Floats]) -> dict[str, Any]:
     """Fields of a `Dwell` or a `Turn` that hold samples, from the columns of a session."""
     with_gyro = all(f"g{axis}" in columns for axis in "xyz")
     return {

@@ -104,7 +104,7 @@ def create(path: Path) -> sqlite3.Connection:
     try:
         path.touch(exist_ok=False)
     except FileExistsError:
-        if not path.is_file() or path.stat().st_size > 0 or _journal(path).exists():
+        if not path.is_file() or path.stat().st_size > 0 or path.with_name(f"{path.name}-journal").exists():
             raise exists_error(path, "resume it or choose another name") from None
     except OSError as error:
         raise SessionError(f"{path}: cannot be made: {error.strerror}") from None
@@ -185,10 +185,6 @@ def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
     return SessionError(f"{path}: {text}")
 
 
-def _journal(path: Path) -> Path:
-    return path.with_name(path.name + "-journal")
-
-
 def _open(path: Path, mode: str) -> sqlite3.Connection:
     with explained(path):
         connection = sqlite3.connect(
@@ -254,7 +250,8 @@ def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
     found = _objects(connection)
     strange = sorted(name for name, made in found.items() if wanted.get(name) != made)
     if strange:
-        raise damaged(path, f"'{_excerpt(strange[0])}' is no {_kind(wanted, strange[0])} of a session file")
+        kind, _ = wanted.get(strange[0], ("part", ""))
+        raise damaged(path, f"'{_excerpt(strange[0])}' is no {kind} of a session file")
     missing = [table for table in TABLES if table not in found]
     if missing:
         raise damaged(path, f"no such table: {missing[0]}")
@@ -268,7 +265,3 @@ def _objects(connection: sqlite3.Connection) -> dict[str, tuple[str, str]]:
     own = "name LIKE 'sqlite\\_%' ESCAPE '\\' AND (type = 'table' OR sql IS NULL)"
     query = f"SELECT name, type, sql FROM sqlite_master WHERE NOT ({own})"
     return {str(name): (str(kind), str(sql)) for name, kind, sql in connection.execute(query)}
-
-
-def _kind(wanted: dict[str, tuple[str, str]], name: str) -> str:
-    return wanted[name][0] if name in wanted else "part"

@@ -168,10 +168,14 @@ class Overrides:
             changes["columns"] = {"old": {}, "new": dict(self.columns)}
         if not changes:
             return session
-        document = {name: {k: _plain(v) for k, v in change.items()} for name, change in changes.items()}
+        document = {
+            name: {k: "free" if v == math.inf else v for k, v in change.items()}
+            for name, change in changes.items()
+        }
+        words = "; ".join(_words(name, **change) for name, change in changes.items())
         return replace(
             session,
-            notes=(*session.notes, _sentence(changes)),
+            notes=(*session.notes, f"overridden: {words}"),
             facts={**session.facts, "overrides": document},
             **settings,
         )
@@ -193,14 +197,6 @@ def _reversed(dwell: Dwell) -> Dwell:
     # Adding zero makes no minus of it.
     angle = None if dwell.angle_deg is None else -dwell.angle_deg + 0.0
     return replace(dwell, angle_deg=angle, approach=-dwell.approach)
-
-
-def _plain(value: Any) -> Any:
-    return "free" if isinstance(value, float) and math.isinf(value) else value
-
-
-def _sentence(changes: Mapping[str, Mapping[str, Any]]) -> str:
-    return "overridden: " + "; ".join(_words(name, **change) for name, change in changes.items())
 
 
 def _words(name: str, old: Any, new: Any) -> str:

@@ -201,8 +201,9 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     _refuse_checks(check)
     if name == "poses":
         uses: list[Use] = ["fit"] * count
-        for place in _spread(check, count):
-            uses.insert(place, "check")
+        # The last first, so that the places of the others stay valid.
+        for k in reversed(range(check)):
+            uses.insert(math.ceil((k + 1) * count / (check + 1)), "check")
         places = zip(uses, _sphere(len(uses)), strict=True)
         return Plan(name, tuple(Position(None, 0, use, vector) for use, vector in places), "none")
     return Plan(name, _with_checks(_angles(name, count), check))
@@ -237,11 +238,6 @@ def _sphere(count: int) -> list[tuple[float, float, float]]:
         radius = math.sqrt(1.0 - z * z)
         vectors.append((radius * math.cos(golden * k), radius * math.sin(golden * k), z))
     return vectors
-
-
-def _spread(checks: int, count: int) -> list[int]:
-    """Indices at which to insert, last first, so that the earlier ones stay valid."""
-    return sorted((math.ceil((k + 1) * count / (checks + 1)) for k in range(checks)), reverse=True)
 
 
 def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
@@ -299,7 +295,9 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
         Local gravity in mg.
     """
     angles = [position.angle_deg for position in plan.positions if position.use == "fit"]
-    if any(angle is None for angle in angles) or _sees_bias([angle or 0.0 for angle in angles]):
+    separate = {round((angle or 0.0) % 360.0, 6) for angle in angles}
+    # Three separate angles tell the mean direction of an axis from its bias.
+    if any(angle is None for angle in angles) or len(separate) >= 3:
         return None
     relative = math.sqrt(2.0) * bias_mg / gravity_mg
     degrees = math.degrees(relative)
@@ -310,11 +308,6 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
         f"{counted(len(angles), 'position')} cannot see a bias: {bias_mg:g} mg on each axis would put"
         f" {degrees:.2f}° into delta_phi and {relative:.4f} into delta_k; the opposite positions cancel it",
     )
-
-
-def _sees_bias(angles_deg: Sequence[float]) -> bool:
-    """True where the mean direction of an axis is told from its bias: at least three separate angles."""
-    return len({round(angle % 360.0, 6) for angle in angles_deg}) >= 3
 
 
 def attitude(direction: Sequence[float]) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import Record
 from adis_gonio.device.sensor.registers import ACCEL_OFF, GYRO_OFF
-from adis_gonio.model.records import Plane, Session
+from adis_gonio.model.records import METADATA, Plane, Session
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,9 @@ class Provenance:
     gyro_write_open: bool = False
 
 
+_FROM_SESSION = ("sensor", "plane", "gravity_mps2", "title", *METADATA)
+
+
 def provenance_of(session: Session) -> Provenance:
     """What a result keeps of its session; worked out once and kept with it."""
     kept: Provenance | None = vars(session).get("_provenance")  # the session is frozen: it cannot go stale
@@ -88,14 +91,8 @@ def provenance_of(session: Session) -> Provenance:
         from adis_gonio.base.version import __version__
 
         kept = Provenance(
-            sensor=session.sensor,
-            plane=session.plane,
-            gravity_mps2=session.gravity_mps2,
+            **{name: getattr(session, name) for name in _FROM_SESSION},
             counts=session.accel_unit == "counts",
-            title=session.title,
-            serial=getattr(session, "serial", "") or "",
-            operator=getattr(session, "operator", "") or "",
-            stage=getattr(session, "stage", "") or "",
             source=PurePath(session.source).name,
             sha256=digest_of(session),
             recorded_utc=str(session.facts.get("started_utc") or ""),

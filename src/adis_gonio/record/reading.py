@@ -9,7 +9,7 @@ from typing import Any
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor.registers import changed_settings
-from adis_gonio.model.records import Dwell, Session
+from adis_gonio.model.records import METADATA, Dwell, Session
 from adis_gonio.record.blocks import GENERIC, Block, die_temperatures, join, session_columns, session_series
 from adis_gonio.record.faults import WITHOUT_NEWS, Alarms, alarms_of
 from adis_gonio.record.plans import Plan
@@ -122,12 +122,7 @@ def _session(
     return Session(
         sensor=header.variant,
         accel_unit="mg" if header.variant == GENERIC else "lsb",
-        gravity_mps2=header.gravity_mps2,
-        fixture_sigma_deg=header.fixture_sigma_deg,
-        title=header.title,
-        operator=header.operator,
-        serial=header.serial,
-        stage=header.stage,
+        **{n: getattr(header, n) for n in ("gravity_mps2", "fixture_sigma_deg", "title", *METADATA)},
         source=str(path),
         notes=(*notes, *_of_writes(facts)),
         facts=facts,
@@ -153,7 +148,7 @@ def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwel
         approach=sign * attempt.position.approach,
         use=attempt.position.use,
         temperatures_c=die_temperatures(scans),
-        **session_series(session_columns(scans)),  # type: ignore[arg-type]
+        **session_series(session_columns(scans)),
     )
 
 

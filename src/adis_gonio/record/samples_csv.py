@@ -53,20 +53,16 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     path, overrides = Path(path), overrides or Overrides()
     table = table_of(path, dict(overrides.columns))
     settings = table.head.settings(unit_told=overrides.accel_unit is not None)
-    if settings.get("plane") == "none" and table.accel.shape[1] < 3:
+    if settings.get("plane") == "none" and table.series["accel"].shape[1] < 3:
         raise DataError(f"{path.name}: column 'az' is missing; plane 'none' needs ax, ay and az")
-    by_position = "position" in table.runs
-    recording = None if by_position else _dwell(table, 0, slice(0, len(table.time_s)))
-    notes: tuple[str, ...] = ()
-    if by_position:
+    recording: Dwell | None = None
+    free, notes = False, list[str]()
+    if "position" in table.runs:
         numbers, slices = _dwells_by_position(table)
     else:
-        slices, notes = _dwells_by_stillness(table, recording)
+        recording = _dwell(table, 0, slice(0, len(table)))
+        slices, notes, free = _dwells_by_stillness(path.name, recording)
         numbers = list(range(len(slices)))
-
-    free = recording is not None and shows_a_free_turn(recording, slices)
-    if free:
-        notes = (*notes, "one continuous turn without declared angles: taken as a free turn")
     said = _Remarks(len(slices))
     angle = _per_dwell(table, "angle_deg", slices, _angle, said)
     approach = _per_dwell(table, "approach", slices, _approach, said)
@@ -79,7 +75,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
         dwells=dwells,
         source=str(path),
         notes=(*table.notes, *notes, *said.notes(free=free)),
-        cut_by_stillness=not by_position,
+        cut_by_stillness=recording is not None,
         recording=recording,
         free_turn=free,
         **settings,
@@ -239,30 +235,26 @@ def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dw
     """Rows as a dwell; views, no copies."""
     return Dwell(
         position=number,
-        time_s=table.time_s[rows],
-        accel=table.accel[rows],
-        gyro=None if table.gyro is None else table.gyro[rows],
-        temperature_c=None if table.temperature_c is None else table.temperature_c[rows],
-        supply_v=None if table.supply_v is None else table.supply_v[rows],
         first_row=table.line_of(rows.start),
-        **declared,
+        **declared | {name: values[rows] for name, values in table.series.items()},
     )
 
 
-def _dwells_by_stillness(
-    table: SamplesTable, recording: Dwell | None
-) -> tuple[list[slice], tuple[str, ...]]:
-    """Dwells of a continuous recording, and what was found."""
+def _dwells_by_stillness(file: str, recording: Dwell) -> tuple[list[slice], list[str], bool]:
+    """Dwells of a continuous recording, what was found, and whether it is a free turn."""
     try:
-        slices, found = segment_with_notes(table.time_s, table.accel, table.gyro)
+        slices, notes = segment_with_notes(recording.time_s, recording.accel, recording.gyro)
     except DataError as error:
-        raise DataError(f"{table.path.name}: {error}") from error
-    if not slices and not (recording is not None and shows_a_free_turn(recording, slices)):
+        raise DataError(f"{file}: {error}") from error
+    free = shows_a_free_turn(recording, slices)
+    if not slices and not free:
         raise DataError(
-            f"{table.path.name}: no dwell found: {'; '.join(found) or 'the sensor never rests'}; "
+            f"{file}: no dwell found: {'; '.join(notes) or 'the sensor never rests'}; "
             "add a column 'position' or record at least one second at rest in each position"
         )
-    return slices, tuple(found)
+    if free:
+        notes.append("one continuous turn without declared angles: taken as a free turn")
+    return slices, notes, free
 
 
 def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
@@ -280,11 +272,11 @@ def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
                 "the rows of a dwell must be contiguous: give a second visit a number of its own",
             )
         if len(numbers) == MOST_DWELLS:
-            raise table.fail(row, f"more than {MOST_DWELLS} positions: divide the file")
+            raise table.fail(row, f"more than {counted(MOST_DWELLS, 'position')}: divide the file")
         seen[number] = table.line_of(row)
         numbers.append(number)
         starts.append(row)
-    ends = [*starts[1:], len(table.time_s)]
+    ends = [*starts[1:], len(table)]
     return numbers, [slice(a, b) for a, b in zip(starts, ends, strict=True)]
 
 
@@ -360,7 +352,7 @@ def _per_dwell(
     said.given += [name] if any(text.strip() for _, text in table.runs[name]) else []
     inside = [_stated(table, name, rows) for rows in slices]
     edges = [0, *(rows.stop for rows in slices)]
-    ends = [*(rows.start for rows in slices), len(table.time_s)]
+    ends = [*(rows.start for rows in slices), len(table)]
     gaps = [_stated(table, name, slice(a, b)) for a, b in zip(edges, ends, strict=True)]
     # Values noted on the last row of each dwell would all go to the dwell after.
     before = bool(gaps[0]) or not gaps[-1] or not slices or bool(inside[0])

@@ -103,7 +103,7 @@ class KnownPart:
 class SampleSource(Closing):
     """A sensor as a session sees it; a context manager. Errors are those of `adis_gonio.base.errors`.
 
-    What a sensor without registers has not, or does not need, is done here.
+    Methods about registers have defaults for a sensor without any.
 
     Attributes
     ----------

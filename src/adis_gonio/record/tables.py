@@ -201,7 +201,7 @@ def _aim(value: Any) -> None:
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A column of a table: name, SQL, and shape of its values (of JSON, of the value that it states)."""
 
     name: str
@@ -215,64 +215,67 @@ _KEY, _INTEGER, _REAL, _TEXT = "INTEGER PRIMARY KEY", "INTEGER NOT NULL", "REAL 
 _OF_RUN, _OF_ATTEMPT = f"{_INTEGER} REFERENCES runs", f"{_INTEGER} REFERENCES attempts"
 
 
-def _one_of(name: str, *allowed: str) -> Column:
-    """Column of one of a few texts."""
+def _one_of(name: str, *allowed: str) -> TableColumn:
+    """TableColumn of one of a few texts."""
     listed = ", ".join(f"'{text}'" for text in allowed)
-    return Column(name, f"{_TEXT} CHECK ({name} IN ({listed}))", choice(*allowed))
+    return TableColumn(name, f"{_TEXT} CHECK ({name} IN ({listed}))", choice(*allowed))
 
 
-TABLES: Mapping[str, tuple[Column, ...]] = {
-    "meta": (Column("key", "TEXT PRIMARY KEY", text), Column("value", _TEXT, anything, json=True)),
+TABLES: Mapping[str, tuple[TableColumn, ...]] = {
+    "meta": (
+        TableColumn("key", "TEXT PRIMARY KEY", text),
+        TableColumn("value", _TEXT, anything, json=True),
+    ),
     "runs": (
-        Column("run", _KEY, _RUN),
-        Column("started_utc", _TEXT, text),
-        Column("bus_s", _REAL, _TIME),
-        Column("clock_offset_s", _REAL, _TIME),
-        Column("continues", _INTEGER, _COUNT),
-        Column("software", _TEXT, text),
+        TableColumn("run", _KEY, _RUN),
+        TableColumn("started_utc", _TEXT, text),
+        TableColumn("bus_s", _REAL, _TIME),
+        TableColumn("clock_offset_s", _REAL, _TIME),
+        TableColumn("continues", _INTEGER, _COUNT),
+        TableColumn("software", _TEXT, text),
     ),
     "records": (
-        Column("record", _KEY, whole(1, _MOST)),
-        Column("run", _OF_RUN, _RUN),
-        Column("utc", _TEXT, text),
-        Column("bus_s", _REAL, _TIME),
-        Column("kind", _TEXT, text),
-        Column("value", _TEXT, anything, json=True),
+        TableColumn("record", _KEY, whole(1, _MOST)),
+        TableColumn("run", _OF_RUN, _RUN),
+        TableColumn("utc", _TEXT, text),
+        TableColumn("bus_s", _REAL, _TIME),
+        TableColumn("kind", _TEXT, text),
+        TableColumn("value", _TEXT, anything, json=True),
     ),
     "attempts": (
-        Column("attempt", _KEY, _ATTEMPT),
-        Column("run", _OF_RUN, _RUN),
-        Column("place", _INTEGER, _COUNT),
-        Column("angle_deg", "REAL", nullable(_ANGLE)),
-        Column("approach", _INTEGER, _APPROACH),
+        TableColumn("attempt", _KEY, _ATTEMPT),
+        TableColumn("run", _OF_RUN, _RUN),
+        TableColumn("place", _INTEGER, _COUNT),
+        TableColumn("angle_deg", "REAL", nullable(_ANGLE)),
+        TableColumn("approach", _INTEGER, _APPROACH),
         _one_of("use", "fit", "check"),
         _one_of("outcome", "complete", "interrupted"),
-        Column("reason", _TEXT, text),
-        Column("started_utc", _TEXT, text),
-        Column("started_bus_s", _REAL, _TIME),
-        Column("ended_bus_s", _REAL, _TIME),
-        Column("registers", _TEXT, _SCAN, json=True),
-        Column("variant", _TEXT, choice("", *VARIANTS, GENERIC)),
-        Column("gyro_range_dps", "INTEGER", _RANGE),
-        Column("status", "INTEGER", nullable(whole(0, 0xFFFF))),
-        Column("blocks", _INTEGER, _COUNT),
+        TableColumn("reason", _TEXT, text),
+        TableColumn("started_utc", _TEXT, text),
+        TableColumn("started_bus_s", _REAL, _TIME),
+        TableColumn("ended_bus_s", _REAL, _TIME),
+        TableColumn("registers", _TEXT, _SCAN, json=True),
+        TableColumn("variant", _TEXT, choice("", *VARIANTS, GENERIC)),
+        TableColumn("gyro_range_dps", "INTEGER", _RANGE),
+        TableColumn("status", "INTEGER", nullable(whole(0, 0xFFFF))),
+        TableColumn("blocks", _INTEGER, _COUNT),
     ),
     "blocks": (
-        Column("attempt", _OF_ATTEMPT, _ATTEMPT),
-        Column("sequence", _INTEGER, _COUNT),
+        TableColumn("attempt", _OF_ATTEMPT, _ATTEMPT),
+        TableColumn("sequence", _INTEGER, _COUNT),
         _one_of("phase", "before", "dwell", "after"),
-        Column("scans", _INTEGER, _COUNT),
-        Column("lost", _INTEGER, _COUNT),
-        Column("words", "BLOB NOT NULL", blob),
-        Column("time_s", "BLOB NOT NULL", blob),
+        TableColumn("scans", _INTEGER, _COUNT),
+        TableColumn("lost", _INTEGER, _COUNT),
+        TableColumn("words", "BLOB NOT NULL", blob),
+        TableColumn("time_s", "BLOB NOT NULL", blob),
     ),
     "moves": (
-        Column("move", _KEY, whole(1, _MOST)),
-        Column("attempt", _OF_ATTEMPT, _ATTEMPT),
-        Column("bus_s", _REAL, _TIME),
-        Column("angle_deg", "REAL", nullable(_ANGLE)),
-        Column("approach", _INTEGER, _APPROACH),
-        Column("direction", _TEXT, _aim, json=True),
+        TableColumn("move", _KEY, whole(1, _MOST)),
+        TableColumn("attempt", _OF_ATTEMPT, _ATTEMPT),
+        TableColumn("bus_s", _REAL, _TIME),
+        TableColumn("angle_deg", "REAL", nullable(_ANGLE)),
+        TableColumn("approach", _INTEGER, _APPROACH),
+        TableColumn("direction", _TEXT, _aim, json=True),
     ),
 }
 """Columns of each table; a checksum of the row follows them."""
@@ -330,7 +333,7 @@ def checked_value(name: str, shape: Shape, value: Any) -> Any:
     return value
 
 
-def _checked(column: Column, value: Any) -> Any:
+def _checked(column: TableColumn, value: Any) -> Any:
     if column.json:
         checked_value(column.name, text_of_json, value)
         try:

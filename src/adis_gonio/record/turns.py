@@ -105,7 +105,7 @@ def _turn(number: int, blocks: list[Block], after: StoredAttempt, turned_deg: fl
         scans.time_s + after.offset_s,
         turned_deg=turned_deg,
         temperatures_c=die_temperatures(scans),
-        **session_series(session_columns(scans)),  # type: ignore[arg-type]
+        **session_series(session_columns(scans)),
     )
 
 
@@ -124,7 +124,11 @@ def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
     taken = view.withdrawn()
     chains = [chain for chain in chains if chain and chain[-1].number not in taken]
     whole = [chain for chain in chains if chain[-1].outcome == "complete"]
-    best = whole[-1] if whole else max(chains, key=_length_s, default=None)
+    best = (
+        whole[-1]
+        if whole
+        else max(chains, key=lambda c: c[-1].ended_bus_s - c[0].started_bus_s, default=None)
+    )
     if best is None:
         return None, "nothing was recorded"
     reason = "" if whole else best[-1].reason.replace(GOES_ON, "the program ended")
@@ -132,12 +136,8 @@ def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
     return (_joined(blocks) if blocks else None), reason
 
 
-def _length_s(chain: Sequence[StoredAttempt]) -> float:
-    return chain[-1].ended_bus_s - chain[0].started_bus_s
-
-
 def _joined(blocks: Sequence[tuple[StoredAttempt, Block]]) -> Dwell:
     columns = [session_columns(block) for _, block in blocks]
     whole = {name: np.concatenate([c[name] for c in columns]) for name in columns[0]}
     time_s = np.concatenate([block.time_s + attempt.offset_s for attempt, block in blocks])
-    return Dwell(0, time_s, **session_series(whole))  # type: ignore[arg-type]
+    return Dwell(0, time_s, **session_series(whole))

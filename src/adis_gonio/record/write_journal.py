@@ -140,20 +140,13 @@ def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
     found: dict[int, Operation] = {}
     for entry in entries:
         number, step = int(entry["number"]), WriteStep(entry["step"])
-        before = found.get(number)
-        found[number] = Operation(
-            number,
-            before.op if before else entry["op"],
-            before.old if before else dict(entry["old"]),
-            dict(entry["new"]) if "new" in entry else before.new if before else {},
-            before.found if before else dict(entry["found"]),
-            before.save if before else bool(entry["save"]),
-            (*(before.steps if before else ()), step),
-            entry.get("endurance", before.endurance if before else None),
-            entry.get("endurance_after", before.endurance_after if before else None),
-            str(entry.get("utc", "")),
-            dict(entry["beside"]) if "beside" in entry else before.beside if before else {},
+        before = found.get(number) or Operation(
+            number, entry["op"], dict(entry["old"]), {}, dict(entry["found"]), bool(entry["save"]), ()
         )
+        numbers: dict[str, Any] = {name: dict(entry[name]) for name in ("new", "beside") if name in entry}
+        counts = {name: entry[name] for name in ("endurance", "endurance_after") if name in entry}
+        utc = str(entry.get("utc", ""))
+        found[number] = replace(before, steps=(*before.steps, step), utc=utc, **numbers, **counts)
     return tuple(found.values())
 
 

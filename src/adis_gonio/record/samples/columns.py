@@ -32,7 +32,7 @@ def number_text(value: float) -> str:
 
 
 @dataclass(frozen=True)
-class Column:
+class SamplesColumn:
     """One column of the samples CSV.
 
     Attributes
@@ -67,8 +67,8 @@ def _unit(name: str, *spellings: str, scale: Scale = SAME) -> dict[str, tuple[st
     return dict.fromkeys(spellings, (name, scale))
 
 
-def _axis(axis: str, forms: str, units: Units) -> Column:
-    return Column(tuple(forms.replace("?", axis).split()), units)
+def _axis(axis: str, forms: str, units: Units) -> SamplesColumn:
+    return SamplesColumn(tuple(forms.replace("?", axis).split()), units)
 
 
 _ACCEL = (
@@ -92,8 +92,8 @@ _GYRO_UNITS = {
     **_unit("counts", "count", "counts", "digit", "digits", "raw", "adc", "lsb"),
 }
 
-COLUMNS: dict[str, Column] = {
-    "time_s": Column(
+COLUMNS: dict[str, SamplesColumn] = {
+    "time_s": SamplesColumn(
         ("time", "t", "timestamp", "zeit", "elapsed", "seconds", "datetime", "date_time"),
         {
             **_unit("s", "s", "sec", "second", "seconds", "sekunden", "utc"),
@@ -104,8 +104,8 @@ COLUMNS: dict[str, Column] = {
         },
         largest=1e20,  # in ns since 1970 a time has 2e18
     ),
-    "position": Column(("pos", "dwell", "pose"), largest=1e9, per_dwell=True),
-    "angle_deg": Column(
+    "position": SamplesColumn(("pos", "dwell", "pose"), largest=1e9, per_dwell=True),
+    "angle_deg": SamplesColumn(
         ("angle", "theta", "θ", "winkel"),
         {
             **_unit("deg", "deg", "°", "degree", "degrees"),
@@ -115,10 +115,10 @@ COLUMNS: dict[str, Column] = {
         per_dwell=True,
         text=lambda angle: "" if math.isnan(angle) else number_text(angle),
     ),
-    "approach": Column(per_dwell=True, text=lambda sign: f"{sign:+d}" if sign else ""),
+    "approach": SamplesColumn(per_dwell=True, text=lambda sign: f"{sign:+d}" if sign else ""),
     **{f"a{axis}": _axis(axis, _ACCEL, _ACCEL_UNITS) for axis in "xyz"},
     **{f"g{axis}": _axis(axis, _GYRO, _GYRO_UNITS) for axis in "xyz"},
-    "temp_c": Column(
+    "temp_c": SamplesColumn(
         ("temp", "temperature", "temperatur"),
         {
             **_unit("c", "c", "°c", "degc", "celsius"),
@@ -126,11 +126,11 @@ COLUMNS: dict[str, Column] = {
             **_unit("f", "f", "°f", "degf", scale=(5.0, 9.0, -160.0 / 9.0)),
         },
     ),
-    "supply_v": Column(
+    "supply_v": SamplesColumn(
         ("supply", "supply_voltage", "vcc", "vdd"),
         {**_unit("v", "v"), **_unit("mv", "mv", scale=(1.0, 1e3, 0.0))},
     ),
-    "use": Column(per_dwell=True, text=str, default="fit"),
+    "use": SamplesColumn(per_dwell=True, text=str, default="fit"),
 }
 """Columns by name, in the order of a file that is written."""
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -30,7 +31,6 @@ _WALL_CLOCK = re.compile(
     r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII
 )
 """ISO 8601 with date and time, as loggers write it; with Z or an offset, or in one zone without."""
-_GROWTH, _LEAST = 1.125, 1 << 15
 _SLOWEST_S = 2.0
 """Step between rows from which a time without a unit may as well be in ms."""
 
@@ -43,10 +43,8 @@ class SamplesTable:
     ----------
     head : Head
     dialect : Dialect
-    time_s : (n,) float
-    accel : (n, 2) or (n, 3) float
-    gyro : (n, 3) float or None
-    temperature_c, supply_v : (n,) float or None
+    series : dict of str to (n,), (n, 2) or (n, 3) float
+        Samples by the fields of a `Dwell`; without those that the file does not have.
     runs : dict of str to list of (int, str)
         Rows at which a text begins that lasts until the next one.
     lines : list of (int, int)
@@ -56,14 +54,13 @@ class SamplesTable:
 
     head: Head
     dialect: Dialect
-    time_s: Floats
-    accel: Floats
-    gyro: Floats | None
-    temperature_c: Floats | None
-    supply_v: Floats | None
+    series: dict[str, Floats]
     runs: dict[str, list[tuple[int, str]]]
     lines: list[tuple[int, int]]
     notes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.series["time_s"])
 
     @property
     def path(self) -> Path:
@@ -93,32 +90,6 @@ class SamplesTable:
             at += 1
 
 
-class _Growing:
-    """An array (n,) or (n, width) that grows at its end; the system moves it without a copy."""
-
-    def __init__(self, width: int = 0) -> None:
-        self._tail = (width,) if width else ()
-        self._array = np.empty((0, *self._tail))
-        self._n = 0
-
-    def extend(self, columns: list[Floats]) -> None:
-        """Add rows, given as their columns."""
-        n = self._n + len(columns[0])
-        if n > len(self._array):
-            self._resize(max(n, int(_GROWTH * len(self._array)) + _LEAST))
-        for k, column in enumerate(columns):
-            self._array[(slice(self._n, n), k) if self._tail else slice(self._n, n)] = column
-        self._n = n
-
-    def done(self) -> Floats:
-        """The array, no longer than it has to be."""
-        self._resize(self._n)
-        return self._array
-
-    def _resize(self, n: int) -> None:
-        self._array.resize((n, *self._tail), refcheck=False)
-
-
 class _Reader:
     """Rows of one file on their way into arrays."""
 
@@ -126,10 +97,12 @@ class _Reader:
         self.head, self.dialect = head, dialect
         self.place = {name: column.place for name, column in head.columns.items()}
         self.series = [name for name in COLUMNS if name in self.place and not COLUMNS[name].per_dwell]
-        axes = sum(name in AXES for name in self.series)
-        self.time, self.accel = _Growing(), _Growing(axes)
-        self.gyro = _Growing(3) if GYROS[0] in self.place else None
-        self.others = {name: _Growing() for name in ("temp_c", "supply_v") if name in self.place}
+        fields = {"time_s": ("time_s",), "accel": AXES, "gyro": GYROS}
+        fields |= {"temperature_c": ("temp_c",), "supply_v": ("supply_v",)}
+        present = {name: [m for m in members if m in self.place] for name, members in fields.items()}
+        self.fields = {name: members for name, members in present.items() if members}
+        # Arrays that grow at their end without a copy, row after row.
+        self.numbers = {name: array("d") for name in self.fields}
         self.runs: dict[str, list[tuple[int, str]]] = {
             name: [] for name in self.place if COLUMNS[name].per_dwell
         }
@@ -332,12 +305,9 @@ class _Reader:
                 values[name] = series * scale[0] / scale[1] + scale[2]
         time = values["time_s"]
         self._refuse_backwards(time)
-        self.time.extend([time])
-        self.accel.extend([values[name] for name in AXES if name in values])
-        if self.gyro is not None:
-            self.gyro.extend([values[name] for name in GYROS])
-        for name, growing in self.others.items():
-            growing.extend([values[name]])
+        for name, members in self.fields.items():
+            rows = np.column_stack([values[member] for member in members])
+            self.numbers[name].frombytes(rows.tobytes())
         for name, runs in self.runs.items():
             column = cells[self.place[name]]
             if not runs or runs[-1][1] != column[0]:
@@ -378,15 +348,13 @@ class _Reader:
         if self._repeated:
             of = f"{self._repeated} of {self.n} rows have the time of the row before"
             self.notes.append(f"{of}, first in row {self._first_repeated}: a coarse clock, or rows twice")
-        others = {name: growing.done() for name, growing in self.others.items()}
+        series = {name: np.frombuffer(numbers) for name, numbers in self.numbers.items()}
+        for name in {"accel", "gyro"} & series.keys():
+            series[name] = series[name].reshape(self.n, -1)
         table = SamplesTable(
             head=self.head,
             dialect=self.dialect,
-            time_s=self.time.done(),
-            accel=self.accel.done(),
-            gyro=None if self.gyro is None else self.gyro.done(),
-            temperature_c=others.get("temp_c"),
-            supply_v=others.get("supply_v"),
+            series=series,
             runs=self.runs,
             lines=self.lines,
             notes=(*self.head.notes, *self.notes),
@@ -479,9 +447,9 @@ def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
 def _refuse_unclear_time(table: SamplesTable) -> None:
     """Refuse a time without a unit whose rows are far apart: it may be in milliseconds."""
     column = table.head.columns["time_s"]
-    if column.plain or column.unit or len(table.time_s) < 2:
+    if column.plain or column.unit or len(table) < 2:
         return
-    step = float(np.median(np.diff(table.time_s[: 1 << 16])))
+    step = float(np.median(np.diff(table.series["time_s"][: 1 << 16])))
     if step >= _SLOWEST_S:
         raise DataError(
             f"{table.path.name}, row {table.head.line}: column '{column.text}' states no unit and its rows "
