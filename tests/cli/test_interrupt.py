@@ -65,7 +65,13 @@ CAUGHT = """try:
 
 @pytest.mark.parametrize("work", ["signal.raise_signal(signal.SIGINT)", CAUGHT])
 def test_ctrl_c_ends_with_130_and_not_by_the_signal_wherever_it_comes(work, tmp_path):
-    lines = ["import signal", "from adis_gonio.faces import cli", "def main():", f"    {work}", "cli.main = main"]
+    lines = [
+        "import signal",
+        "from adis_gonio.faces import cli",
+        "def main():",
+        f"    {work}",
+        "cli.main = main",
+    ]
     (tmp_path / "program.py").write_text("\n".join([*lines, "print('said')", "cli.run()", ""]))
     done = subprocess.run(
         [sys.executable, "-m", "program"],

@@ -11,7 +11,7 @@ import click
 from adis_gonio.base.counting import counted
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.face import choose_face
+from adis_gonio.faces.cli.plain import choose_face
 from adis_gonio.faces.cli.show import print_json
 
 if TYPE_CHECKING:
