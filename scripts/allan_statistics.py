@@ -112,7 +112,7 @@ def flicker(floor: float, n: int, rng: np.random.Generator) -> Floats:
 def simulated(case: Case, seed: int) -> Floats:
     """Gyros (n, 3) in °/s of the simulator's still part, behind its filter."""
     from adis_gonio.sim import World, WorldSettings
-    from adis_gonio.sim.filter import bartlett_sums, history_rows
+    from adis_gonio.sim.sampling import bartlett_sums, history_rows
 
     settings = WorldSettings(gyro_rate_walk_dps_per_rt_s=case.truth["walk"])
     world = World(settings, seed=seed)

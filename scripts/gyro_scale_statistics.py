@@ -3,7 +3,7 @@
     python scripts/gyro_scale_statistics.py --hands 500 --seed 1 --jobs 2
 
 Each hand turns a part of its own on a table as `calibrate --plan gyro-turns` asks for: with each arrow up
-five turns forth and five back between rests of 10 s, and a rest with the arrow down (`sim/hand_moves.py`
+five turns forth and five back between rests of 10 s, and a rest with the arrow down (`sim/hand.py`
 moves, the chip's filter in between; a turn that leaves the range is made again, as the plan's guard wants
 it). The gyros have gains, misalignments, linear g-sensitivities, white and 1/f noise; the accelerometers
 are those of the variant, with biases and skews that nobody tells the fit.
@@ -37,7 +37,7 @@ from adis_gonio.model.records import Dwell, Session
 from adis_gonio.model.turns import Turn
 from adis_gonio.record.plans import Position
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.filter import bartlett_sums
+from adis_gonio.sim.sampling import bartlett_sums
 
 PERIOD_S = 1 / 819.2
 FILTER_M = 2

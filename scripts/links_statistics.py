@@ -3,7 +3,7 @@
     python scripts/links_statistics.py --sessions 200 --seed 1 --jobs 2
 
 Every session is a part of its own (adis16354 and adis16350 in turn) with realistic gyros
-(`sim/gyro_faults.py`), laid by a hand in up to 24 random poses, 5 s each, the way between them recorded
+(`sim/gyros.py`), laid by a hand in up to 24 random poses, 5 s each, the way between them recorded
 behind the chip's filter. Its first 4, 5, 6, 9, 14 and 24 poses are fitted by gravity alone, with the turns
 and the gyros' data sheet, and with the turns and a calibration of the gyros that is off by its stated
 uncertainty (gains 0.02 %, directions 0.02°, g-sensitivity 0.005 °/s/g: what `--plan gyro-turns` gives).
@@ -38,7 +38,7 @@ from adis_gonio.fitting.methods import fit_of
 from adis_gonio.model.records import Session
 from adis_gonio.model.turns import Turn
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.gyro_faults import realistic_gyros
+from adis_gonio.sim.gyros import realistic_gyros
 
 POSES = (4, 5, 6, 9, 14, 24)
 FALSE_POSES = 9

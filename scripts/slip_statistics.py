@@ -4,7 +4,7 @@
 
 Each session is a part of its own, moved by hand through 8 to 24 positions (in order, there and back, or
 shuffled), dwells of 2 s, recorded through the chip's filter and in whole LSB, gyros with the faults of
-`adis_gonio.sim.gyro_faults`, a fixture of 0.02° to 0.3°, which the file states, and a temperature that
+`adis_gonio.sim.gyros`, a fixture of 0.02° to 0.3°, which the file states, and a temperature that
 drifts. A faulty one has, in turn, a slip of 0.5° to 20° (during a move or after it), two positions swapped,
 or one mistyped.
 
@@ -35,8 +35,8 @@ from adis_gonio.fitting.slips.meant import may_have_been_meant
 from adis_gonio.fitting.slips.of_session import positions_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.filter import bartlett_sums
-from adis_gonio.sim.gyro_faults import realistic_gyros
+from adis_gonio.sim.gyros import realistic_gyros
+from adis_gonio.sim.sampling import bartlett_sums
 from slip_oracle import Law, Mistakes, answer
 
 PERIOD_S = 1 / 819.2

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.sim.filter import bartlett_sums
+from adis_gonio.sim.sampling import bartlett_sums
 
 FILTER_M = 2
 

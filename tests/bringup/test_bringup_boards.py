@@ -3,8 +3,8 @@
 import pytest
 
 from adis_gonio.bench.bringup import STEPS, Outcome, Permission, Verdict, bring_up
-from adis_gonio.bench.bringup.limits import MOST_TESTS
-from adis_gonio.bench.bringup.questions import QUESTIONS
+from adis_gonio.bench.bringup.bench import MOST_TESTS
+from adis_gonio.bench.bringup.result import QUESTIONS
 from fakes.boards import FAULTY, SOUND, Board, sound
 
 ALL = Permission(writes=True, flash=True)

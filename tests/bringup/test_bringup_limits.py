@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.bench.bringup.limits import FALSE_ALARM, MOST_TESTS, AlarmBudget, at_most
+from adis_gonio.bench.bringup.bench import FALSE_ALARM, MOST_TESTS, AlarmBudget, at_most
 from adis_gonio.bench.bringup.noise import degrees_of_freedom, flicker, response, rounding, spectrum
 from adis_gonio.bench.bringup.updates import nearest_code
 from adis_gonio.device.sensor.settings import sample_period_s
-from adis_gonio.sim.filter import bartlett_sums, history_rows, taps
 from adis_gonio.sim.noise import Flicker
+from adis_gonio.sim.sampling import bartlett_sums, history_rows, taps
 
 
 def test_the_limits_of_a_whole_run_add_up_to_the_false_alarm_rate_of_a_board():

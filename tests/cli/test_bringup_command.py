@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio.base.errors import NotInstalledError
 from adis_gonio.bench.bringup import STEPS
-from adis_gonio.bench.bringup.questions import QUESTIONS
+from adis_gonio.bench.bringup.result import QUESTIONS
 from adis_gonio.faces.cli import main
 from fakes.boards import FAULTY, SOUND
 

@@ -9,7 +9,7 @@ import pytest
 from adis_gonio.faces.cli import main
 from adis_gonio.record.loading import load_session
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.gyro_faults import FIGURES, realistic_gyros, stream_of
+from adis_gonio.sim.gyros import FIGURES, realistic_gyros, stream_of
 
 PAGE = (Path(__file__).parents[2] / "docs" / "simulated_gyros.md").read_text(encoding="utf-8")
 COMMANDS = re.search(r"```sh\n(.*?)```", PAGE, re.S)[1].splitlines()

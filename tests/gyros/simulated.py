@@ -12,7 +12,7 @@ from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.model.turns import Turn
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.filter import bartlett_sums
+from adis_gonio.sim.sampling import bartlett_sums
 
 PERIOD_S = 1 / 819.2
 

@@ -33,7 +33,7 @@ from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Session
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.gyro_faults import realistic_gyros
+from adis_gonio.sim.gyros import realistic_gyros
 from gyros.simulated import Recorder
 
 NOISE = 0.05 * np.eye(3)

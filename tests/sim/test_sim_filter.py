@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.sim import Inputs
-from adis_gonio.sim.filter import bartlett_sums
+from adis_gonio.sim.sampling import bartlett_sums
 from sim.chip_rig import Host, Quiet, signed
 
 RATE = 819.2

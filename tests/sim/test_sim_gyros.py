@@ -11,7 +11,7 @@ from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
 from adis_gonio.model.effects import parse_effect
 from adis_gonio.sim import SimBus, World, WorldSettings
-from adis_gonio.sim.gyro_faults import FIGURES, realistic_gyros, stream_of
+from adis_gonio.sim.gyros import FIGURES, realistic_gyros, stream_of
 from adis_gonio.sim.testing import open_simulated
 
 SCAN = (*GYRO_OUT, *ACCEL_OUT, *TEMP_OUT)

@@ -7,7 +7,7 @@ import pytest
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.sim import SimBus, Stage, World, WorldSettings
-from adis_gonio.sim.hand_moves import HandMove
+from adis_gonio.sim.hand import HandMove
 
 STEP_S = 1e-4
 EXACT = {"fixture_sigma_deg": 0.0, "vibration_mg": 0.0, "mark_sigma_deg": 0.0}

@@ -37,9 +37,9 @@ from adis_gonio.device.sensor.variants import Variant
 from adis_gonio.model.effects.base import Effect
 from adis_gonio.model.effects.registry import parse_effect
 from adis_gonio.sim.chip import SimulatedChip
-from adis_gonio.sim.flash import FlashFile
-from adis_gonio.sim.gyro_faults import realistic_gyros, stream_of
+from adis_gonio.sim.gyros import realistic_gyros, stream_of
 from adis_gonio.sim.inputs import Floats
+from adis_gonio.sim.memory import FlashFile
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Stage
 from adis_gonio.sim.world import Values, World
@@ -338,7 +338,7 @@ def open_from_url(url: BusUrl) -> SimBus:
 
     Options are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1), `effects` (of the catalogue,
     such as `quadratic:k2_x=2.5;cubic`), `flash` (a file that keeps the part's flash, and only that, from
-    one opening to the next), `gyros` (`realistic` draws their faults from the seed, see `gyro_faults`; what
+    one opening to the next), `gyros` (`realistic` draws their faults from the seed, see `gyros`; what
     is given by name stands) and every name of `WorldSettings`.
 
     Raises

@@ -3,18 +3,29 @@
 The convention is that of `settings.GyroSettings`. A gyro's axis is misaligned towards the axes of the
 gyros' frame (`gyro_misalignment_…`), and that frame is turned against the accelerometers' (`gyro_triad_…`);
 what is stated is the two together, in the accelerometers' frame, as a fit sees it.
+
+Gyros as they are sold: a draw of all their faults, each figure with its source and confidence.
+
+Sources: CHIP is what is known of the chip, of whose sibling's sheet the figures with confidence B are; they
+are taken as the size of the fault. D are estimates of what parts of this class do.
+
+Temperatures of the three gyros' dies, which are what the three thermometers feel.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.device.sensor.registers import Confidence
 from adis_gonio.device.sensor.variants import Performance
 from adis_gonio.model.effects.base import AXES
+from adis_gonio.model.effects.lag import lagged
 from adis_gonio.sim.electronics import Electronics
 from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.noise import RateWalk
@@ -224,3 +235,154 @@ def _rotation(vector_rad: Floats) -> Floats:
 
 def _or(given: float | None, other: float) -> float:
     return other if given is None else given
+
+
+_OTHERS = tuple(a + b for a, b in itertools.permutations(AXES, 2))
+_ALL = tuple(a + b for a, b in itertools.product(AXES, repeat=2))
+_STREAM = 10
+"""Child of a world's seed that these faults are drawn from."""
+
+
+@dataclass(frozen=True)
+class DrawnFault:
+    """How one kind of fault is drawn.
+
+    Attributes
+    ----------
+    setting : str
+        Name of the setting, {} where the axes stand.
+    axes : tuple of str
+        What stands there.
+    law : {"normal", "uniform"}
+    size : float
+        Standard deviation, or half the width.
+    middle : float
+        Mean of either.
+    most : float
+        Bound of what is drawn about the middle; 0 for three sizes.
+    """
+
+    setting: str
+    axes: tuple[str, ...]
+    law: Literal["normal", "uniform"]
+    size: float
+    source: str
+    confidence: Confidence
+    middle: float = 0.0
+    most: float = 0.0
+
+    @property
+    def described(self) -> str:
+        """How it is drawn, in words."""
+        if self.law == "uniform":
+            return f"uniform, {self.middle:g} ± {self.size:g}"
+        bound = f", at most {self.most:g} away" if self.most else ""
+        return f"normal, {self.middle:g}, σ {self.size:g}{bound}"
+
+    def draw(self, rng: np.random.Generator) -> dict[str, float]:
+        """Values by setting."""
+        n = len(self.axes)
+        if self.law == "uniform":
+            drawn = self.size * rng.uniform(-1.0, 1.0, n)
+        else:
+            most = self.most or 3 * self.size
+            drawn = np.clip(self.size * rng.standard_normal(n), -most, most)
+        return {
+            self.setting.format(axis): self.middle + float(value)
+            for axis, value in zip(self.axes, drawn, strict=True)
+        }
+
+
+_ONE = ("",)
+_PART = "parts of this class"
+FIGURES: tuple[DrawnFault, ...] = (
+    DrawnFault("gyro_bias_{}_dps", AXES, "normal", 1.0, _PART, "D"),
+    DrawnFault("gyro_bias_tempco_{}_dps_per_c", AXES, "normal", 0.02, _PART, "D"),
+    DrawnFault("gyro_warm_up_{}_dps", AXES, "normal", 0.1, _PART, "D"),
+    DrawnFault("gyro_warm_up_tau_s{}", _ONE, "uniform", 90.0, _PART, "D", middle=150.0),
+    DrawnFault(
+        "gyro_scale_{}", AXES, "normal", 0.008, "CHIP: sensitivity ±2 %", "B", middle=1.0, most=0.02
+    ),
+    DrawnFault("gyro_scale_tempco_{}_ppm_per_c", AXES, "normal", 100.0, "CHIP: 100 / 40 ppm/°C", "B"),
+    DrawnFault("gyro_asymmetry_{}", AXES, "normal", 5e-4, "CHIP: nonlinearity ±0.2 % FS allows it", "D"),
+    DrawnFault("gyro_misalignment_{}_deg", _OTHERS, "uniform", 0.25, "CHIP: non-orthogonality ±0.25°", "B"),
+    DrawnFault("gyro_triad_{}_deg", AXES, "uniform", 0.5, "CHIP: axis to frame ±0.5°", "B"),
+    DrawnFault("gyro_g_sensitivity_{}_dps_per_g", _ALL, "normal", 0.05, "CHIP: 0.05 °/s/g", "B"),
+    DrawnFault("gyro_g2_sensitivity_{}_dps_per_g2", _ALL, "normal", 0.01, _PART, "D"),
+    DrawnFault("gyro_supply_{}_dps_per_v", AXES, "normal", 0.25, "CHIP: 0.25 °/s/V", "B"),
+    DrawnFault("gyro_rate_walk_dps_per_rt_s{}", _ONE, "uniform", 5e-4, _PART, "D", middle=5e-4),
+    DrawnFault("gyro_range_gain_{}", ("150", "75"), "normal", 1e-3, _PART, "D", middle=1.0),
+    DrawnFault("gyro_g_compensation{}", _ONE, "uniform", 0.1, _PART, "D", middle=0.9),
+    DrawnFault("accel_place_{}_mm", _ALL, "normal", 2.0, _PART, "D"),
+    DrawnFault("die_gradient_{}_c", AXES, "normal", 0.5, _PART, "D"),
+    DrawnFault("die_lag_{}_s", AXES, "uniform", 15.0, _PART, "D", middle=20.0),
+    DrawnFault("earth_rate_up_dps{}", _ONE, "uniform", 0.0036, "the earth, up to 60° of latitude", "A"),
+)
+"""What is drawn, in this order. Noise and bias instability stay those of the variant."""
+
+
+def realistic_gyros(rng: np.random.Generator) -> dict[str, float]:
+    """Settings of three gyros with all their faults.
+
+    Parameters
+    ----------
+    rng : Generator
+        Draws them.
+
+    Returns
+    -------
+    dict of str to float
+        By name, for `WorldSettings(**realistic_gyros(rng))`.
+    """
+    drawn: dict[str, float] = {}
+    for figure in FIGURES:
+        drawn |= figure.draw(rng)
+    return drawn
+
+
+def stream_of(seed: int) -> np.random.Generator:
+    """Generator of the faults that a simulated part with this seed has."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM,)))
+
+
+_STEP_S = 1.0
+_FORGOTTEN = 12.0
+"""Time constants after which nothing is left of what was before."""
+
+
+class Dies:
+    """Each die follows the part with a lag of its own, and is warmer by a gradient that power-on builds up.
+
+    Parameters
+    ----------
+    settings : WorldSettings
+        Those that begin with `die_`, and `powered_s`.
+    """
+
+    def __init__(self, settings: WorldSettings) -> None:
+        self._powered_s = settings.powered_s
+        self._gradient_c = np.array([getattr(settings, f"die_gradient_{axis}_c") for axis in AXES])
+        self._gradient_tau_s = settings.die_gradient_tau_s
+        self._lag_s = np.array([getattr(settings, f"die_lag_{axis}_s") for axis in AXES])
+        self._begin_s = -min(settings.powered_s, float(np.ceil(_FORGOTTEN * self._lag_s.max())))
+
+    @property
+    def alike(self) -> bool:
+        """True where every die has the part's temperature."""
+        return not (self._gradient_c.any() or self._lag_s.any())
+
+    def temperature_c(self, time_s: Floats, part_c: Callable[[Floats], Floats]) -> Floats:
+        """Temperatures (n, 3) at times (n,) of a part whose own temperature is known at any time."""
+        result = np.repeat(part_c(time_s)[:, None], 3, axis=1)
+        if self.alike:
+            return result
+        if self._lag_s.any():
+            steps = int(np.ceil((float(time_s.max()) - self._begin_s) / _STEP_S)) + 1
+            record_s = self._begin_s + _STEP_S * np.arange(max(steps, 1) + 1, dtype=np.float64)
+            record = part_c(record_s)
+            for k, tau_s in enumerate(self._lag_s):
+                if tau_s:
+                    result[:, k] = lagged(record_s, record, time_s, float(tau_s))[0]
+        on_s = np.maximum(time_s + self._powered_s, 0.0)
+        warmer: Floats = -np.expm1(-on_s / self._gradient_tau_s)[:, None] * self._gradient_c
+        return result + warmer

@@ -9,6 +9,17 @@ What is known of hands, and how it stands here
 
 All courses are sums of smooth functions with exact derivatives, so that rates and accelerations belong to
 the angle at every time. Figures are estimates (D).
+
+A hand that brings the part from one position to the next.
+
+What is known of hands, beside what `hand` says, and how it stands here
+    A movement to a mark is one grip or several, with rests between them, each a minimum-jerk course; its
+    last one misses the mark by a few hundredths of its length (Meyer et al. 1988), and after 0.1 to 0.4 s
+    one or two small corrections of 0.3 to 0.6 s follow. Where a mark has to be reached from one side the
+    hand stays short of it and creeps up. No two movements are equally fast. A part that is held in the hand
+    turns about the vertical as it likes, and strays from the shortest way by degrees.
+
+All figures are estimates (D).
 """
 
 from __future__ import annotations
@@ -26,6 +37,7 @@ from adis_gonio.sim.smooth import (
     Sines,
     grips,
     hold,
+    minimum_jerk,
     product,
 )
 
@@ -114,3 +126,136 @@ def _grips(settings: WorldSettings, rng: np.random.Generator, turns: int) -> tup
     each = [grips(abs(turn_deg), rng) for _ in range(turns)]
     ways = [(-1) ** k * turn_deg * spans / spans.sum() for k, spans in enumerate(each)]
     return np.concatenate(each), np.concatenate(ways)
+
+
+_SPEED = (0.7, 1.4)
+"""Of one movement, in units of the mean."""
+_SHORTEST_GRIP_S = 0.4
+_REACTION_S = (0.1, 0.4)
+_CORRECTION_S = (0.3, 0.6)
+_SECOND_MISS = 0.2
+"""What the first correction leaves, in units of what it corrects (1 sigma)."""
+
+
+class HandMove:
+    """One movement by hand over an angle; times are counted from its beginning.
+
+    Parameters
+    ----------
+    settings : WorldSettings
+        Those that begin with `hand_`, and `move_speed_dps`.
+    rng : Generator
+        Draws this movement.
+    span_rad : float
+        From rest to rest, with its sign; not 0.
+    one_way : bool
+        The mark is reached from the side that the movement comes from.
+    free : bool
+        The part is held in the hand alone: it also turns about the vertical and strays.
+
+    Attributes
+    ----------
+    span_rad, length_s : float
+    twist_rad : float
+        How far it turns about the vertical besides; 0 where it is not free.
+    """
+
+    def __init__(
+        self,
+        settings: WorldSettings,
+        rng: np.random.Generator,
+        span_rad: float,
+        *,
+        one_way: bool = False,
+        free: bool = False,
+    ) -> None:
+        self.span_rad = span_rad
+        size = abs(float(np.degrees(span_rad)))
+        spans = grips(size, rng)
+        spans *= size / spans.sum()
+        speed = settings.move_speed_dps * rng.uniform(*_SPEED)
+        lengths = np.maximum(spans / speed * rng.uniform(0.8, 1.25, len(spans)), _SHORTEST_GRIP_S)
+        pauses = settings.hand_pauses * rng.uniform(*PAUSE_S, len(spans))
+        misses = _misses(settings.hand_miss * spans[-1], rng, one_way=one_way)
+        reactions = settings.hand_pauses * rng.uniform(*_REACTION_S, 2)
+        corrections = rng.uniform(*_CORRECTION_S, 2)
+        if settings.hand_miss:
+            spans[-1] += misses[0]
+            spans = np.concatenate([spans, np.diff([*misses, 0.0])])
+            lengths = np.concatenate([lengths, corrections])
+            pauses = np.concatenate([pauses[:-1], reactions, [0.0]])
+        ends = np.cumsum(lengths) + np.concatenate([[0.0], np.cumsum(pauses)[:-1]])
+        ways = np.sign(span_rad) * np.radians(spans)
+        self._pieces = list(zip(ends - lengths, lengths, ways, strict=True))
+        self.length_s = float(ends[-1])
+        self._uneven, self._tremor = Sines.drawn(rng, SUBMOVEMENT_HZ), Sines.drawn(rng, TREMOR_HZ)
+        self._shaking = [Sines.drawn(rng, TREMOR_HZ) for _ in range(3)]
+        mean_rad_s = abs(span_rad) / self.length_s
+        self._uneven_rad = settings.hand_unevenness * mean_rad_s / np.sqrt(self._uneven.mean_square_rate)
+        self._tremor_rad = np.radians(settings.hand_tremor_dps) / np.sqrt(self._tremor.mean_square_rate)
+        self._vibration_mg = settings.hand_vibration_mg
+        self._sway, axis = Sines.drawn(rng, SWAY_HZ), rng.standard_normal(3)
+        self._stray_axis = axis / np.linalg.norm(axis)
+        self._stray_rad = float(np.radians(settings.hand_stray_deg)) if free else 0.0
+        twist = settings.hand_twist_deg * float(rng.standard_normal())
+        self.twist_rad = float(np.radians(twist)) if free else 0.0
+
+    def turned(self, time_s: Floats) -> Course:
+        """Angle turned (n,) in rad, its rate and its acceleration."""
+        course = [np.zeros(len(time_s)) for _ in range(3)]
+        for piece in self._pieces:
+            _add(course, minimum_jerk(time_s, *piece))
+        held = hold(time_s, self.length_s)
+        _add(course, product(self._uneven.at(time_s), held), self._uneven_rad)
+        _add(course, product(self._tremor.at(time_s), held), self._tremor_rad)
+        return course[0], course[1], course[2]
+
+    def beside(self, time_s: Floats, direction: Floats, rate: Floats) -> tuple[Floats, Floats]:
+        """What the hand does beside the movement itself.
+
+        Parameters
+        ----------
+        direction, rate : (n, 3) float
+            Direction of gravity, and rate of turn in rad/s, of the movement alone.
+
+        Returns
+        -------
+        direction, rate : (n, 3) float
+            With the stray, a turn about an axis of the part, and the twist about the vertical.
+        """
+        if self._stray_rad:
+            stray, straying, _ = product(self._sway.at(time_s), hold(time_s, self.length_s))
+            axis = self._stray_axis
+            direction = _turned_back(direction, axis, self._stray_rad * stray)
+            rate = _turned_back(rate, axis, self._stray_rad * stray)
+            rate = rate + self._stray_rad * straying[:, None] * axis
+        if self.twist_rad:
+            _, twisting, _ = minimum_jerk(time_s, 0.0, self.length_s, self.twist_rad)
+            rate = rate - twisting[:, None] * direction
+        return direction, rate
+
+    def shaking_mg(self, time_s: Floats) -> Floats:
+        """Linear vibration (n, 3) that the hand brings, in mg."""
+        held = self._vibration_mg * hold(time_s, self.length_s)[0]
+        return np.stack([held * lines.at(time_s)[0] for lines in self._shaking], axis=1)
+
+
+def _misses(size_deg: float, rng: np.random.Generator, *, one_way: bool) -> Floats:
+    """How far (2,) the last grip and the first correction go past the mark."""
+    drawn = size_deg * rng.standard_normal()
+    left = drawn * _SECOND_MISS * rng.standard_normal()
+    misses = np.array([drawn, left])
+    return -np.abs(misses) if one_way else misses
+
+
+def _add(course: list[Floats], more: Course, size: float = 1.0) -> None:
+    for whole, part in zip(course, more, strict=True):
+        whole += size * part
+
+
+def _turned_back(vector: Floats, axis: Floats, angle: Floats) -> Floats:
+    """Vectors (n, 3) of the room as a part sees them that has turned about its axis by angles (n,)."""
+    sine, cosine = np.sin(angle)[:, None], np.cos(angle)[:, None]
+    # Written out: a matrix product may round differently for another number of rows.
+    along = (vector[:, 0] * axis[0] + vector[:, 1] * axis[1] + vector[:, 2] * axis[2])[:, None] * axis
+    return np.asarray(along + cosine * (vector - along) - sine * np.cross(axis, vector))

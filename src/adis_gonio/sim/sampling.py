@@ -6,6 +6,10 @@ illegal range acts as ±300 °/s, M = 7 as 6, and an M below the range's least o
 means a sample beyond the nominal range. What MSC_CTRL[7:6] take off is taken off each sample ahead of the
 filter, the gyros' part by what the chip's own accelerometers read; how much is a figure of `Electronics`,
 as are where the gyros are cut off and how the ranges differ.
+
+The chip's digital filter: a Bartlett window made of two cascaded boxcars (CHIP.md, A).
+
+Samples are integers in fixed point, so that sums are exact however a run of samples is divided.
 """
 
 from __future__ import annotations
@@ -18,11 +22,51 @@ from numpy.typing import NDArray
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, REGISTERS, Register
 from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE, Variant
 from adis_gonio.sim.electronics import IDEAL, Electronics
-from adis_gonio.sim.filter import MOST_M, bartlett_sums, history_rows, taps
 from adis_gonio.sim.inputs import Floats, Inputs
 from adis_gonio.sim.memory import Memory
 
 Integers = NDArray[np.int64]
+
+MOST_M = 6
+
+
+def taps(m: int) -> int:
+    """Taps N of each boxcar."""
+    return 1 << m
+
+
+def history_rows(m: int) -> int:
+    """Earlier samples that the filter reaches back to: 2N - 2."""
+    return 2 * taps(m) - 2
+
+
+def bartlett_sums(samples: Integers, m: int) -> Integers:
+    """Weighted sums of a Bartlett window, N² times its mean.
+
+    Parameters
+    ----------
+    samples : (2N - 2 + n, k) int
+        Samples, the first 2N - 2 of them history.
+    m : int
+        SENS_AVG[2:0]; N = 2^M.
+
+    Returns
+    -------
+    (n, k) int
+        Sums with weights 1, 2, … N, … 2, 1.
+    """
+    n = taps(m)
+    if n == 1:
+        return samples
+    return _boxcar(_boxcar(samples, n), n)
+
+
+def _boxcar(samples: Integers, n: int) -> Integers:
+    total = np.cumsum(samples, axis=0)
+    sums = total[n - 1 :].copy()
+    sums[1:] -= total[:-n]
+    return sums
+
 
 OUTPUTS: tuple[Register, ...] = tuple(row for row in REGISTERS if row.flags)
 """Output registers in order of address: the columns of all arrays here."""

@@ -207,7 +207,7 @@ class WorldSettings(GyroSettings):
     hand_sway_deg, axis_wobble_deg : float
         How much (rms) a part held in the hand sways, and how much the axis of a bearing wobbles.
     hand_moves : float
-        Whether (not 0) a hand brings the part to its positions (`hand_moves.HandMove`), instead of a motor.
+        Whether (not 0) a hand brings the part to its positions (`hand.HandMove`), instead of a motor.
     hand_miss : float
         By how much of its last grip a hand misses a mark (rms), before it corrects.
     hand_stray_deg, hand_twist_deg : float

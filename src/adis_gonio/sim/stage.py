@@ -7,7 +7,7 @@ G cos ψ and Y G sin ψ. In space the stage turns the part until a given unit ve
 would read, in units of G.
 
 A move takes time; the part rings after it. A motor's speed rises and falls as a half sine, a hand moves as
-hands do (`hand_moves.HandMove`). Turns all around by hand (`hand.HandTurn`) have no declared angle.
+hands do (`hand.HandMove`). Turns all around by hand (`hand.HandTurn`) have no declared angle.
 
 On a table (`turn_about`) the part lies as it was laid, and is turned about an axis: gravity stays where it
 was where that axis is vertical.
@@ -20,8 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.sim.hand import HandTurn
-from adis_gonio.sim.hand_moves import HandMove
+from adis_gonio.sim.hand import HandMove, HandTurn
 from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.smooth import Course

@@ -1,7 +1,19 @@
-"""What the steps share: the sensor, what is known by now, and reading without gaps."""
+"""What the steps share: the sensor, what is known by now, and reading without gaps.
+
+Where every limit of the bring-up comes from: one probability of a false alarm for a whole board.
+
+A sound board is to be accused less often than once in 10 000. The probability is divided by the largest
+number of comparisons of a run (Bonferroni), so that the comparisons need not be independent. Each limit
+is the quantile of the distribution that the compared figure has on a sound board: normal for means,
+chi-square for variances, exponential for the bins of a periodogram. What is not random on a sound board
+(a stuck line, a lost edge) has no limit: there one occurrence is enough.
+
+A bus that never clocks faster than the link was found to be free of errors.
+"""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,15 +22,108 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.bench.bringup.ceiling import ClockCeiling
-from adis_gonio.bench.bringup.limits import AlarmBudget
 from adis_gonio.bench.bringup.result import StepResult, Verdict
-from adis_gonio.device.bus import Capability, Words
+from adis_gonio.device.bus import Capability, FrameStream, SpiBus, SpiTiming, Words
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.frames import IDLE
 from adis_gonio.device.sensor.registers import BY_NAME, EA, Register, register, registers
 from adis_gonio.device.sensor.scanning import PolledScans, ScanLayout, ScanStream
+
+
+class ClockCeiling(SpiBus):
+    """Passes everything on to another bus; `ceiling_hz` limits the clock from the next `configure` on."""
+
+    def __init__(self, inner: SpiBus, ceiling_hz: float) -> None:
+        super().__init__(inner.timing)
+        self.inner = inner
+        self.ceiling_hz = ceiling_hz
+        self.url = inner.url
+        self.capabilities = inner.capabilities
+        self.edge_rises = inner.edge_rises
+        self.unbroken_frames = inner.unbroken_frames
+
+    def now_s(self) -> float:
+        """Monotonic time of the bus in s."""
+        return self.inner.now_s()
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait on the bus's clock."""
+        self.inner.sleep_s(seconds)
+
+    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
+        """As the bus."""
+        return self.inner.stream(frames, block_scans=block_scans)
+
+    def hard_reset(self) -> None:
+        """As the bus."""
+        self.inner.hard_reset()
+
+    def read_event_counter(self) -> int:
+        """As the bus."""
+        return self.inner.read_event_counter()
+
+    def _exchange(self, frames: Words) -> Words:
+        return self.inner.exchange_array(frames)
+
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        return self.inner.configure(replace(timing, clock_hz=min(timing.clock_hz, self.ceiling_hz)))
+
+    def _close(self) -> None:
+        self.inner.close()
+
+
+FALSE_ALARM = 1e-4
+"""Probability that a sound board is accused of anything."""
+MOST_TESTS = 256
+"""Comparisons that a run may make."""
+
+
+class AlarmBudget:
+    """Shares the probability of a false alarm out."""
+
+    def __init__(self, total: float = FALSE_ALARM, tests: int = MOST_TESTS) -> None:
+        self.total = total
+        self.tests = tests
+        self.spent = 0
+
+    def alpha(self) -> float:
+        """Probability of a false alarm of one more comparison.
+
+        Raises
+        ------
+        RuntimeError
+            All are spent: the number of tests is a promise about the code.
+        """
+        if self.spent >= self.tests:
+            raise RuntimeError(f"more than {self.tests} comparisons: the false alarm rate does not hold")
+        self.spent += 1
+        return self.total / self.tests
+
+    def z(self) -> float:
+        """Limit of |x − μ| / u, two-sided, of a normal figure."""
+        from scipy.special import ndtri
+
+        return float(-ndtri(self.alpha() / 2))
+
+    def variance_ratio(self, dof: float) -> tuple[float, float]:
+        """Limits of s²/σ² with `dof` degrees of freedom, two-sided."""
+        from scipy.special import gammainccinv, gammaincinv
+
+        tail, shape = self.alpha() / 2, dof / 2
+        return float(gammaincinv(shape, tail)) / shape, float(gammainccinv(shape, tail)) / shape
+
+    def highest_bin(self, bins: int) -> float:
+        """Limit of the largest of `bins` bins of a periodogram over their mean."""
+        return math.log(bins / self.alpha())
+
+
+def at_most(errors: int, trials: int, confidence: float = 0.95) -> float:
+    """Upper limit of a probability after `errors` in `trials` (Clopper and Pearson)."""
+    from scipy.special import betaincinv
+
+    return 1.0 if errors >= trials else float(betaincinv(errors + 1, trials - errors, confidence))
+
 
 Floats = NDArray[np.float64]
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.bringup.bench import BOARD_CLOCK_U, BringupBench, BringupStep
-from adis_gonio.bench.bringup.limits import at_most
+from adis_gonio.bench.bringup.bench import BOARD_CLOCK_U, BringupBench, BringupStep, at_most
 from adis_gonio.bench.bringup.result import Curve, Findings, StepResult
 from adis_gonio.device.bus import SpiTiming, Words
 from adis_gonio.device.sensor.frames import FAST, FAST_UP_TO, IDLE, NORMAL, read_frames

@@ -10,14 +10,19 @@ from typing import Any
 
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.version import __version__
-from adis_gonio.bench.bringup.bench import BringupBench, BringupStep, SideEffect, not_measured, writable
-from adis_gonio.bench.bringup.ceiling import ClockCeiling
+from adis_gonio.bench.bringup.bench import (
+    AlarmBudget,
+    BringupBench,
+    BringupStep,
+    ClockCeiling,
+    SideEffect,
+    not_measured,
+    writable,
+)
 from adis_gonio.bench.bringup.health import Health, WhichPart
-from adis_gonio.bench.bringup.limits import AlarmBudget
 from adis_gonio.bench.bringup.link import BitErrors, Link, Timing
 from adis_gonio.bench.bringup.noise import FilterSteps, Noise
-from adis_gonio.bench.bringup.questions import QUESTIONS
-from adis_gonio.bench.bringup.result import Answer, Bringup, Outcome, Row, StepResult, Verdict
+from adis_gonio.bench.bringup.result import QUESTIONS, Answer, Bringup, Outcome, Row, StepResult, Verdict
 from adis_gonio.bench.bringup.updates import DataReady, Rate, SamplePeriods
 from adis_gonio.bench.bringup.writes import FlashCount, Offset, SelfTests, StatusBits
 from adis_gonio.device.bus import SpiBus

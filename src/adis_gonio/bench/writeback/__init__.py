@@ -4,7 +4,7 @@ The part adds an offset register to its output (DS, A), so the register takes th
 new = the number at which the session was recorded − bias / LSB.
 """
 
-from adis_gonio.bench.writeback.autonull import AutonullFound
+from adis_gonio.bench.writeback.checks import AutonullFound
 from adis_gonio.bench.writeback.plan import (
     WritePlan,
     bias_left_mg,

@@ -7,6 +7,8 @@
 Every step stands in the archive's journal (see `journal`) before or after it is done. Whatever breaks a
 write off (an error, a Ctrl-C, a check that fails) sets back what was there where the sensor still answers,
 and says what it holds.
+
+The journal on the disk: steps into the archive of a session, and the session that holds them.
 """
 
 from __future__ import annotations
@@ -19,21 +21,23 @@ from typing import Any
 
 from adis_gonio.base.errors import AdisGonioError, ChipError, SessionError, UsageError, VerifyError
 from adis_gonio.bench.bench import SessionBench
-from adis_gonio.bench.writeback.autonull import PRECISE_S, AutonullFound, compared
-from adis_gonio.bench.writeback.checks import Agreement
-from adis_gonio.bench.writeback.logbook import Logbook, load
+from adis_gonio.bench.writeback.checks import PRECISE_S, Agreement, AutonullFound, compared
 from adis_gonio.bench.writeback.parts import Gyros, part_of
 from adis_gonio.bench.writeback.plan import UNITS, WritePlan, recorded_offsets
 from adis_gonio.bench.writeback.rest import Rest
 from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.device.sensor.undo import Undo
-from adis_gonio.record.archive import Archive
+from adis_gonio.model.records import Session
+from adis_gonio.record.archive import Archive, read_session
+from adis_gonio.record.database import is_archive
 from adis_gonio.record.faults import SUPPLY_LIMITS_V
 from adis_gonio.record.plans import Position
 from adis_gonio.record.settings import Settings
 from adis_gonio.record.view import ArchiveView
 from adis_gonio.record.write_journal import (
+    AFTER,
+    KIND,
     HeldOffsets,
     Operation,
     WriteStep,
@@ -42,6 +46,55 @@ from adis_gonio.record.write_journal import (
     standing_of,
     to_undo,
 )
+
+
+class Logbook:
+    """Writes an operation's steps to the archive; on return a step is on the disk."""
+
+    def __init__(self, archive: Archive, operation: Operation, now_s: Callable[[], float]) -> None:
+        self._archive, self.operation, self._now_s = archive, operation, now_s
+
+    @property
+    def steps(self) -> tuple[WriteStep, ...]:
+        """Steps so far."""
+        return self.operation.steps
+
+    def note(self, step: WriteStep, **facts: Any) -> None:
+        """Record a step.
+
+        Raises
+        ------
+        SessionError
+            The file cannot be written, or another program goes on with the session.
+        """
+        last = self.steps[-1] if self.steps else None
+        if step not in AFTER[last]:
+            raise UsageError(f"'{step}' does not follow '{last}'")
+        self._archive.add_record(
+            KIND, {"number": self.operation.number, "step": step, **facts}, self._now_s()
+        )
+        known = {name: facts[name] for name in ("endurance", "endurance_after") if name in facts}
+        self.operation = replace(self.operation, steps=(*self.steps, step), **known)
+
+
+def load(path: Path) -> Session:
+    """Session of an archive.
+
+    Raises
+    ------
+    SessionError
+        Another kind of file (a journal of what is written needs an archive), or not from the chip.
+    DataError
+        As `read_session`.
+    """
+    if path.is_file() and not is_archive(path):
+        raise SessionError(
+            f"{path}: is no session file of calibrate, where the undo of a write is kept: calibrate first"
+        )
+    session = read_session(path)
+    recorded_offsets(session)
+    return session
+
 
 Tell = Callable[[str], None]
 

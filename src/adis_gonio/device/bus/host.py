@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
 from adis_gonio.base.errors import CannotOpenError, UsageError
-from adis_gonio.device.bus.contract import FRAME_BITS, SpiTiming
+from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiBus, SpiTiming
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.device.bus.udev import rule_for
 
@@ -67,6 +67,72 @@ class Pace:
         """A frame is known to be over now."""
         self._over_s = self._clock.now_s()
         self._start_s = self._over_s - FRAME_BITS / timing.clock_hz
+
+
+class HostBus(SpiBus):
+    """Base of the bridges on the host: their clock, their pace, and what comes before a capability.
+
+    A bridge implements `_pull_reset` and `_count_edges` if it has these capabilities.
+
+    Parameters
+    ----------
+    url : str
+        For messages.
+    clock : Clock
+        The bus's clock.
+    release : callable
+        Called when the bus is closed.
+    """
+
+    def __init__(self, url: str, clock: Clock, release: Callable[[], object]) -> None:
+        super().__init__(SAFE_TIMING)
+        self.url = url
+        self._clock = clock
+        self._pace = Pace(clock)
+        self._release = release
+
+    def now_s(self) -> float:
+        """Monotonic time of this bus in s."""
+        return self._clock.now_s()
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait on this bus's clock."""
+        self._clock.sleep_s(seconds)
+
+    def hard_reset(self) -> None:
+        """Pull RST low for a moment."""
+        with self._lock:
+            self._require(Capability.HARD_RESET)
+            self._pull_reset()
+
+    def read_event_counter(self) -> int:
+        """Data-ready edges since the last call; some counters have 16 bits, so ask once a minute."""
+        with self._lock:
+            self._require(Capability.EVENT_COUNTER)
+            return self._count_edges()
+
+    def _require(self, capability: Capability) -> None:
+        self._require_open()
+        if capability not in self.capabilities:
+            raise self._lacks(capability)
+
+    def _pull_reset(self) -> None:
+        """Pull RST low for `RESET_PULSE_S`; called with the lock held."""
+        raise NotImplementedError
+
+    def _count_edges(self) -> int:
+        """Edges since the last call; called with the lock held."""
+        raise NotImplementedError
+
+    def _close(self) -> None:
+        self._release()
+
+
+def require_separate_pins(url: str, cs: int, reset: int | None, event: int | None, event_name: str) -> None:
+    """Refuse a pin with two duties; None is a duty that the board does not have."""
+    pins = [pin for pin in (cs, reset, event) if pin is not None]
+    if len(set(pins)) != len(pins):
+        raise UsageError(f"{url}: cs, reset_gpio and the event counter ({event_name}) need pins apart")
 
 
 class UrlOptions:

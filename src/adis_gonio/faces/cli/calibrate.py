@@ -12,7 +12,7 @@ from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import exists_error
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.face import choose_face
+from adis_gonio.faces.cli.plain import choose_face
 from adis_gonio.faces.cli.show import print_json
 
 if TYPE_CHECKING:
@@ -125,6 +125,7 @@ def command(
     With --trace the session then says which further positions would decide what is still open, and goes on
     with them until the model is adequate or no position is expected to show more.
     """
+    from adis_gonio.bench.closing import MOST_EXTRA, TraceAdvisor
     from adis_gonio.record.loading import load_session
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.source import open_source, refuse_chip_options
@@ -136,7 +137,7 @@ def command(
     if max_extra is not None and not closing:
         raise UsageError("--max-extra limits what --trace adds: give --trace as well")
     refuse_chip_options(url, _given("rate_hz", "filter_m", "range_dps", "poll", "variant", "no_check"))
-    advisor = _advisor(max_extra) if closing else None
+    advisor = TraceAdvisor(MOST_EXTRA if max_extra is None else max_extra) if closing else None
     if resume and not closing and _nothing_left(output):
         click.echo(f"{output}: complete, nothing is left to do", err=True)
         complete = True
@@ -152,11 +153,17 @@ def command(
             complete = face.run()
     session = load_session(output)
     if session.facts["plan"]["name"] == GYRO_TURNS:
-        return _show_gyros(session, complete=complete, as_json=as_json)
-    return _show(session, advisor, complete=complete, as_json=as_json)
+        from adis_gonio.faces.cli.fit import show_gyro_fit
+
+        show_gyro_fit(session, None, as_json=as_json)
+    else:
+        _show(session, advisor, complete=complete, as_json=as_json)
+    if not as_json:
+        click.echo(f"session: {session.source}")
+    return _status(session, complete=complete)
 
 
-def _show(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> int:
+def _show(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> None:
     """What a session of positions gives, its gyros in a line."""
     from adis_gonio.faces.cli.fit import print_answer, print_gains
     from adis_gonio.fitting import fit
@@ -176,7 +183,7 @@ def _show(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_
         if traced is not None:
             document |= {"trace": traced.as_dict(), "rounds": session.facts["advised"]}
         print_json(document)
-        return _status(session, complete=complete)
+        return
     print_answer(answer, truth)
     print_gains(session)
     if traced is not None:
@@ -186,18 +193,6 @@ def _show(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_
         click.echo()
         print_trace(session, traced)
         print_loop(session, traced)
-    click.echo(f"session: {session.source}")
-    return _status(session, complete=complete)
-
-
-def _show_gyros(session: Session, *, complete: bool, as_json: bool) -> int:
-    """What a session of gyro turns gives."""
-    from adis_gonio.faces.cli.fit import show_gyro_fit
-
-    show_gyro_fit(session, None, as_json=as_json)
-    if not as_json:
-        click.echo(f"session: {session.source}")
-    return _status(session, complete=complete)
 
 
 def _status(session: Session, *, complete: bool) -> int:
@@ -225,12 +220,6 @@ def _written(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
             given = click.prompt(f"{what} (Enter: none)", default="", show_default=False, err=True)
         written[name] = given or ""
     return written
-
-
-def _advisor(max_extra: int | None) -> TraceAdvisor:
-    from adis_gonio.bench.closing import MOST_EXTRA, TraceAdvisor
-
-    return TraceAdvisor(MOST_EXTRA if max_extra is None else max_extra)
 
 
 def _traced(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
@@ -313,15 +302,16 @@ def _runner(
         raise UsageError(f"{_TURNED[plan_name or '']}: leave --check, --extend and --trace out")
     if plan_name == GYRO_TURNS and world is not None and options["fixture_deg"] is None:
         fixture = world.settings.mark_sigma_deg
-    chosen, length_s = _chosen(plan_name, positions, check, duration_s, turns, options["dwell_s"])
+    chosen, length_s = _chosen(plan_name, positions, check, duration_s, turns)
+    keeps_moves = options["record_turns"]
     settings = option.measuring_settings(
-        dwell_s=length_s,
+        dwell_s=options["dwell_s"] if length_s is None else length_s,
         settle_s=options["settle_s"],
         rate_hz=options["rate_hz"],
         filter_m=options["filter_m"],
         gyro_range_dps=options["range_dps"],
         data_ready=False if options["poll"] else None,
-        turns=_keeps_moves(plan_name, options["record_turns"]),
+        turns=plan_name not in _TURNED if keeps_moves is None else keeps_moves,
         registers=ALL_THERMOMETERS if plan_name == GYRO_TURNS else DEFAULT_SCAN,
     )
     return SessionRunner.begin(
@@ -340,11 +330,6 @@ def _runner(
     )
 
 
-def _keeps_moves(plan_name: str | None, wanted: bool | None) -> bool:
-    """Moves between positions are kept unless told otherwise; plans of turns record what they need."""
-    return plan_name not in _TURNED if wanted is None else wanted
-
-
 _TURNED = {
     "free-turn": "a free turn has no positions",
     "gyro-turns": "of gyro turns all take part in the fit",
@@ -352,49 +337,24 @@ _TURNED = {
 
 
 def _chosen(
-    name: str | None,
-    positions: int | None,
-    check: int,
-    duration_s: float | None,
-    turns: int | None,
-    dwell_s: float,
-) -> tuple[Plan, float]:
-    """Plan by its options, and the length of a dwell; of a free turn the longest of its recording."""
-    if name == "free-turn":
-        return _free_turn(turns, positions, duration_s)
-    if name == "gyro-turns":
-        return _gyro_turns(turns, positions, duration_s), dwell_s
-    return _positions(name, positions, check, duration_s, turns), dwell_s
-
-
-def _free_turn(turns: int | None, positions: int | None, duration_s: float | None) -> tuple[Plan, float]:
-    """Plan of a free turn, and the longest time of its recording."""
-    from adis_gonio.bench.free_turn import DURATION_S, TURNS, free_turn_plan
-
-    if positions is not None:
-        raise UsageError(f"{_TURNED['free-turn']}: leave --positions, --check, --extend and --trace out")
-    length_s = DURATION_S if duration_s is None else duration_s
-    return free_turn_plan(TURNS if turns is None else turns, length_s), length_s
-
-
-def _gyro_turns(turns: int | None, faces: int | None, duration_s: float | None) -> Plan:
-    """Plan of whole turns, which take what time they take."""
-    from adis_gonio.bench.gyro_turns import TURNS, gyro_turns_plan
-
-    if duration_s is not None:
-        raise UsageError("--duration is that of a free turn: give --plan free-turn")
-    return gyro_turns_plan(TURNS if turns is None else turns, 6 if faces is None else faces)
-
-
-def _positions(
     name: str | None, positions: int | None, check: int, duration_s: float | None, turns: int | None
-) -> Plan:
-    """Plan of positions, for which options of a free turn mean nothing."""
+) -> tuple[Plan, float | None]:
+    """Return the plan by its options, and the longest recording of a free turn."""
+    from adis_gonio.bench import free_turn, gyro_turns
     from adis_gonio.plan.document import plan_by
     from adis_gonio.record.plans import DEFAULT_PLAN
 
+    if name == "free-turn":
+        if positions is not None:
+            raise UsageError(f"{_TURNED[name]}: leave --positions, --check, --extend and --trace out")
+        length_s = free_turn.DURATION_S if duration_s is None else duration_s
+        return free_turn.free_turn_plan(free_turn.TURNS if turns is None else turns, length_s), length_s
     if duration_s is not None:
-        raise UsageError("--duration is that of a free turn: give --plan free-turn, or --dwell")
+        dwell = "" if name == "gyro-turns" else ", or --dwell"
+        raise UsageError(f"--duration is that of a free turn: give --plan free-turn{dwell}")
+    if name == "gyro-turns":
+        faces = 6 if positions is None else positions
+        return gyro_turns.gyro_turns_plan(gyro_turns.TURNS if turns is None else turns, faces), None
     if turns is not None:
         raise UsageError("--turns are those of a free turn: give --plan free-turn (of gyros: gyro-turns)")
-    return plan_by(name or DEFAULT_PLAN, positions, check)
+    return plan_by(name or DEFAULT_PLAN, positions, check), None

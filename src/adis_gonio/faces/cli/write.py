@@ -77,7 +77,7 @@ def command(
             "write asks before it writes, and nobody is there to answer: add --yes or --dry-run"
         )
     from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
-    from adis_gonio.bench.writeback.logbook import load
+    from adis_gonio.bench.writeback.writer import load
     from adis_gonio.device.sensor import open_sensor
     from adis_gonio.record.source import refuse_chip_options
 

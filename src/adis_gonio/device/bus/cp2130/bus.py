@@ -24,7 +24,7 @@ from typing import Protocol
 import numpy as np
 
 from adis_gonio.base.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
-from adis_gonio.device.bus.contract import Capability, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus.contract import Capability, SpiTiming, Words
 from adis_gonio.device.bus.cp2130.requests import (
     CLOCKS_HZ,
     COUNTER_MODES,
@@ -46,7 +46,15 @@ from adis_gonio.device.bus.cp2130.requests import (
     spi_word,
     spi_word_request,
 )
-from adis_gonio.device.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock, Pace, gone
+from adis_gonio.device.bus.host import (
+    RESET_PULSE_S,
+    SAFE_TIMING,
+    WALL,
+    Clock,
+    HostBus,
+    gone,
+    require_separate_pins,
+)
 
 TIMEOUT_S = 0.25
 """Time for one transfer; the chip needs less than 1 ms."""
@@ -84,7 +92,7 @@ class UsbDevice(Protocol):
         """Reset the port."""
 
 
-class Cp2130Bus(SpiBus):
+class Cp2130Bus(HostBus):
     """A bus over an open USB device.
 
     Parameters
@@ -137,30 +145,23 @@ class Cp2130Bus(SpiBus):
         timeout_s: float = TIMEOUT_S,
         clock: Clock = WALL,
     ) -> None:
-        super().__init__(SAFE_TIMING)
-        self.url = url
+        super().__init__(url, clock, release)
         self._device = device
         self._usb_error = usb_error
         self._claim = claim
-        self._release = release
         self._out_endpoint, self._in_endpoint = endpoints
         self._cs = cs
         self._reset_gpio = reset_gpio
         self._timeout_s = timeout_s
-        self._clock = clock
-        self._pace = Pace(clock)
         self._unsure = False
         self._must_reset = False
-        duties = [cs, *([reset_gpio] if reset_gpio is not None else []), *([EVENT_PIN] * event_counter)]
-        if len(set(duties)) != len(duties):
-            raise UsageError(
-                f"{url}: cs, reset_gpio and the event counter (GPIO.{EVENT_PIN}) need pins apart"
-            )
+        event = EVENT_PIN if event_counter else None
+        require_separate_pins(url, cs, reset_gpio, event, f"GPIO.{EVENT_PIN}")
         self._drain()
         self._timing = self._configure(SAFE_TIMING)
         offered = set()
+        self._drive_reset(1)
         if reset_gpio is not None:
-            self._out(ControlRequest.SET_GPIO_MODE, gpio_request(reset_gpio, GpioMode.OPEN_DRAIN, 1))
             offered.add(Capability.HARD_RESET)
         self._counted = 0
         if event_counter:
@@ -169,16 +170,6 @@ class Cp2130Bus(SpiBus):
                 raise UsageError(f"{url}: GPIO.{EVENT_PIN} of this board is no event counter (see its OTP)")
             offered.add(Capability.EVENT_COUNTER)
         self.capabilities = frozenset(offered)
-
-    # -- time ------------------------------------------------------------------------------------------
-
-    def now_s(self) -> float:
-        """Monotonic time of this bus in s."""
-        return self._clock.now_s()
-
-    def sleep_s(self, seconds: float) -> None:
-        """Wait on this bus's clock."""
-        self._clock.sleep_s(seconds)
 
     # -- frames ----------------------------------------------------------------------------------------
 
@@ -225,35 +216,26 @@ class Cp2130Bus(SpiBus):
             raise
         return replies
 
-    def _close(self) -> None:
-        self._release()
-
     # -- optional capabilities ---------------------------------------------------------------------------
 
-    def hard_reset(self) -> None:
-        """Pull RST low for a moment."""
-        with self._lock:
-            self._require_open()
-            if self._reset_gpio is None:
-                raise self._lacks(Capability.HARD_RESET)
-            self._settle()
-            for level in (0, 1):
-                self._out(
-                    ControlRequest.SET_GPIO_MODE, gpio_request(self._reset_gpio, GpioMode.OPEN_DRAIN, level)
-                )
-                self.sleep_s(RESET_PULSE_S)
+    def _pull_reset(self) -> None:
+        self._settle()
+        for level in (0, 1):
+            self._drive_reset(level)
+            self.sleep_s(RESET_PULSE_S)
 
-    def read_event_counter(self) -> int:
-        """Edges since the last call or port reset; 16 bits, so ask at least once a minute."""
-        with self._lock:
-            self._require_open()
-            if Capability.EVENT_COUNTER not in self.capabilities:
-                raise self._lacks(Capability.EVENT_COUNTER)
-            self._settle()
-            _, count = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
-            # The counter is never set back, so that a read that fails loses nothing.
-            new, self._counted = (count - self._counted) & 0xFFFF, count
-            return new
+    def _drive_reset(self, level: int) -> None:
+        if self._reset_gpio is not None:
+            mode = gpio_request(self._reset_gpio, GpioMode.OPEN_DRAIN, level)
+            self._out(ControlRequest.SET_GPIO_MODE, mode)
+
+    def _count_edges(self) -> int:
+        """Edges since the last call or port reset."""
+        self._settle()
+        _, count = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
+        # The counter is never set back, so that a read that fails loses nothing.
+        new, self._counted = (count - self._counted) & 0xFFFF, count
+        return new
 
     # -- transfers -----------------------------------------------------------------------------------------
 
@@ -326,8 +308,7 @@ class Cp2130Bus(SpiBus):
         code = clock_code(self._timing.clock_hz)
         assert code is not None, "the timing in force was configured"
         self._set_up(code)
-        if self._reset_gpio is not None:
-            self._out(ControlRequest.SET_GPIO_MODE, gpio_request(self._reset_gpio, GpioMode.OPEN_DRAIN, 1))
+        self._drive_reset(1)
         if Capability.EVENT_COUNTER in self.capabilities:
             _, self._counted = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
         self._must_reset = False

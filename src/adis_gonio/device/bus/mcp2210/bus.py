@@ -27,8 +27,17 @@ from dataclasses import replace
 import numpy as np
 
 from adis_gonio.base.errors import BusError, BusTimeoutError, ProtocolError, UsageError
-from adis_gonio.device.bus.contract import Capability, SpiBus, SpiTiming, Words
-from adis_gonio.device.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock, Pace, busy, gone
+from adis_gonio.device.bus.contract import Capability, SpiTiming, Words
+from adis_gonio.device.bus.host import (
+    RESET_PULSE_S,
+    SAFE_TIMING,
+    WALL,
+    Clock,
+    HostBus,
+    busy,
+    gone,
+    require_separate_pins,
+)
 from adis_gonio.device.bus.mcp2210.reports import (
     COUNT_RISING_EDGES,
     EVENT_MODE_MASK,
@@ -63,7 +72,7 @@ _MOST_LATE = 64
 """Answers of others that are thrown away before the device is called confused."""
 
 
-class Mcp2210Bus(SpiBus):
+class Mcp2210Bus(HostBus):
     """A bus over an open HID device.
 
     Parameters
@@ -105,21 +114,16 @@ class Mcp2210Bus(SpiBus):
         clock: Clock = WALL,
         release: Callable[[], object] | None = None,
     ) -> None:
-        super().__init__(SAFE_TIMING)
-        self.url = url
+        super().__init__(url, clock, release or device.close)
         self._device = device
         self._cs = cs
         self._reset_gpio = reset_gpio
         self._timeout_s = timeout_s
-        self._clock = clock
-        self._release = release or device.close
-        self._pace = Pace(clock)
         self._unsure = True
         self._takes_reports = True
         self._marked = 0
-        duties = [cs, *([reset_gpio] if reset_gpio is not None else []), *([EVENT_PIN] * event_counter)]
-        if len(set(duties)) != len(duties):
-            raise UsageError(f"{url}: cs, reset_gpio and the event counter (GP{EVENT_PIN}) need pins apart")
+        event = EVENT_PIN if event_counter else None
+        require_separate_pins(url, cs, reset_gpio, event, f"GP{EVENT_PIN}")
         offered = set()
         if reset_gpio is not None:
             offered.add(Capability.HARD_RESET)
@@ -130,16 +134,6 @@ class Mcp2210Bus(SpiBus):
         self._settle()
         self._set_pins()
         self._timing = self._configure(SAFE_TIMING)
-
-    # -- time ----------------------------------------------------------------------------------------
-
-    def now_s(self) -> float:
-        """Monotonic time of this bus in s."""
-        return self._clock.now_s()
-
-    def sleep_s(self, seconds: float) -> None:
-        """Wait on this bus's clock."""
-        self._clock.sleep_s(seconds)
 
     # -- frames --------------------------------------------------------------------------------------
 
@@ -206,36 +200,23 @@ class Mcp2210Bus(SpiBus):
                 self._pace.wait(self._timing)
         raise busy(self.url, f"the SPI side ({status_words(status)})")
 
-    def _close(self) -> None:
-        self._release()
-
     # -- optional capabilities -----------------------------------------------------------------------
 
-    def hard_reset(self) -> None:
-        """Pull RST low for a moment."""
-        with self._lock:
-            self._require_open()
-            if self._reset_gpio is None:
-                raise self._lacks(Capability.HARD_RESET)
-            bit = 1 << self._reset_gpio
-            self._settle()
-            values = parse_pins(self._ask(Command.GET_GPIO_VALUES), Command.GET_GPIO_VALUES)
-            inputs = parse_pins(self._ask(Command.GET_GPIO_DIRECTIONS), Command.GET_GPIO_DIRECTIONS)
-            self._ask_done(Command.SET_GPIO_VALUES, pins_request(Command.SET_GPIO_VALUES, values & ~bit))
-            for directions in (inputs & ~bit, inputs | bit):
-                self._ask_done(
-                    Command.SET_GPIO_DIRECTIONS, pins_request(Command.SET_GPIO_DIRECTIONS, directions)
-                )
-                self.sleep_s(RESET_PULSE_S)
+    def _pull_reset(self) -> None:
+        bit = 1 << (self._reset_gpio or 0)
+        self._settle()
+        values = parse_pins(self._ask(Command.GET_GPIO_VALUES), Command.GET_GPIO_VALUES)
+        inputs = parse_pins(self._ask(Command.GET_GPIO_DIRECTIONS), Command.GET_GPIO_DIRECTIONS)
+        self._ask_done(Command.SET_GPIO_VALUES, pins_request(Command.SET_GPIO_VALUES, values & ~bit))
+        for directions in (inputs & ~bit, inputs | bit):
+            report = pins_request(Command.SET_GPIO_DIRECTIONS, directions)
+            self._ask_done(Command.SET_GPIO_DIRECTIONS, report)
+            self.sleep_s(RESET_PULSE_S)
 
-    def read_event_counter(self) -> int:
-        """Edges on GP6 since the last call; 16 bits, so ask at least once a minute."""
-        with self._lock:
-            self._require_open()
-            if Capability.EVENT_COUNTER not in self.capabilities:
-                raise self._lacks(Capability.EVENT_COUNTER)
-            self._settle()
-            return parse_events(self._ask(Command.EVENTS))
+    def _count_edges(self) -> int:
+        """Edges on GP6 since the last call."""
+        self._settle()
+        return parse_events(self._ask(Command.EVENTS))
 
     def _set_pins(self) -> None:
         now = ChipSettings.parse(self._ask(Command.GET_CHIP))

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from adis_gonio.base.errors import BusError, BusTimeoutError, ProtocolError, UsageError
-from adis_gonio.device.bus.contract import RESERVED_BIT, Capability, FrameStream, SpiBus, SpiTiming, Words
-from adis_gonio.device.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock
+from adis_gonio.device.bus.contract import RESERVED_BIT, Capability, FrameStream, SpiTiming, Words
+from adis_gonio.device.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock, HostBus
 from adis_gonio.device.bus.serial.clocks import ClockMap
 from adis_gonio.device.bus.serial.link import B, Port, RefusedError, SerialLink
 from adis_gonio.device.bus.serial.stream import SerialStream
@@ -29,7 +29,7 @@ _GATHER_S = 0.01
 """A stream's bytes are fetched so often at most: fewer, larger reads cost less."""
 
 
-class SerialBus(SpiBus):
+class SerialBus(HostBus):
     """A bus over an open serial port.
 
     Parameters
@@ -77,13 +77,10 @@ class SerialBus(SpiBus):
         link: SerialLink | None = None,
         release: Callable[[], object] | None = None,
     ) -> None:
-        super().__init__(SAFE_TIMING)
-        self.url = url
-        self._clock = clock
+        super().__init__(url, clock, release or port.close)
         self._trigger = trigger
         self.edge_rises = trigger is wire.Trigger.RISING
         self._link = link or SerialLink(port, url=url, clock=clock)
-        self._release = release or port.close
         self._stream: SerialStream | None = None
         self._counted = 0
         self._board_us = 0
@@ -107,16 +104,6 @@ class SerialBus(SpiBus):
         if wire.FirmwareCapability.HARD_RESET in has:
             offered.add(Capability.HARD_RESET)
         return frozenset(offered)
-
-    # -- time -------------------------------------------------------------------------------------------
-
-    def now_s(self) -> float:
-        """Monotonic time of this bus in s."""
-        return self._clock.now_s()
-
-    def sleep_s(self, seconds: float) -> None:
-        """Wait on this bus's clock."""
-        self._clock.sleep_s(seconds)
 
     # -- frames -----------------------------------------------------------------------------------------
 
@@ -195,29 +182,17 @@ class SerialBus(SpiBus):
             )
             return self._stream
 
-    def hard_reset(self) -> None:
-        """Pull RST low for a moment."""
-        with self._lock:
-            self._require_open()
-            if Capability.HARD_RESET not in self.capabilities:
-                raise self._lacks(Capability.HARD_RESET)
-            self._refuse_while_streaming()
-            self._ask(wire.ResetRequest(round(RESET_PULSE_S * 1e6)), wire.ResetReply, RESET_PULSE_S)
+    def _pull_reset(self) -> None:
+        self._refuse_while_streaming()
+        self._ask(wire.ResetRequest(round(RESET_PULSE_S * 1e6)), wire.ResetReply, RESET_PULSE_S)
 
-    def read_event_counter(self) -> int:
-        """Data-ready edges since the last call."""
-        with self._lock:
-            self._require_open()
-            if Capability.EVENT_COUNTER not in self.capabilities:
-                raise self._lacks(Capability.EVENT_COUNTER)
-            return self.count_events()[0]
+    def _count_edges(self) -> int:
+        return self.count_events()[0]
 
     def count_events(self) -> tuple[int, float]:
         """Data-ready edges since the last call, and the time by the firmware's clock in s."""
         with self._lock:
-            self._require_open()
-            if Capability.EVENT_COUNTER not in self.capabilities:
-                raise self._lacks(Capability.EVENT_COUNTER)
+            self._require(Capability.EVENT_COUNTER)
             now = self._ask(wire.StatisticsRequest(), wire.StatisticsReply)
             # The firmware never sets its counter back: a reply that was lost loses no edges.
             new, self._counted = (now.edges - self._counted) & 0xFFFF_FFFF, now.edges

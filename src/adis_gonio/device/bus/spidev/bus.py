@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
-from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiBus, SpiTiming, Words
-from adis_gonio.device.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock, Pace, gone
+from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiTiming, Words
+from adis_gonio.device.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock, HostBus, gone
 from adis_gonio.device.bus.spidev import kernel as k
 
 CS_HIGH_US = 10.0
@@ -42,7 +42,7 @@ SLOWEST_HZ = 10_000
 _GONE = (errno.ENODEV, errno.ESHUTDOWN, errno.ENXIO)
 
 
-class SpidevBus(SpiBus):
+class SpidevBus(HostBus):
     """A bus over an open spidev file.
 
     Parameters
@@ -81,30 +81,16 @@ class SpidevBus(SpiBus):
         reset_fd: int | None = None,
         clock: Clock = WALL,
     ) -> None:
-        super().__init__(SAFE_TIMING)
-        self.url = url
+        super().__init__(url, clock, release)
         self._system = system
         self._fd = fd
-        self._release = release
         self._cs_high_us = cs_high_us
         self._reset_fd = reset_fd
-        self._clock = clock
-        self._pace = Pace(clock)
         self._most = k.MOST_TRANSFERS
         if reset_fd is not None:
             self.capabilities = frozenset({Capability.HARD_RESET})
         self._set_mode()
         self._timing = self._configure(SAFE_TIMING)
-
-    # -- time --------------------------------------------------------------------------------------------
-
-    def now_s(self) -> float:
-        """Monotonic time of this bus in s."""
-        return self._clock.now_s()
-
-    def sleep_s(self, seconds: float) -> None:
-        """Wait on this bus's clock."""
-        self._clock.sleep_s(seconds)
 
     # -- frames ------------------------------------------------------------------------------------------
 
@@ -164,20 +150,12 @@ class SpidevBus(SpiBus):
             raise ProtocolError(f"{self.url}: {clocked} of {count * step} bytes were clocked")
         return received.astype(np.uint16)
 
-    def _close(self) -> None:
-        self._release()
-
     # -- optional capabilities -----------------------------------------------------------------------------
 
-    def hard_reset(self) -> None:
-        """Pull RST low for a moment."""
-        with self._lock:
-            self._require_open()
-            if self._reset_fd is None:
-                raise self._lacks(Capability.HARD_RESET)
-            for bit in (0, 1):
-                self._call(self._reset_fd, k.SET_VALUES, k.LineValues(bit, 1))
-                self.sleep_s(RESET_PULSE_S)
+    def _pull_reset(self) -> None:
+        for bit in (0, 1):
+            self._call(self._reset_fd or 0, k.SET_VALUES, k.LineValues(bit, 1))
+            self.sleep_s(RESET_PULSE_S)
 
     # -- calls ---------------------------------------------------------------------------------------------
 
