@@ -13,7 +13,7 @@ from adis_gonio.base.jsonable import (
     KEYED_BY_NAME,
     NAMED_BY_UNIT,
     OPTIONAL,
-    Record,
+    JsonRecord,
     finite,
     json_object,
     key,
@@ -32,14 +32,14 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Part(Record):
+class Part(JsonRecord):
     name: str = field(metadata=HIDDEN)
     size: float = field(metadata=NAMED_BY_UNIT)
     unit: str = field(default="mm", metadata=HIDDEN)
 
 
 @dataclass(frozen=True)
-class Whole(Record):
+class Whole(JsonRecord):
     kind: str = field(metadata=key("type"))
     first: Part = field(metadata=INLINE)
     parts: tuple[Part, ...] = field(metadata=KEYED_BY_NAME)
@@ -49,7 +49,7 @@ class Whole(Record):
 
 
 @dataclass(frozen=True)
-class Chosen(Record):
+class Chosen(JsonRecord):
     document_keys = ("twice", "value", "hue")
 
     value: int

@@ -32,7 +32,7 @@ def key(name: str) -> dict[str, str]:
     return {"key": name}
 
 
-class Record:
+class JsonRecord:
     """Base class of a dataclass whose JSON document follows from its fields and their metadata.
 
     Attributes

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import NotInstalledError
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import format_uncertain
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def html_table(title: str, entries: Entries) -> str:
     )
 
 
-class ParameterTable(Record):
+class ParameterTable(JsonRecord):
     """Base class of a result that shows its parameters as a table in notebooks and as a data frame."""
 
     def caption_and_parameters(self) -> tuple[str, Entries]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from adis_gonio.base.intervals import expanded
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import format_uncertain
 
 
@@ -55,7 +55,7 @@ def finite_or_none(value: float | None) -> float | None:
 
 
 @dataclass(frozen=True)
-class Detectable(Record):
+class Detectable(JsonRecord):
     """Smallest amplitude that the session would have shown; None where it can show none.
 
     The JSON document is one value of `detectable`.

@@ -17,7 +17,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.intervals import COVERED
-from adis_gonio.base.jsonable import KEYED_BY_NAME, Record
+from adis_gonio.base.jsonable import KEYED_BY_NAME, JsonRecord
 from adis_gonio.fitting.closed_form import model_without
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
@@ -72,7 +72,7 @@ class Propagated:
 
 
 @dataclass(frozen=True)
-class MonteCarlo(Record):
+class MonteCarlo(JsonRecord):
     """A propagation: number of trials that gave a result, and each parameter.
 
     The JSON document is the value of `monte_carlo`.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, mean_direction, wrap_radians
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.fitting.closed_form import model_without
 from adis_gonio.fitting.determination import Determination
 from adis_gonio.fitting.estimation.fit import Fit, Values
@@ -37,7 +37,7 @@ class DwellPrediction:
 
 
 @dataclass(frozen=True)
-class Score(Record):
+class Score(JsonRecord):
     """Errors of a method over the dwells on which all methods are compared.
 
     The JSON document is one entry of `scores`.

@@ -10,7 +10,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.methods import applicable_to, default_method, fit_of
@@ -24,7 +24,7 @@ ALIKE = 0.01
 
 
 @dataclass(frozen=True)
-class Recommendation(Record):
+class Recommendation(JsonRecord):
     """The method whose answer to take, and why, in one sentence.
 
     The JSON document is the value of `recommended`.

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import Record, key
+from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.fitting.sources import Sources, dof_of
 
 ROUNDING = 1e-10
@@ -14,7 +14,7 @@ ROUNDING = 1e-10
 
 
 @dataclass(frozen=True)
-class BudgetRow(Record):
+class BudgetRow(JsonRecord):
     """One source in the budget of one quantity.
 
     The JSON document is one row of `budget`.

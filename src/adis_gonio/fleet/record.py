@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.values import Value
 
 ANGLE = "angle"
@@ -32,7 +32,7 @@ Status = Literal["ok", "failed"]
 
 
 @dataclass(frozen=True)
-class FoundEffect(Record):
+class FoundEffect(JsonRecord):
     """An effect that a trace found, as `found` in the document of `trace`."""
 
     effect: str
@@ -48,7 +48,7 @@ class FoundEffect(Record):
 
 
 @dataclass(frozen=True)
-class SessionRecord(Record):
+class SessionRecord(JsonRecord):
     """What is remembered of one session's file; text that nobody gave, and what is not known, is None.
 
     Attributes

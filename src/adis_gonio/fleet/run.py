@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from adis_gonio.base.budget import told
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted, format_duration
 from adis_gonio.fleet.files import session_files
 from adis_gonio.fleet.record import SessionRecord
@@ -36,7 +36,7 @@ class ThisProcess:
 
 
 @dataclass(frozen=True)
-class Repeated(Record):
+class Repeated(JsonRecord):
     """A file that holds the same session as another, which is the one that counts."""
 
     path: str

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import Record, key
+from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.fitting.estimation.robust import robust_sd
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
@@ -22,7 +22,7 @@ LEAST = 3
 
 
 @dataclass(frozen=True)
-class Distribution(Record):
+class Distribution(JsonRecord):
     """Values of one quantity over the fleet.
 
     Attributes
@@ -55,7 +55,7 @@ class Distribution(Record):
 
 
 @dataclass(frozen=True)
-class Beyond(Record):
+class Beyond(JsonRecord):
     """Scatter against what the sessions' own uncertainties explain.
 
     Attributes
@@ -141,7 +141,7 @@ def _tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> floa
 
 
 @dataclass(frozen=True)
-class Repeats(Record):
+class Repeats(JsonRecord):
     """How sessions of the same unit agree, in units of their u.
 
     Attributes

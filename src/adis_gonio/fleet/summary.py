@@ -14,7 +14,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.intervals import wilson
-from adis_gonio.base.jsonable import HIDDEN, INLINE, Record, key
+from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord, key
 from adis_gonio.base.levels import OUTLYING
 from adis_gonio.base.version import __version__
 from adis_gonio.fleet.columns import Row, Table, table_of
@@ -41,7 +41,7 @@ _RMS = "angle"
 
 
 @dataclass(frozen=True)
-class QuantitySummary(Record):
+class QuantitySummary(JsonRecord):
     """One quantity over all sessions that determine it.
 
     The JSON document is one value of `parameters`.
@@ -84,7 +84,7 @@ class Frequency:
 
 
 @dataclass(frozen=True)
-class Outlying(Record):
+class Outlying(JsonRecord):
     """A unit, a stage or an operator that stands out.
 
     The JSON document is one entry of `outlying.found`.

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.values import Value, finite_or_none
 from adis_gonio.base.version import __version__
 from adis_gonio.fleet.record import QUANTITIES, FoundEffect, SessionRecord
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Options(Record):
+class Options(JsonRecord):
     """What is asked of every session.
 
     Attributes
@@ -69,7 +69,7 @@ def lost(path: str, reason: str) -> SessionRecord:
 
 
 def work(path: str, digest: str, options: dict[str, bool], version: str) -> SessionRecord:
-    """Record of a job, made by a worker that may stand on another machine.
+    """JsonRecord of a job, made by a worker that may stand on another machine.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError
-from adis_gonio.base.jsonable import HIDDEN, Record
+from adis_gonio.base.jsonable import HIDDEN, JsonRecord
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.device.sensor.registers import register
@@ -123,7 +123,7 @@ def gyro_offset_words(gyro: GyroCalibration) -> tuple[GyroOffsetWord, ...]:
 
 
 @dataclass(frozen=True)
-class WantedOffset(Record):
+class WantedOffset(JsonRecord):
     """What a calibration would write into an offset register, in the register's unit, with u."""
 
     name: str = field(metadata=HIDDEN)

@@ -11,7 +11,7 @@ import numpy as np
 
 from adis_gonio.base.budget import check
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.jsonable import HIDDEN, Record
+from adis_gonio.base.jsonable import HIDDEN, JsonRecord
 from adis_gonio.base.numbers import counted
 from adis_gonio.plan.candidates import Candidates, Choice, candidates
 from adis_gonio.plan.criteria import CRITERIA, MEANING, Best, Criterion
@@ -29,7 +29,7 @@ LEAST_GRID_DEG, WIDEST_GRID_DEG = 1.0, 60.0
 
 
 @dataclass(frozen=True)
-class Gain(Record):
+class Gain(JsonRecord):
     """What the best plan gains over another of as many positions.
 
     The JSON document is one value of `gain`.

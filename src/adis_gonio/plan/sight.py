@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import Record, key
+from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.base.numbers import join_words
 from adis_gonio.base.values import Detectable
 from adis_gonio.fitting.estimation.fit import Fit
@@ -51,7 +51,7 @@ class Alike:
 
 
 @dataclass(frozen=True)
-class Sight(Record):
+class Sight(JsonRecord):
     """What a plan sees.
 
     Attributes

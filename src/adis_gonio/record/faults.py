@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted
 from adis_gonio.record.blocks import Block
 
@@ -23,7 +23,7 @@ WITHOUT_NEWS = "they held no new data (ND), so their data-ready edge was not the
 
 
 @dataclass(frozen=True)
-class Alarms(Record):
+class Alarms(JsonRecord):
     """When an error or alarm stood within a dwell (EA).
 
     Attributes

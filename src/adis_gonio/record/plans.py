@@ -28,7 +28,7 @@ from typing import Any, Literal
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.jsonable import OPTIONAL, Record
+from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import counted
 from adis_gonio.model.records import Plane, Use
 
@@ -42,7 +42,7 @@ DEFAULT_PLAN = "two-position"
 
 
 @dataclass(frozen=True)
-class Position(Record):
+class Position(JsonRecord):
     """One place to visit.
 
     Attributes
@@ -85,7 +85,7 @@ class Position(Record):
 
 
 @dataclass(frozen=True)
-class Plan(Record):
+class Plan(JsonRecord):
     """Positions in the order in which they are visited.
 
     Attributes

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.sensor.registers import ACCEL_OFF, GYRO_OFF
 from adis_gonio.model.records import METADATA, Plane, Session
 
 
 @dataclass(frozen=True)
-class Covered(Record):
+class Covered(JsonRecord):
     """Mean and range of a condition over the dwells of a session."""
 
     mean: float

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.jsonable import OPTIONAL, Record
+from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.device.sensor.registers import ACCEL_OUT
 from adis_gonio.device.sensor.settings import sample_period_s, sens_avg_word
@@ -26,7 +26,7 @@ def expected_each_s(settle_s: float, dwell_s: float) -> float:
 
 
 @dataclass(frozen=True)
-class Settings(Record):
+class Settings(JsonRecord):
     """Settings of a session, kept in its archive and used again when it is resumed.
 
     Attributes

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal
 
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.sensor.driver import ENDURANCE_WRAP
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.model.records import Session
@@ -66,7 +66,7 @@ AFTER: dict[WriteStep | None, tuple[WriteStep, ...]] = {
 
 
 @dataclass(frozen=True)
-class Operation(Record):
+class Operation(JsonRecord):
     """One write or undo as the journal tells it.
 
     Attributes
@@ -193,7 +193,7 @@ RegisterState = Literal["old", "new", "half", "other"]
 
 
 @dataclass(frozen=True)
-class HeldOffsets(Record):
+class HeldOffsets(JsonRecord):
     """What the sensor holds, in the words of the journal.
 
     Attributes

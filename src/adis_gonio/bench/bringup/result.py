@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from adis_gonio.base.jsonable import INLINE, Record, key
+from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.device.sensor.variants import VARIANTS
 
@@ -177,7 +177,7 @@ class Outcome(StrEnum):
 
 
 @dataclass(frozen=True)
-class Measured(Record):
+class Measured(JsonRecord):
     """A figure with its standard uncertainty.
 
     Attributes
@@ -198,7 +198,7 @@ class Measured(Record):
 
 
 @dataclass(frozen=True)
-class Answer(Record):
+class Answer(JsonRecord):
     """What was measured of one question about the part; `text` is one sentence."""
 
     outcome: Outcome
@@ -220,7 +220,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class StepResult(Record):
+class StepResult(JsonRecord):
     """Result of a step: a verdict, one sentence that says it, figures, answers to open questions."""
 
     document_keys = ("verdict", "text", "figures")
@@ -288,7 +288,7 @@ class Findings:
 
 
 @dataclass(frozen=True)
-class Row(Record):
+class Row(JsonRecord):
     """A step with its result, as it stands in the document."""
 
     name: str

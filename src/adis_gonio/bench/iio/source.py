@@ -21,7 +21,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, ProtocolError, UsageError
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.bench.iio.channels import BufferLayout, wanted
 from adis_gonio.bench.iio.device import TIMESTAMP, IioDevice
 from adis_gonio.bench.iio.local import LocalDevice, local_accelerometers
@@ -54,7 +54,7 @@ _NETWORK = re.compile(r"ip:(?P<host>\[[^]]+\]|[^:/]+)(?::(?P<port>\d{1,5}))?(?:/
 
 
 @dataclass(frozen=True)
-class IioMeasuring(Record):
+class IioMeasuring(JsonRecord):
     """How an IIO device measures.
 
     Attributes

@@ -22,7 +22,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.jsonable import NAMED_BY_UNIT, Record
+from adis_gonio.base.jsonable import NAMED_BY_UNIT, JsonRecord
 from adis_gonio.bench.writeback.plan import BIASES, UNITS, WritePlan
 from adis_gonio.bench.writeback.rest import Rest
 from adis_gonio.device.sensor.registers import GYRO_OFF
@@ -46,7 +46,7 @@ LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class Agreement(Record):
+class Agreement(JsonRecord):
     """Measured against expected.
 
     Attributes

@@ -19,7 +19,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.device.sensor.variants import VARIANTS, variant
 from adis_gonio.model.effects.base import AXES
@@ -104,7 +104,7 @@ class AxisPlan:
 
 
 @dataclass(frozen=True)
-class WritePlan(Record):
+class WritePlan(JsonRecord):
     """What is to be written.
 
     Attributes

@@ -8,7 +8,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError, UsageError
-from adis_gonio.base.jsonable import OPTIONAL, Record
+from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
 from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
@@ -26,7 +26,7 @@ OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])
 
 
 @dataclass(frozen=True)
-class Rest(Record):
+class Rest(JsonRecord):
     """Means of a dwell.
 
     Attributes

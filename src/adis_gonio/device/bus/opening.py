@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint, entry_points
 from urllib.parse import parse_qsl
 
 from adis_gonio.base.errors import BusError, NotInstalledError, UsageError, one_line
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.bus.contract import SpiBus
 
 ENTRY_POINT_GROUP = "adis_gonio.bus"
@@ -106,7 +106,7 @@ DEVICE_GROUP = "adis_gonio.devices"
 
 
 @dataclass(frozen=True)
-class Device(Record):
+class Device(JsonRecord):
     """A device that could be opened: its URL and its description, each one printable line."""
 
     url: str

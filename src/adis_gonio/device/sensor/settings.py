@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE
 
@@ -161,7 +161,7 @@ def sens_avg_word(gyro_range_dps: int, filter_m: int) -> int:
 
 
 @dataclass(frozen=True)
-class Offsets(Record):
+class Offsets(JsonRecord):
     """The six offset registers in units; each is added to its output.
 
     The LSB of the accelerometers' offsets on the ADIS16354 has confidence C: check it once on hardware.

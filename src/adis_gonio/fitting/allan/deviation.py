@@ -14,7 +14,7 @@ import numpy as np
 from scipy import signal, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.fitting.allan.processes import KINDS, variograms
 
 LEAST_DIFFERENCES = 8
@@ -25,7 +25,7 @@ _LATTICE = 32
 
 
 @dataclass(frozen=True)
-class AllanCurve(Record):
+class AllanCurve(JsonRecord):
     """Allan deviation of one axis with its intervals of 95 %, and the fitted model's.
 
     Attributes

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.levels import LINE_IN_NOISE
 
 MOST = 12
@@ -23,7 +23,7 @@ _LEAKS = 4
 
 
 @dataclass(frozen=True)
-class SpectralLine(Record):
+class SpectralLine(JsonRecord):
     """A sinusoid of a record.
 
     Attributes

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.fitting.slips.faults import Name
 
 Angle = tuple[float, float]
@@ -27,7 +27,7 @@ SIZED: frozenset[Name] = frozenset({"mistyped", "misset", "slipped"})
 
 
 @dataclass(frozen=True)
-class Named(Record):
+class Named(JsonRecord):
     """One name of a set.
 
     The JSON document is one entry of `names`.

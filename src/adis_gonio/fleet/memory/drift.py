@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.values import Value
 
 YEAR_DAYS = 365.25
@@ -22,7 +22,7 @@ LEAST = 3
 
 
 @dataclass(frozen=True)
-class Drift(Record):
+class Drift(JsonRecord):
     """A line through a series.
 
     Attributes

@@ -12,7 +12,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.jsonable import Record, json_object
+from adis_gonio.base.jsonable import JsonRecord, json_object
 from adis_gonio.base.levels import DRIFTING
 from adis_gonio.base.values import Value
 from adis_gonio.fleet.memory.control_chart import CUSUM_H, CUSUM_K, ControlChart, control_chart
@@ -30,7 +30,7 @@ LISTED = (
 
 
 @dataclass(frozen=True)
-class Track(Record):
+class Track(JsonRecord):
     """One quantity over the sessions that determine it.
 
     Attributes

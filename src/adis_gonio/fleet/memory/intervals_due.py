@@ -17,7 +17,7 @@ import numpy as np
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.intervals import coverage_factor
-from adis_gonio.base.jsonable import INLINE, Record, key
+from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.base.numbers import counted
 from adis_gonio.fleet.memory.as_found import PARAMETERS, worst_deg
 from adis_gonio.fleet.memory.drift import LEAST, YEAR_DAYS
@@ -35,7 +35,7 @@ SHORTEST_DAYS, LONGEST_DAYS = 30.0, 5 * YEAR_DAYS
 
 
 @dataclass(frozen=True)
-class Rules(Record):
+class Rules(JsonRecord):
     """What the user decides.
 
     Attributes
@@ -66,7 +66,7 @@ class Rules(Record):
 
 
 @dataclass(frozen=True)
-class Stair(Record):
+class Stair(JsonRecord):
     """One step of the staircase: what a calibration found of the one before.
 
     Attributes
@@ -87,7 +87,7 @@ class Stair(Record):
 
 
 @dataclass(frozen=True)
-class Rule(Record):
+class Rule(JsonRecord):
     """A date by one method, or what is lacking for one."""
 
     method: str
@@ -97,7 +97,7 @@ class Rule(Record):
 
 
 @dataclass(frozen=True)
-class Due(Record):
+class Due(JsonRecord):
     """When to calibrate next.
 
     Attributes

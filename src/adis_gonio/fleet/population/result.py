@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.values import Value
 
 
 @dataclass(frozen=True)
-class Affected(Record):
+class Affected(JsonRecord):
     """A session that is probably affected."""
 
     source: str
@@ -21,7 +21,7 @@ class Affected(Record):
 
 
 @dataclass(frozen=True)
-class Common(Record):
+class Common(JsonRecord):
     """A cause that sessions have in common.
 
     The JSON document is one entry of `found`, `sets` or `unnamed`.
@@ -112,7 +112,7 @@ def _p(value: float) -> str:
 
 
 @dataclass(frozen=True)
-class Reach(Record):
+class Reach(JsonRecord):
     """What a population would have shown of an effect.
 
     The JSON document is one value of `detectable`.
@@ -131,7 +131,7 @@ class Reach(Record):
 
 
 @dataclass(frozen=True)
-class PopulationResult(Record):
+class PopulationResult(JsonRecord):
     """What many sessions have in common.
 
     Attributes

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import Record
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.fitting.closed_form import FOUR, as_printed
 from adis_gonio.handover.paper.comparison import printed_verdicts
 from adis_gonio.handover.paper.crossing import MMPM_ANGLES_DEG, by_positions, readings
@@ -38,7 +38,7 @@ class LabelledValue:
 
 
 @dataclass(frozen=True)
-class Ambiguity(Record):
+class Ambiguity(JsonRecord):
     """An open question of the paper.
 
     Attributes

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import Record, json_object, key
+from adis_gonio.base.jsonable import JsonRecord, json_object, key
 from adis_gonio.handover.paper.crossing import rms
 from adis_gonio.handover.paper.sessions import METHODS, Part, Results
 from adis_gonio.handover.paper.truth import TABLE, Axis, TableRow, truth_of
@@ -57,7 +57,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Comparison(Record):
+class Comparison(JsonRecord):
     """Table 1.
 
     Attributes

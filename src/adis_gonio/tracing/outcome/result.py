@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from adis_gonio.base.budget import Budget
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.jsonable import HIDDEN, INLINE, NAMED_BY_UNIT, OPTIONAL, Record, finite, json_object
+from adis_gonio.base.jsonable import (
+    HIDDEN,
+    INLINE,
+    NAMED_BY_UNIT,
+    OPTIONAL,
+    JsonRecord,
+    finite,
+    json_object,
+)
 from adis_gonio.base.tables import Entries, ParameterTable, lines_of
 from adis_gonio.base.values import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
@@ -25,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ErrorFigures(Record):
+class ErrorFigures(JsonRecord):
     """How well a model does.
 
     The JSON document is the keys of `error.before`.
@@ -60,7 +68,7 @@ class ErrorFigures(Record):
 
 
 @dataclass(frozen=True)
-class Finding(Record):
+class Finding(JsonRecord):
     """One named effect that the trace added.
 
     The JSON document is one entry of `found`.
@@ -93,7 +101,7 @@ class Finding(Record):
 
 
 @dataclass(frozen=True)
-class Unnamed(Record):
+class Unnamed(JsonRecord):
     """Structure that has no name.
 
     The JSON document is the value of `unnamed`.
@@ -120,7 +128,7 @@ class Unnamed(Record):
 
 
 @dataclass(frozen=True)
-class Step(Record):
+class Step(JsonRecord):
     """One term as it came in. The JSON document is one entry of `steps`."""
 
     effect: str
@@ -190,7 +198,7 @@ class NextDwell:
 
 
 @dataclass(frozen=True)
-class Stopped(Record):
+class Stopped(JsonRecord):
     """What the time limit did to a trace.
 
     The JSON document is the value of `stopped`.
@@ -229,7 +237,7 @@ class Stopped(Record):
 
 
 @dataclass(frozen=True)
-class Rival(Record):
+class Rival(JsonRecord):
     """A model near the best: its terms, and its posterior. The JSON document is one entry of `rivals`."""
 
     terms: tuple[str, ...]

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import HIDDEN, Record
+from adis_gonio.base.jsonable import HIDDEN, JsonRecord
 from adis_gonio.base.numbers import join_words
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.tracing.outcome.naming import related, unknown_of
@@ -33,7 +33,7 @@ from adis_gonio.tracing.unnamed.averaging import Averaged
 
 
 @dataclass(frozen=True)
-class CredibleSet(Record):
+class CredibleSet(JsonRecord):
     """The smallest set of names for one cause that holds 95 % of its probability.
 
     The JSON document is one entry of `sets`.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, Record
+from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import name_positions
 from adis_gonio.base.values import Value
 
@@ -20,7 +20,7 @@ events in single dwells."""
 
 
 @dataclass(frozen=True)
-class Place(Record):
+class Place(JsonRecord):
     """One dwell and axis in which something stands.
 
     The JSON document is one entry of `places`.
@@ -74,7 +74,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class WithinFinding(Record):
+class WithinFinding(JsonRecord):
     """Something that the samples inside the dwells show.
 
     The JSON document is one entry of `within`.
