@@ -1,4 +1,7 @@
-"""How often the verification accuses a sound part or misses a wrong one, and whether its u is one."""
+"""How often the verification accuses a sound part or misses a wrong one, and whether its u is one.
+
+scripts/writeback_statistics.py states the rates of many parts.
+"""
 
 import numpy as np
 
@@ -9,12 +12,12 @@ from adis_gonio.device.sensor import Adis16354
 from adis_gonio.record.archive import ArchiveView
 from writeback.rig import new_bus, numbers, record
 
-PARTS = 24
+PARTS = 12
 LSB = 0.4672
 
 
 def test_sound_parts_are_written_and_what_is_left_is_within_an_lsb(tmp_path):
-    """None of 24 sound parts is accused (a rate above 12 % would show so with 95 %), and u holds."""
+    """None of 12 sound parts is accused (a rate above 22 % would show so with 95 %), and u holds."""
     effects, angles, shown, left = [], [], [], []
     for seed in range(100, 100 + PARTS):
         bus = new_bus(seed)
@@ -43,7 +46,7 @@ def test_sound_parts_are_written_and_what_is_left_is_within_an_lsb(tmp_path):
 def test_a_write_that_did_nothing_or_went_the_wrong_way_never_passes(tmp_path):
     """The effect that was planned is some 10 mg: neither zero nor its negative is within four u of it."""
     missed = 0
-    for seed in range(100, 112):
+    for seed in range(100, 106):
         bus = new_bus(seed)
         path = record(tmp_path / f"{seed}.session", bus)
         made = OffsetWriter(Adis16354(bus), path, WriteSettings(dwell_s=0.5))
