@@ -69,7 +69,7 @@ def lost(path: str, reason: str) -> SessionRecord:
 
 
 def work(path: str, digest: str, options: dict[str, bool], version: str) -> SessionRecord:
-    """JsonRecord of a job, made by a worker that may stand on another machine.
+    """Record of a job, made by a worker that may stand on another machine.
 
     Parameters
     ----------
