@@ -74,7 +74,7 @@ def test_offsets_of_the_page_take_their_part_out_of_the_bias(handed_over):
 
 
 def test_every_format_of_the_page_is_one_of_the_command():
-    from adis_gonio.handover.exporting import ENDINGS
+    from adis_gonio.handover.formats import ENDINGS
 
     rows = re.findall(r"^\| (`\..*?) \| `([a-z-]+)` \|", (DOCS / "handover.md").read_text("utf-8"), re.M)
     said = {ending: kind for endings, kind in rows for ending in re.findall(r"`(\.[a-z.]+)`", endings)}

@@ -1,8 +1,7 @@
-"""What `export` writes: a format by name or by a file's ending, and the file's content."""
+"""Export a session or a calibration in one of the formats of `formats.py`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.document import json_text
 from adis_gonio.calibrate.files import calibration_in
 from adis_gonio.handover.c_header import DEFAULT_NAME
+from adis_gonio.handover.formats import BY_NAME
 from adis_gonio.model.records import Session
 from adis_gonio.record.export import session_dict
 from adis_gonio.record.loading import load_session
@@ -22,29 +22,6 @@ from adis_gonio.record.overrides import Overrides
 from adis_gonio.record.provenance import changed_registers
 from adis_gonio.tracing.calibrations import gyro_calibration_of, gyros_alone, with_gyros
 from adis_gonio.tracing.loading import load_gyro_calibration
-
-ENDINGS = {
-    ".h": "c-header",
-    ".hpp": "c-header",
-    ".json": "json",
-    ".csv": "csv",
-    ".csv.gz": "csv",
-    ".parquet": "parquet",
-    ".xml": "dcc",
-    ".txt": "registers",
-}
-FORMATS = tuple(dict.fromkeys(ENDINGS.values()))
-OF_SAMPLES = ("csv", "parquet")
-"""Formats that hold samples and no coefficients."""
-
-
-def format_of(name: str) -> str:
-    """Format by a file's ending; `UsageError` names the endings that are known."""
-    lower = name.lower()
-    for ending in sorted(ENDINGS, key=len, reverse=True):
-        if lower.endswith(ending):
-            return ENDINGS[ending]
-    raise UsageError(f"{name}: no format has this ending; use {', '.join(ENDINGS)}, or --format")
 
 
 @dataclass(frozen=True)
@@ -78,15 +55,16 @@ class ExportSource:
 
     def check(self, kind: str) -> None:
         """Refuse options that have no meaning for a format: `UsageError`."""
-        if kind in OF_SAMPLES and (self.method is not None or self.traced):
+        samples_only = BY_NAME[kind].holds == "samples"
+        if samples_only and (self.method is not None or self.traced):
             raise UsageError(f"--method and --trace go with coefficients: {kind} holds the samples only")
-        if kind in OF_SAMPLES and self.gyros is not None:
+        if samples_only and self.gyros is not None:
             raise UsageError(f"--gyros goes with coefficients: {kind} holds the samples only")
         if self.samples and kind != "json":
             raise UsageError("--samples goes with --format json")
         if self.method is not None and self.traced:
             raise UsageError("--method and --trace exclude each other: a trace has its own model")
-        if self.name != DEFAULT_NAME and kind != "c-header":
+        if self.name != DEFAULT_NAME and not BY_NAME[kind].named:
             raise UsageError("--name goes with --format c-header")
 
     def write(self, kind: str, path: Path) -> list[str]:
@@ -101,14 +79,16 @@ class ExportSource:
             As its parts.
         """
         self.check(kind)
-        if kind not in (*OF_SAMPLES, "json"):
-            write_utf8(path, _TEXTS[kind](self._calibration(), self.name))
+        chosen = BY_NAME[kind]
+        if chosen.holds == "coefficients":
+            options = {"name": self.name} if chosen.named else {}
+            write_utf8(path, chosen.function()(self._calibration(), **options))
             return []
         session = self._session(kind)
-        if kind == "json":
+        if chosen.holds == "document":
             write_utf8(path, self._json(session))
         else:
-            _SAMPLES[kind](session, path)
+            chosen.function()(session, path)
         return changed_registers(session)
 
     def _session(self, kind: str) -> Session:
@@ -170,41 +150,3 @@ class ExportSource:
         else:
             document = {**self._with_gyros(made, session).as_dict(), **document}
         return json_text(finite(document))
-
-
-def _header(calibration: Calibration, name: str) -> str:
-    from adis_gonio.handover.c_header import c_header
-
-    return c_header(calibration, name)
-
-
-def _registers(calibration: Calibration, name: str) -> str:
-    from adis_gonio.handover.offsets import registers_text
-
-    return registers_text(calibration)
-
-
-def _certificate(calibration: Calibration, name: str) -> str:
-    from adis_gonio.handover.certificate import certificate_text
-
-    return certificate_text(calibration)
-
-
-def _csv(session: Session, path: Path) -> None:
-    from adis_gonio.record.export import write_csv
-
-    write_csv(session, path)
-
-
-def _parquet(session: Session, path: Path) -> None:
-    from adis_gonio.handover.parquet import write_parquet
-
-    write_parquet(session, path)
-
-
-_TEXTS: dict[str, Callable[[Calibration, str], str]] = {
-    "c-header": _header,
-    "registers": _registers,
-    "dcc": _certificate,
-}
-_SAMPLES: dict[str, Callable[[Session, Path], None]] = {"csv": _csv, "parquet": _parquet}

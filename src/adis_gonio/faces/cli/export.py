@@ -14,6 +14,7 @@ import click
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import working
+from adis_gonio.handover.formats import BY_NAME, format_of
 
 if TYPE_CHECKING:
     from adis_gonio.handover.exporting import ExportSource
@@ -27,7 +28,7 @@ STANDARD_OUTPUT = "-"
 @click.option(
     "--format",
     "kind",
-    type=click.Choice(["c-header", "json", "csv", "parquet", "dcc", "registers"]),
+    type=click.Choice(list(BY_NAME)),
     help="By default the ending of the file says it.",
 )
 @click.option("-o", "--output", help="File to make; - is standard output.")
@@ -68,7 +69,7 @@ def command(
     SESSION may be a calibration file for c-header, dcc and registers.
     """
     from adis_gonio.base.output import check_output, replacing
-    from adis_gonio.handover.exporting import OF_SAMPLES, ExportSource, format_of
+    from adis_gonio.handover.exporting import ExportSource
 
     if kind is None and output in (None, STANDARD_OUTPUT):
         raise UsageError("what shall be made? Give -o FILE with an ending such as .h or .json, or --format")
@@ -76,7 +77,7 @@ def command(
     named = {} if name is None else {"name": name}
     source = ExportSource(session, method, traced, samples, **named, overrides=overrides, gyros=gyros)
     source.check(kind)
-    if output is None and kind in OF_SAMPLES:
+    if output is None and BY_NAME[kind].holds == "samples":
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")
     checked = None if output in (None, STANDARD_OUTPUT) else check_output(Path(str(output)), force=force)
     with working(f"tracing {session.name}") if traced else nullcontext():
