@@ -154,4 +154,4 @@ def test_limits_are_told_with_their_samples_and_what_they_spoil() -> None:
 def test_of_many_positions_eight_are_named() -> None:
     assert name_positions([3]) == "position 3"
     assert name_positions(range(8)) == "positions 0, 1, 2, 3, 4, 5, 6, 7"
-    assert name_positions(range(9)) == "positions 0, 1, 2, 3, 4, 5, 6, 7 and others"
+    assert name_positions(range(9)) == "positions 0, 1, 2, 3, 4, 5, 6, 7 and 1 more"

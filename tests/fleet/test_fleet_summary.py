@@ -69,9 +69,9 @@ def test_repeats_show_whether_u_is_honest(rng):
     none = np.full(600, np.inf)
     honest = repeats(truth + rng.normal(size=600), np.ones(600), none, unit)
     assert (honest.units, honest.sessions) == (200, 600)
-    assert honest.birge_ratio == pytest.approx(1, abs=4 / math.sqrt(2 * 400))
+    assert honest.ratio == pytest.approx(1, abs=4 / math.sqrt(2 * 400))
     bold = repeats(truth + rng.normal(size=600), np.full(600, 0.5), none, unit)
-    assert bold.birge_ratio == pytest.approx(2, abs=8 / math.sqrt(2 * 400))
+    assert bold.ratio == pytest.approx(2, abs=8 / math.sqrt(2 * 400))
     assert bold.p_value < 1e-6
     assert repeats(truth, np.ones(600), none, np.full(600, -1)) is None
 
