@@ -71,7 +71,9 @@ def test_a_reading_may_be_off_the_median_by_half_of_it(factor: float, taken: boo
 
 def test_of_many_odd_readings_eight_are_named() -> None:
     angles = tuple(15.0 * k for k in range(24))
-    with pytest.raises(DataError, match=r"^a\.csv: readings of positions 0, 1, 2, 3, 4, 5, 6, 7 and 2 more are not"):
+    with pytest.raises(
+        DataError, match=r"^a\.csv: readings of positions 0, 1, 2, 3, 4, 5, 6, 7 and 2 more are not"
+    ):
         readings_of(lengthened(turn(angles=angles, source="a.csv"), tuple(range(10)), 0.3))
 
 

@@ -116,7 +116,9 @@ def test_what_a_tenth_of_a_degree_of_an_unseen_skew_moves_is_said_with_it() -> N
 
     (told,) = [line for line in found.warnings if line.startswith("skew_xy cannot be seen")]
     assert "was taken as zero: 0.1° of it moves bias_x by" in told
-    said = [float(figure) for figure in re.findall(r"bias_. by ([-+][0-9.e-]+)\smg", told.replace("−", "-"))]
+    said = [
+        float(figure) for figure in re.findall(r"bias_. by ([-+][0-9.e-]+)\smg", told.replace("−", "-"))
+    ]
     assert said == pytest.approx((bias(0.01) - bias(-0.01)) / 0.2, rel=0.05)
 
 

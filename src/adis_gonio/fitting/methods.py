@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,9 +32,6 @@ from adis_gonio.record.provenance import provenance_of
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-
-METHODS = ("paper", "two-position", "four-position", "mmpm", "ml")
-"""Names of the methods."""
 
 FREE_TURN = "free-turn"
 """The method of a continuous recording (`adis_gonio.fitting.free_turn`), which has no positions."""
@@ -136,15 +133,6 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
         raise
 
 
-_BY_NAME: dict[str, Callable[[Readings], FitResult]] = {
-    "paper": fit_paper,
-    "two-position": lambda readings: fit_positions(readings, "two-position", _two(readings)),
-    "four-position": lambda readings: fit_positions(readings, "four-position", FOUR),
-    "mmpm": fit_mmpm,
-    "ml": fit_ml,
-}
-
-
 def applicable_methods(session: Session) -> tuple[str, ...]:
     """Methods whose positions the session has; whether they are determined only a fit can tell."""
     if session.free_turn:
@@ -172,23 +160,66 @@ def applicable_to(readings: Readings) -> tuple[str, ...]:
 def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -> tuple[str, ...]:
     if not planar:
         return ("ml",) if len(angles) > 3 else ()
-    held = [
-        bool((np.abs(wrap_degrees(angles - a)) <= 0.5).any()) if np.isfinite(angles).any() else False
-        for a in FOUR
-    ]
-    methods = []
-    if not free:
-        if held[0] and held[1] and known_zero:
-            methods += ["paper", "two-position"]
-        elif held[0] and held[3] and known_zero:
-            methods.append("two-position")
-        if all(held):
-            methods.append("four-position")
-        if int(np.isfinite(angles).sum()) >= LEAST_MMPM:
-            methods.append("mmpm")
-    if len(angles) >= (2 if np.isfinite(angles).all() and not free else 3):
-        methods.append("ml")
-    return tuple(methods)
+    declared = np.isfinite(angles)
+    held = [bool((np.abs(wrap_degrees(angles[declared] - a)) <= 0.5).any()) for a in FOUR]
+    dwells = _Dwells(len(angles), int(declared.sum()), tuple(held), free=free, known_zero=known_zero)
+    return tuple(method.name for method in _METHODS if method.suits(dwells))
+
+
+@dataclass(frozen=True)
+class _Dwells:
+    """Dwells of a planar session: their number, declared angles, and those of 0°, 90°, 180°, 270° held."""
+
+    count: int
+    declared: int
+    held: tuple[bool, ...]
+    free: bool
+    known_zero: bool
+
+    def hold(self, *quarters: int) -> bool:
+        """True if angles are worth something and all these quarter turns are held."""
+        return not self.free and all(self.held[k] for k in quarters)
+
+    @property
+    def has_two(self) -> bool:
+        """True if two positions a quarter turn apart determine ΔK and Δφ."""
+        return self.known_zero and (self.hold(0, 1) or self.hold(0, 3))
+
+    @property
+    def has_enough(self) -> bool:
+        """True if there are enough dwells for a fit of all positions."""
+        return self.count >= (2 if self.declared == self.count and not self.free else 3)
+
+
+@dataclass(frozen=True)
+class Method:
+    """Method of a planar fit.
+
+    Attributes
+    ----------
+    fit : callable
+        From `Readings` to a `FitResult`; raises `FitError` or `SingularError`.
+    suits : callable
+        True if the session has the positions that the method needs.
+    """
+
+    name: str
+    fit: Callable[[Readings], FitResult]
+    suits: Callable[[_Dwells], bool]
+
+
+_METHODS = (
+    Method("paper", fit_paper, lambda d: d.known_zero and d.hold(0, 1)),
+    Method("two-position", lambda r: fit_positions(r, "two-position", _two(r)), lambda d: d.has_two),
+    Method(
+        "four-position", lambda r: fit_positions(r, "four-position", FOUR), lambda d: d.hold(0, 1, 2, 3)
+    ),
+    Method("mmpm", fit_mmpm, lambda d: not d.free and d.declared >= LEAST_MMPM),
+    Method("ml", fit_ml, lambda d: d.has_enough),
+)
+METHODS = tuple(method.name for method in _METHODS)
+"""Names of the methods."""
+_BY_NAME = {method.name: method.fit for method in _METHODS}
 
 
 def _two(readings: Readings) -> tuple[int, int]:
