@@ -186,6 +186,11 @@ class _Dwells:
         return self.known_zero and (self.hold(0, 1) or self.hold(0, 3))
 
     @property
+    def has_four(self) -> bool:
+        """True if opposite positions cancel the biases."""
+        return self.hold(0, 1, 2, 3)
+
+    @property
     def has_enough(self) -> bool:
         """True if there are enough dwells for a fit of all positions."""
         return self.count >= (2 if self.declared == self.count and not self.free else 3)
