@@ -1,0 +1,65 @@
+"""The formats of `adis-gonio export`: one row each.
+
+A new format is a function in this package and a row in `FORMATS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pkgutil import resolve_name
+from typing import Any, Literal
+
+from adis_gonio.base.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Format:
+    """Format of an exported file.
+
+    Attributes
+    ----------
+    name : str
+        Choice of `--format`.
+    endings : tuple of str
+        Endings of a file's name that choose this format.
+    holds : {"coefficients", "samples", "document"}
+        Content: a calibration, the samples of a session, or the JSON document with both.
+    writer : str
+        `module:function`. Of coefficients: takes a `Calibration`, and returns a text. Of samples: takes a
+        `Session` and a path, and writes the file.
+    named : bool
+        True if the function also takes the name with which all names in the file begin.
+    """
+
+    name: str
+    endings: tuple[str, ...]
+    holds: Literal["coefficients", "samples", "document"]
+    writer: str = ""
+    named: bool = False
+
+    def function(self) -> Callable[..., Any]:
+        """Import the function that writes this format."""
+        function: Callable[..., Any] = resolve_name(f"adis_gonio.{self.writer}")
+        return function
+
+
+FORMATS = (
+    Format("c-header", (".h", ".hpp"), "coefficients", "handover.c_header:c_header", named=True),
+    Format("json", (".json",), "document"),
+    Format("csv", (".csv", ".csv.gz"), "samples", "record.export:write_csv"),
+    Format("parquet", (".parquet",), "samples", "handover.parquet:write_parquet"),
+    Format("dcc", (".xml",), "coefficients", "handover.certificate:certificate_text"),
+    Format("registers", (".txt",), "coefficients", "handover.offsets:registers_text"),
+)
+BY_NAME = {one.name: one for one in FORMATS}
+ENDINGS = {ending: one.name for one in FORMATS for ending in one.endings}
+
+
+def format_of(name: str) -> str:
+    """Name of the format by a file's ending; `UsageError` names the endings that are known."""
+    lower = name.lower()
+    for ending in sorted(ENDINGS, key=len, reverse=True):
+        if lower.endswith(ending):
+            return ENDINGS[ending]
+    raise UsageError(f"{name}: no format has this ending; use {', '.join(ENDINGS)}, or --format")
