@@ -276,16 +276,23 @@ def _make_recording(target: Path) -> None:
 
 def warm_up() -> None:
     """Import what the commands import, once."""
-    names = ("fitting", "tracing", "calibration", "session", "sim", "planning", "answer", "report.page")
-    handover = ("exporting", "c_header", "certificate")
+    names = (
+        "fitting.methods",
+        "tracing.trace",
+        "tracing.answer",
+        "bench.runner",
+        "sim.bus",
+        "plan.best",
+        "handover.report.page",
+    )
+    handover = ("exporting", "c_header", "certificate", "report.page")
     commands = (words.split()[0] for lines in COMMANDS.values() for _, words in lines)
     for name in (
         *names,
         *(f"handover.{name}" for name in handover),
-        *(f"cli.{name}" for name in dict.fromkeys(commands)),
+        *(f"faces.cli.{name}" for name in dict.fromkeys(commands)),
     ):
-        with contextlib.suppress(ImportError):
-            importlib.import_module(f"adis_gonio.{name}")
+        importlib.import_module(f"adis_gonio.{name}")
     for name in (
         "scipy.stats",
         "scipy.optimize",

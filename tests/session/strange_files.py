@@ -72,7 +72,7 @@ def archive_rows(sound: SoundFiles, target: Path, rng: random.Random) -> str:
     """Take rows out, or put copies of rows in; the checksums fit."""
     source = rng.choice(sound.sessions)
     shutil.copyfile(source, target)
-    table = rng.choice(TABLES)
+    table = rng.choice(list(TABLES))
     key = rng.randrange(2)
     with closing(sqlite3.connect(target, isolation_level=None)) as connection:
         connection.execute("PRAGMA synchronous = OFF")
@@ -150,7 +150,7 @@ def archive_objects(sound: SoundFiles, target: Path, rng: random.Random) -> str:
     """Put a view, a virtual table, a trigger or a damaged schema into a session file."""
     source = rng.choice(sound.sessions)
     shutil.copyfile(source, target)
-    script = rng.choice(OBJECTS).format(table=rng.choice(TABLES), endless=ENDLESS)
+    script = rng.choice(OBJECTS).format(table=rng.choice(list(TABLES)), endless=ENDLESS)
     with closing(sqlite3.connect(target, isolation_level=None)) as connection:
         connection.execute("PRAGMA synchronous = OFF")
         for statement in script.split(";") if "TRIGGER" not in script else (script,):
