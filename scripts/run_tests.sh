@@ -7,12 +7,9 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 cores="$(nproc 2>/dev/null || echo 2)"
-# Rigs that run in real time wait more than they work: one worker more than cores.
-workers=$((cores + 1))
 selection=()
 if [ "${1:-}" = --quick ]; then
   shift
-  workers="$cores"
   selection=(-m "unit and not slow")
 fi
 [ -x .venv/bin/python ] || python3 -m venv .venv
@@ -24,4 +21,4 @@ fi
 # Threads of BLAS in addition to the workers would wait for one another on matrices of a hundred rows.
 export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
 # A worker that has run its tests takes half of the tests that another one still has.
-exec .venv/bin/pytest -n "$workers" --dist worksteal ${selection[@]+"${selection[@]}"} "$@"
+exec .venv/bin/pytest -n "$cores" --dist worksteal ${selection[@]+"${selection[@]}"} "$@"

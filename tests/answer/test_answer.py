@@ -238,7 +238,10 @@ def test_results_are_readable_in_a_shell_a_notebook_and_pandas(bent, capsys, tmp
     assert main(["fit", str(path), "--method", fitted.method]) == 0
     shown = capsys.readouterr().out
     # The same words on the screen, whatever width their sentences are folded to.
-    assert " ".join(fitted.summary().split()) in " ".join(shown.split())
+    answer = Answer.of(fitted)
+    assert fitted.summary().splitlines() == [*answer.doubt_lines(), *answer.headline()]
+    for words in (answer.doubt_lines(), answer.headline()):
+        assert " ".join(" ".join(words).split()) in " ".join(shown.split())
 
 
 def test_without_pandas_the_extra_is_named(bent, monkeypatch):

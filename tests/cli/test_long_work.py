@@ -176,7 +176,7 @@ def test_a_command_ends_with_130_though_its_first_ctrl_c_was_lost(
             signal.raise_signal(signal.SIGINT)
         wait()
 
-    monkeypatch.setattr("adis_gonio.tracing.trace", deaf)
+    monkeypatch.setattr("adis_gonio.tracing.trace.trace", deaf)
     monkeypatch.setattr("adis_gonio.fitting.fit", deaf)
     monkeypatch.setattr("adis_gonio.faces.api.fit", deaf)
     page = tmp_path / "page.html"

@@ -12,8 +12,8 @@ from textual.geometry import Size
 
 from adis_gonio.base.errors import BusTimeoutError, SessionError
 from adis_gonio.bench import events
-from adis_gonio.faces.cli import face as choosing
 from adis_gonio.faces.cli import plain
+from adis_gonio.faces.cli import plain as choosing
 from adis_gonio.faces.tui import bench, words
 from adis_gonio.faces.tui.face import ScreenFace
 from adis_gonio.faces.tui.state import BenchState, Mark
