@@ -12,7 +12,6 @@ from textual.geometry import Size
 
 from adis_gonio.base.errors import BusTimeoutError, SessionError
 from adis_gonio.bench import events
-from adis_gonio.faces.cli import plain
 from adis_gonio.faces.cli import plain as choosing
 from adis_gonio.faces.tui import bench, words
 from adis_gonio.faces.tui.face import ScreenFace
@@ -327,7 +326,6 @@ def terminal(monkeypatch):
         for end in ("stdin", "stderr")
     }
     monkeypatch.setattr(choosing, "sys", SimpleNamespace(**ends))
-    monkeypatch.setattr(plain, "sys", choosing.sys)
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("LINES", "24")

@@ -17,6 +17,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from adis_gonio.base.jsonable import finite
+from adis_gonio.base.numbers import format_duration
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -209,7 +210,7 @@ def _in_log(what: str) -> Iterator[Work]:
         for due in report_times_s():
             if over.wait(due - work.elapsed_s):
                 return
-            since = f" ({_duration(work.elapsed_s)})" if due > 1 else ""
+            since = f" ({format_duration(work.elapsed_s)})" if due > 1 else ""
             print(f"{work} …{since}", file=sys.stderr, flush=True)  # noqa: T201
 
     teller = threading.Thread(target=tell, daemon=True)
@@ -219,8 +220,3 @@ def _in_log(what: str) -> Iterator[Work]:
     finally:
         over.set()
         teller.join()
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -6,7 +6,9 @@ pytest, the rest does not. Names are imported when they are first used. The page
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from adis_gonio.base.lazy_names import lazily
 
 _HOMES = {
     "BusContract": "bus_contract",
@@ -37,13 +39,4 @@ if TYPE_CHECKING:
     from adis_gonio.sim.testing.simulated import SimulatedSensor as SimulatedSensor
     from adis_gonio.sim.testing.simulated import open_simulated as open_simulated
 
-
-def __getattr__(name: str) -> Any:
-    """Import a name from its home when it is first asked for (PEP 562)."""
-    if name in _HOMES:
-        import importlib
-
-        value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+__getattr__ = lazily(__name__, _HOMES)
