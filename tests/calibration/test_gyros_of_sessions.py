@@ -21,9 +21,9 @@ from adis_gonio.faces.cli import main
 from adis_gonio.fitting.gyros.calibrations import estimates_of_gyro_fit
 from adis_gonio.fitting.gyros.fit import gains_and_directions
 from adis_gonio.handover.exporting import ExportSource
-from adis_gonio.record.export import write_csv
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.provenance import provenance_of
+from adis_gonio.record.samples_writer import write_csv
 from adis_gonio.tracing.calibrations import gyro_calibration_of, with_gyros
 from adis_gonio.tracing.loading import load_gyro_calibration
 from recordings import recording

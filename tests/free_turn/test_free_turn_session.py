@@ -14,11 +14,11 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.faces.cli import app
 from adis_gonio.fitting import fit
-from adis_gonio.record.export import export_csv
+from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import Plan
+from adis_gonio.record.samples_writer import export_csv
 from adis_gonio.record.settings import Settings
-from adis_gonio.record.view import ArchiveView
 
 URL = "sim:?seed=4&lever_x_mm=30&gyro_scale_z=1.01&hand_turn_s=30"
 

@@ -49,7 +49,7 @@ def test_without_a_fault_the_result_is_right_and_holds_the_offsets(polled):
 def blind(monkeypatch):
     """Switch off both comparisons of registers: during the session and of its file."""
     monkeypatch.setattr("adis_gonio.bench.bench.SessionBench.settings_lost", lambda bench: "")
-    monkeypatch.setattr("adis_gonio.record.reading._changed_registers", lambda view: [])
+    monkeypatch.setattr("adis_gonio.record.session_reader._changed_registers", lambda view: [])
 
 
 @pytest.mark.usefixtures("blind")

@@ -28,8 +28,9 @@ from adis_gonio.bench.events import (
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.model.records import Session
-from adis_gonio.record.archive import ArchiveView, read_session
+from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.plans import Plan, Position, plan
+from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings
 from adis_gonio.tracing.outcome.result import NextDwell
 

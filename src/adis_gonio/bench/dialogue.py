@@ -17,8 +17,8 @@ from adis_gonio.bench.events import Event, GuardRaised, Noted, Paused, Unpaused,
 from adis_gonio.bench.guards import Guard
 from adis_gonio.bench.knowledge import Knowledge
 from adis_gonio.bench.ledger import Ledger
+from adis_gonio.record.archive_tables import utc_now
 from adis_gonio.record.blocks import Block, join
-from adis_gonio.record.rows import utc_now
 
 PAUSE_STEP_S = 0.1
 """Between two looks for remarks during a pause, on the wall clock."""

@@ -25,10 +25,9 @@ from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
 from adis_gonio.bench.recording import Recording
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.settings import Status
-from adis_gonio.record.blocks import Block, count_alarms
-from adis_gonio.record.faults import SUPPLY_LIMITS_V, WITHOUT_NEWS, alarms_of
-from adis_gonio.record.rows import utc_now
-from adis_gonio.record.watch import Look
+from adis_gonio.record.archive_tables import utc_now
+from adis_gonio.record.blocks import SUPPLY_LIMITS_V, WITHOUT_NEWS, Block, alarms_of, count_alarms
+from adis_gonio.record.stillness import Look
 
 MOST_RESTARTS = 5
 """Interruptions of one dwell after which somebody has to look."""

@@ -3,7 +3,7 @@
 Its plan has one place, whose dwell is the whole recording. Every few seconds what was recorded goes into
 the archive as a piece: attempts whose reason is `GOES_ON`, ended by one that is complete or says what broke
 it off. A kill or a power cut loses one piece at most, a session that is resumed asks for a new turn, and
-`record.turns.recording_of` gives the best that there is.
+`record.session_reader.recording_of` gives the best that there is.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from adis_gonio.bench.recorder import FollowedTurn, Recorder
 from adis_gonio.model.sweeps import Sweeps
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.plans import Plan, Position
-from adis_gonio.record.turns import FREE_TURN
+from adis_gonio.record.session_reader import FREE_TURN
 
 DURATION_S = 60.0
 TURNS = 2

@@ -19,7 +19,7 @@ from adis_gonio.bench.events import GuardKind
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns
 from adis_gonio.record.expectation import GAIN_LIMIT, K, Off
-from adis_gonio.record.watch import SHIFT_MG
+from adis_gonio.record.stillness import SHIFT_MG
 
 if TYPE_CHECKING:
     from adis_gonio.bench.events import Problem

@@ -28,7 +28,7 @@ from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.fitting.gyros.integral import Integral, Path, Sampling, integrate
 from adis_gonio.record.blocks import Block, join, session_columns
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
-from adis_gonio.record.turns import TURNED
+from adis_gonio.record.session_reader import TURNED
 
 ALL_THERMOMETERS = (*DEFAULT_SCAN, "YTEMP_OUT", "ZTEMP_OUT")
 """What a scan holds so that each gyro has the temperature of its own die."""

@@ -17,12 +17,16 @@ from adis_gonio.bench.ledger import Ledger
 from adis_gonio.bench.recording import Recording
 from adis_gonio.live.smoothed import SmoothedMeter, sensing_of
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
+from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.blocks import Block, join, session_columns
 from adis_gonio.record.expectation import PriorKnowledge
 from adis_gonio.record.plans import Plan, Position
-from adis_gonio.record.rows import Header
-from adis_gonio.record.stillness import StillnessLimits, limits_from_noise
-from adis_gonio.record.watch import SETTLINGS_PER_WINDOW, StillnessWatch
+from adis_gonio.record.stillness import (
+    SETTLINGS_PER_WINDOW,
+    StillnessLimits,
+    StillnessWatch,
+    limits_from_noise,
+)
 
 PARTS = 8
 """Parts of a dwell whose means tell how well its mean is known; 7 degrees of freedom a dwell and axis."""

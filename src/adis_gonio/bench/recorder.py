@@ -15,10 +15,10 @@ from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.dialogue import Questions
 from adis_gonio.bench.events import Event, StageMoved, TurnDone, TurnProgress
+from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase, utc_now
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
-from adis_gonio.record.rows import Attempt, Move, Outcome, Phase, utc_now
-from adis_gonio.record.turns import FREE_TURN, GOES_ON
+from adis_gonio.record.session_reader import FREE_TURN, GOES_ON
 
 BROKEN_STREAM = "the stream of scans ended"
 

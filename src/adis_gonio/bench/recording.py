@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase
 from adis_gonio.record.blocks import Block, cut, join
 from adis_gonio.record.plans import Position
-from adis_gonio.record.rows import Attempt, Move, Outcome, Phase
 
 
 @dataclass

@@ -50,11 +50,13 @@ from adis_gonio.bench.recorder import Recorder, recorder_of
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.model.gravity import checked_gravity_mps2
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.record.archive import Archive, Header, read_session
+from adis_gonio.record.archive import Archive
+from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position, blindness, extended, extension
+from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings, expected_each_s
 from adis_gonio.record.source import SampleSource
-from adis_gonio.record.watch import NoiseMeter
+from adis_gonio.record.stillness import NoiseMeter
 
 SHARE_OF_RANGE = 0.6
 """Of the gyros' range: a hand that takes new grips is much faster than its mean in between."""

@@ -45,8 +45,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     if made is not None:
         return made
     from adis_gonio.fitting import fit
-    from adis_gonio.record.loading import load_session
-    from adis_gonio.record.overrides import as_it_is
+    from adis_gonio.record.loading import as_it_is, load_session
     from adis_gonio.tracing.calibrations import gyros_alone, with_gyros
 
     if ends_in(path, *_FOR_OTHERS):

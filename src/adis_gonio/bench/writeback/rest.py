@@ -18,8 +18,7 @@ from adis_gonio.device.sensor.settings import Configuration
 from adis_gonio.device.sensor.variants import variant
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.settings import LEAST_SAMPLES
-from adis_gonio.record.stillness import limits_from_noise
-from adis_gonio.record.watch import NoiseMeter, StillnessWatch, window_samples
+from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
 
 REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])

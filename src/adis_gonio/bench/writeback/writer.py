@@ -29,12 +29,12 @@ from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis1635
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.device.sensor.undo import Undo
 from adis_gonio.model.records import Session
-from adis_gonio.record.archive import Archive, read_session
+from adis_gonio.record.archive import Archive, ArchiveView
+from adis_gonio.record.blocks import SUPPLY_LIMITS_V
 from adis_gonio.record.database import is_archive
-from adis_gonio.record.faults import SUPPLY_LIMITS_V
 from adis_gonio.record.plans import Position
+from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings
-from adis_gonio.record.view import ArchiveView
 from adis_gonio.record.write_journal import (
     AFTER,
     KIND,
