@@ -8,8 +8,8 @@ from click.testing import CliRunner
 
 from adis_gonio.base.errors import DataError
 from adis_gonio.bench.events import Finished, Problem, TurnDone, TurnProgress
-from adis_gonio.bench.free_turn import free_turn_plan
 from adis_gonio.bench.guidance import turn_to_do
+from adis_gonio.bench.recorder import free_turn_plan
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.faces.cli import app

@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.dialogue import KEPT_S
 from adis_gonio.bench.events import (
     ExtensionOffered,
@@ -25,6 +24,7 @@ from adis_gonio.bench.events import (
 from adis_gonio.bench.guidance import to_do
 from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import sample_period_s
 from adis_gonio.faces.cli import app, main

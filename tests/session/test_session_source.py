@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import SessionError, UsageError
-from adis_gonio.bench.dwelling import problems
+from adis_gonio.bench.dwell_recorder import problems
 from adis_gonio.bench.events import DwellDone, Problem
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor

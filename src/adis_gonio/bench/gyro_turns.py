@@ -18,12 +18,12 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.dialogue import Reply
-from adis_gonio.bench.dwelling import DwellRecorder
+from adis_gonio.bench.dwell_recorder import DwellRecorder
 from adis_gonio.bench.events import DwellInterrupted, Event, GuardKind, Problem
 from adis_gonio.bench.guards import Guard, angle_between_deg
 from adis_gonio.bench.recorder import FollowedTurn
+from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.fitting.gyros.integral import Integral, Path, Sampling, integrate
 from adis_gonio.record.blocks import Block, join, session_columns

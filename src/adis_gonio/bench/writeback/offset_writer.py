@@ -20,11 +20,17 @@ from pathlib import Path
 from typing import Any
 
 from adis_gonio.base.errors import AdisGonioError, ChipError, SessionError, UsageError, VerifyError
-from adis_gonio.bench.bench import SessionBench
-from adis_gonio.bench.writeback.checks import PRECISE_S, Agreement, AutonullFound, compared
-from adis_gonio.bench.writeback.parts import Gyros, part_of
-from adis_gonio.bench.writeback.plan import UNITS, WritePlan, recorded_offsets
-from adis_gonio.bench.writeback.rest import Rest
+from adis_gonio.bench.session_bench import SessionBench
+from adis_gonio.bench.writeback.offset_checks import (
+    PRECISE_S,
+    Agreement,
+    AutonullFound,
+    Gyros,
+    Rest,
+    compared,
+    part_of,
+)
+from adis_gonio.bench.writeback.offset_plan import UNITS, WritePlan, recorded_offsets
 from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.device.sensor.undo import Undo

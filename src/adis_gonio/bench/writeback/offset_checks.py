@@ -1,40 +1,181 @@
 """Is this the session's part, and did the write do what was planned: dwells at rest against the session.
 
-At a declared angle the session's fit predicts both readings; without one only the length of gravity. All
+A dwell is taken by polling: read frames alone, so that nothing but the offsets is ever written. At a
+declared angle the session's fit predicts both readings; without one only the length of gravity. All
 uncertainties go in: of the parameters (with their covariance), of the dwell, of the angle, of the noise
 that wanders between then and now, and of a temperature that is another one.
 
-The chip's own null of its gyros against the zero rates that a session knows.
-
-The chip takes its gyros' outputs of a moment for zero rates: noise of that moment, and what force adds in
-this pose, go into its offsets. In the same pose the session predicts the same sum, with u; beyond the
-uncertainty of both, one of them is wrong.
+The chip's own null of its gyros takes the outputs of a moment for zero rates: noise of that moment, and
+what force adds in this pose, go into its offsets. In the same pose the session predicts the same sum, with
+u; beyond the uncertainty of both, one of them is wrong.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, central_differences
-from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.jsonable import NAMED_BY_UNIT, JsonRecord
-from adis_gonio.bench.writeback.plan import BIASES, UNITS, WritePlan
-from adis_gonio.bench.writeback.rest import Rest
-from adis_gonio.device.sensor.registers import GYRO_OFF
+from adis_gonio.base.errors import FitError, SessionError, UsageError
+from adis_gonio.base.jsonable import NAMED_BY_UNIT, OPTIONAL, JsonRecord
+from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
+from adis_gonio.device.sensor.bartlett import white_gain
+from adis_gonio.device.sensor.decoding import ScanBlock, join
+from adis_gonio.device.sensor.driver import Adis16354
+from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT, Kind
+from adis_gonio.device.sensor.scanning import ScanStream
+from adis_gonio.device.sensor.settings import Configuration
 from adis_gonio.device.sensor.variants import Variant, variant
+from adis_gonio.fitting import fit
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
 from adis_gonio.model.records import Session
+from adis_gonio.record.settings import LEAST_SAMPLES
+from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
 from adis_gonio.record.write_journal import Numbers
+from adis_gonio.tracing.calibrations import gyro_estimates_of, gyros_as_recorded
 
 if TYPE_CHECKING:
-    from adis_gonio.bench.writeback.parts import Gyros
+    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
     from adis_gonio.fitting import FitResult
+    from adis_gonio.fitting.gyros.calibrations import GyroEstimates
+
+REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
+OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])
+
+
+@dataclass(frozen=True)
+class Rest(JsonRecord):
+    """Means of a dwell.
+
+    Attributes
+    ----------
+    mean_mg, u_mg : (3,) float
+        Mean reading and its standard uncertainty: the noise, and the rounding where noise does not blur it.
+    temperature_c, supply_v : float
+    samples : int
+    mean_dps, u_dps : (3,) float or None
+        The same of the gyros, where they were read.
+    sample_dps : (3,) float or None
+        Standard deviation of one sample of the gyros.
+    temperatures_c : (3,) float or None
+        Of the gyros' dies, where they were read.
+    """
+
+    document_keys = ("mean_mg", "u_mg", "temperature_c", "supply_v", "samples", "mean_dps", "u_dps")
+
+    mean_mg: Floats
+    u_mg: Floats
+    temperature_c: float
+    supply_v: float
+    samples: int
+    mean_dps: Floats | None = field(default=None, metadata=OPTIONAL)
+    u_dps: Floats | None = field(default=None, metadata=OPTIONAL)
+    sample_dps: Floats | None = None
+    temperatures_c: Floats | None = None
+
+
+def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool = False) -> Rest:
+    """Wait until the part is at rest, then take a dwell with the settings that the sensor has.
+
+    Parameters
+    ----------
+    dwell_s : float
+        Length of the dwell in s.
+    patience_s : float
+        How long to wait for rest, in s, beside what the watch needs.
+    gyros : bool
+        Read these too.
+
+    Raises
+    ------
+    UsageError
+        The dwell is too short for the sensor's rate.
+    SessionError
+        It does not come to rest, moves within the dwell, or an axis is stuck.
+    BusError, SilentChipError
+        The sensor does not answer.
+    """
+    now = sensor.configuration()
+    if dwell_s < LEAST_SAMPLES * now.sample_period_s:
+        raise UsageError(
+            f"a dwell of {dwell_s:g} s is too short at {now.sample_rate_hz:.4g} samples a second: take"
+            f" {LEAST_SAMPLES * now.sample_period_s:.3g} s or more, or set SMPL_PRD"
+        )
+    window = window_samples(now)
+    block = max(8, window // 2)
+    names = OF_GYROS if gyros else REGISTERS
+    with sensor.stream(names, block_scans=block, leave_registers=True, data_ready=False) as stream:
+        noise = _noise(sensor, stream, now, patience_s)
+        scans = _dwell(sensor, stream, noise, window, dwell_s)
+    return _means(scans, now)
+
+
+def _noise(sensor: Adis16354, stream: ScanStream, now: Configuration, patience_s: float) -> Floats:
+    expected = sensor.variant.performance.noise_mg * white_gain(now.filter_m)
+    meter = NoiseMeter(window_samples(now), expected)
+    seen, begin_s = 0, sensor.bus.now_s()
+    for scans in stream:
+        noise = meter.feed(scans.accel_mg)
+        if noise is not None:
+            return noise
+        seen += len(scans)
+        # A slow bridge needs its time for the windows that the meter compares.
+        if seen > meter.least_samples and sensor.bus.now_s() - begin_s > patience_s:
+            break
+    raise SessionError(
+        f"the part does not come to rest: a sample varies by {max(meter.spread_mg):.3g} mg, its noise"
+        f" should be about {expected:.2g} mg; put it on a quiet support and try again"
+    )
+
+
+def _dwell(sensor: Adis16354, stream: ScanStream, noise: Floats, window: int, dwell_s: float) -> ScanBlock:
+    step = sensor.variant.accel_mg_per_lsb
+    watch = StillnessWatch(limits_from_noise(noise, window, step), np.maximum(noise, step / np.sqrt(12)))
+    watch.anchor(0)
+    blocks: list[ScanBlock] = []
+    begin_s = sensor.bus.now_s()
+    for scans in stream:
+        for look in watch.feed(scans.accel_mg):
+            if look.state != "still":
+                raise SessionError(
+                    f"the part moved within the dwell ({look.why}); let it lie and try again"
+                )
+        blocks.append(scans)
+        enough = sum(len(b) for b in blocks) >= max(window, LEAST_SAMPLES)
+        if enough and sensor.bus.now_s() - begin_s >= dwell_s:
+            break
+    return join(blocks)
+
+
+def _means(scans: ScanBlock, now: Configuration) -> Rest:
+    values = scans.values()
+    part, k = variant(scans.variant), len(AXES)
+    mean, u, _ = _mean(values[:, :k], part.accel_mg_per_lsb, now)
+    rest = Rest(mean, u, float(values[:, k].mean()), float(values[:, k + 1].mean()), len(scans))
+    if len(scans.registers) == len(REGISTERS):
+        return rest
+    first = len(REGISTERS)
+    lsb = part.lsb(Kind.GYRO, scans.gyro_range_dps or 300)[0]
+    mean, u, sample = _mean(values[:, first : first + k], lsb, now)
+    dies = np.array([rest.temperature_c, *values[:, first + k :].mean(axis=0)])
+    return replace(rest, mean_dps=mean, u_dps=u, sample_dps=sample, temperatures_c=dies)
+
+
+def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats, Floats]:
+    """Mean (3,) with its standard uncertainty, and the standard deviation of a sample."""
+    deviation = values.std(axis=0, ddof=1)
+    # The filter takes no noise out at the lowest frequencies: a mean is worth one of unfiltered samples.
+    spread = deviation / white_gain(now.filter_m)
+    rounding = lsb / np.sqrt(12) * np.where(deviation > lsb, 1 / np.sqrt(len(values)), 1.0)
+    return values.mean(axis=0), np.hypot(spread / np.sqrt(len(values)), rounding), deviation
+
 
 SIGMAS = 4.0
 """Limit of a difference in standard uncertainties: a sound part is accused once in 16 000 comparisons."""
@@ -365,3 +506,160 @@ def compared(
         np.hypot(u, part.wander(rest)),
         part.by_force(rest)[0],
     )
+
+
+TEMPCO_DPS_PER_C = 0.02
+"""What a zero rate may follow the temperature by where the session does not tell (D, as the catalogue)."""
+
+
+class Accelerometers:
+    """The accelerometers of a session that is fitted.
+
+    Parameters
+    ----------
+    angle_deg : float or None
+        Declared angle at which the part stands.
+    """
+
+    registers, others, unit = ACCEL_OFF, GYRO_OFF, "mg"
+    remarks: tuple[str, ...] = ()
+
+    def __init__(self, session: Session, method: str | None, angle_deg: float | None) -> None:
+        self.session, self._method, self._angle_deg = session, method, angle_deg
+
+    @cached_property
+    def result(self) -> FitResult:
+        """The fit whose biases are written."""
+        return fit(self.session, self._method)
+
+    def plan(self, now: Numbers) -> WritePlan:
+        """As `plan_offsets`."""
+        return plan_offsets(self.session, self.result, now)
+
+    def measure(self, sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
+        """As `rest.measure`."""
+        return measure(sensor, dwell_s, patience_s)
+
+    def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
+        """As `against_session`."""
+        return against_session(self.session, self.result, plan, rest, self._angle_deg)
+
+    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
+        """As `effect_of`."""
+        return effect_of(plan, before, after)
+
+    def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
+        """As `bias_found`, where the angle is declared."""
+        if self._angle_deg is None or self.session.plane != "xy" or "alpha" not in self.result:
+            return None
+        return bias_found(self.session, self.result, plan, rest, self._angle_deg)
+
+
+class Gyros:
+    """The gyros of a session that calibrates them."""
+
+    registers, others, unit = GYRO_OFF, ACCEL_OFF, "dps"
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self._figures = variant(session.sensor).performance
+
+    @cached_property
+    def _found(self) -> GyroEstimates:
+        return gyro_estimates_of(self.session)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the fit of the gyros says: what it does not determine, what a drift would change."""
+        return self._found.remarks
+
+    @cached_property
+    def gyro(self) -> GyroCalibration:
+        """The calibration, for the offsets that stood while the session was recorded."""
+        made = gyros_as_recorded(self.session)
+        if made.covariance is None:
+            raise FitError(f"{self.session.source}: nothing states the uncertainty of its zero rates")
+        return made
+
+    def plan(self, now: Numbers) -> WritePlan:
+        """As `plan_gyro_offsets`."""
+        return plan_gyro_offsets(self.session, self.gyro, now, self._found.doubts)
+
+    def measure(self, sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
+        """As `rest.measure`, with the gyros."""
+        return measure(sensor, dwell_s, patience_s, gyros=True)
+
+    def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
+        """Zero rates in this pose by the session, force and warmth in them, against the dwell's means."""
+        mean, u = _of_gyros(rest)
+        moved = np.array([(axis.now - axis.recorded) * axis.lsb for axis in plan.axes])
+        zero, of_zero = self.zero(rest)
+        u = np.sqrt(u**2 + of_zero**2 + self.wander(rest) ** 2)
+        return Agreement("zero rates here against the session", _names(), mean, zero + moved, u, "dps")
+
+    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
+        """How far the gyros moved between two dwells in the same place, against the plan."""
+        (first, u_first), (second, u_second) = _of_gyros(before), _of_gyros(after)
+        wander = math.hypot(
+            math.sqrt(2) * self._figures.gyro_instability_dps,
+            TEMPCO_DPS_PER_C * (after.temperature_c - before.temperature_c),
+            self._figures.gyro_supply_sensitivity_dps_per_v * (after.supply_v - before.supply_v),
+        )
+        u = np.sqrt(u_first**2 + u_second**2 + wander**2)
+        planned = np.array([axis.effect for axis in plan.axes])
+        return Agreement("the write moved the gyros by", _names(), second - first, planned, u, "dps")
+
+    def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
+        """Zero rates (3,) of a dwell without what force adds there, and their standard uncertainties."""
+        mean, u = _of_gyros(rest)
+        force, of_force = self.by_force(rest)
+        return mean - force, np.hypot(u, of_force)
+
+    def zero(self, rest: Rest) -> tuple[Floats, Floats]:
+        """Zero rates (3,) in °/s in a pose at the recorded offsets, and their standard uncertainties."""
+        read = self.gyro.readings_of(
+            np.zeros(3), rest.mean_mg / 1000, rest.temperatures_c, supply_v=rest.supply_v
+        )
+        return read.rate_dps, read.u_dps
+
+    def by_force(self, rest: Rest) -> tuple[Floats, Floats]:
+        """Part of it that force makes, and its u."""
+        return self.gyro.force_part(rest.mean_mg / 1000)
+
+    def wander(self, rest: Rest) -> float:
+        """Standard uncertainty of a zero rate as one of another time, temperature and supply."""
+        known, then = self.gyro.needs, (self.gyro.temperature_c, self.gyro.supply_v)
+        warmer = 0.0 if then[0] is None else rest.temperature_c - then[0].mean
+        volts = 0.0 if then[1] is None else rest.supply_v - then[1].mean
+        return math.hypot(
+            math.sqrt(2) * self._figures.gyro_instability_dps,
+            0.0 if "temperature_c" in known else TEMPCO_DPS_PER_C * warmer,
+            0.0 if "supply_v" in known else self._figures.gyro_supply_sensitivity_dps_per_v * volts,
+        )
+
+
+def part_of(
+    session: Session, *, gyros: bool, method: str | None = None, angle_deg: float | None = None
+) -> Accelerometers | Gyros:
+    """The half of a session's sensor that is to be written.
+
+    Raises
+    ------
+    UsageError
+        A method of the accelerometers' fit is named for the gyros.
+    """
+    if not gyros:
+        return Accelerometers(session, method, angle_deg)
+    if method is not None:
+        raise UsageError(f"{Path(session.source).name}: --method is of the accelerometers; leave it out")
+    return Gyros(session)
+
+
+def _of_gyros(rest: Rest) -> tuple[Floats, Floats]:
+    assert rest.mean_dps is not None  # `measure` of this part reads them
+    assert rest.u_dps is not None
+    return rest.mean_dps, rest.u_dps
+
+
+def _names() -> tuple[str, ...]:
+    return tuple(axis.upper() for axis in AXES)
