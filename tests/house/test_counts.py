@@ -14,7 +14,7 @@ ALWAYS_MANY = {
     "tracing/within/sensitivity.py",  # limits of the program
     "device/sensor/driver.py",
     "record/plans.py",
-    "record/samples_csv.py",
+    "record/samples_writer.py",
     "tracing/one_pose/series.py",
 }
 
