@@ -14,7 +14,6 @@ ALWAYS_MANY = {
     "tracing/within/sensitivity.py",  # limits of the program
     "device/sensor/driver.py",
     "record/plans.py",
-    "record/samples_writer.py",
     "tracing/one_pose/series.py",
 }
 
