@@ -21,8 +21,8 @@ _HOMES = {
     "FitResult": "adis_gonio.fitting",
     "trace": "adis_gonio.faces.api",
     "TraceResult": "adis_gonio.tracing",
-    "Calibration": "adis_gonio.tracing.loading",
-    "GyroCalibration": "adis_gonio.tracing.loading",
+    "Calibration": "adis_gonio.tracing.trace_calibrations",
+    "GyroCalibration": "adis_gonio.tracing.trace_calibrations",
     "AdisGonioError": "adis_gonio.base.errors",
 }
 

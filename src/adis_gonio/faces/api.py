@@ -118,7 +118,7 @@ def _gyros_beside(
     if not isinstance(given, str | PathLike):
         return given
     from adis_gonio.record.provenance import provenance_of
-    from adis_gonio.tracing.loading import load_gyro_calibration
+    from adis_gonio.tracing.trace_calibrations import load_gyro_calibration
 
     if session.source and Path(given).resolve() == Path(session.source).resolve():
         raise UsageError(

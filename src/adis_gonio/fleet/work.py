@@ -154,8 +154,8 @@ def _utc(text: str) -> str | None:
 
 def _results(session: Session, *, trace: bool) -> dict[str, Any]:
     from adis_gonio.fitting import fit
-    from adis_gonio.tracing.answer import answer_with_trace
     from adis_gonio.tracing.trace import trace as traced_by
+    from adis_gonio.tracing.traced_answer import answer_with_trace
 
     found = traced_by(session) if trace else None
     answer = answer_with_trace(fit(session), found, own=False)

@@ -37,13 +37,13 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from adis_gonio.tracing.outcome.result import Detectable as Detectable
-    from adis_gonio.tracing.outcome.result import ErrorFigures as ErrorFigures
-    from adis_gonio.tracing.outcome.result import Finding as Finding
-    from adis_gonio.tracing.outcome.result import Rival as Rival
-    from adis_gonio.tracing.outcome.result import Step as Step
-    from adis_gonio.tracing.outcome.result import TraceResult as TraceResult
-    from adis_gonio.tracing.outcome.result import Unnamed as Unnamed
-    from adis_gonio.tracing.outcome.result import Value as Value
+    from adis_gonio.tracing.trace_result import Detectable as Detectable
+    from adis_gonio.tracing.trace_result import ErrorFigures as ErrorFigures
+    from adis_gonio.tracing.trace_result import Finding as Finding
+    from adis_gonio.tracing.trace_result import Rival as Rival
+    from adis_gonio.tracing.trace_result import Step as Step
+    from adis_gonio.tracing.trace_result import TraceResult as TraceResult
+    from adis_gonio.tracing.trace_result import Unnamed as Unnamed
+    from adis_gonio.tracing.trace_result import Value as Value
 
 __getattr__ = lazily(__name__, _HOMES)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.model.records import Session
-from adis_gonio.tracing.one_pose.views import series_views
-from adis_gonio.tracing.outcome.figures import Views, views_of
-from adis_gonio.tracing.outcome.result import TraceResult
+from adis_gonio.tracing.trace_figures import Views, series_views, views_of
+from adis_gonio.tracing.trace_result import TraceResult
 
 
 def views(session: Session, result: TraceResult) -> Views:
