@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 from adis_gonio.base.lazy_names import lazily
 
 _HOMES = {
-    "Detectable": "outcome.result",
-    "ErrorFigures": "outcome.result",
-    "Finding": "outcome.result",
-    "Rival": "outcome.result",
-    "Step": "outcome.result",
-    "TraceResult": "outcome.result",
-    "Unnamed": "outcome.result",
-    "Value": "outcome.result",
+    "Detectable": "trace_result",
+    "ErrorFigures": "trace_result",
+    "Finding": "trace_result",
+    "Rival": "trace_result",
+    "Step": "trace_result",
+    "TraceResult": "trace_result",
+    "Unnamed": "trace_result",
+    "Value": "trace_result",
 }
 
 __all__ = [
