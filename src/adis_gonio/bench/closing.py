@@ -17,8 +17,7 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.plans import Position
 
 if TYPE_CHECKING:
-    from adis_gonio.tracing import TraceResult
-    from adis_gonio.tracing.trace_result import NextDwell
+    from adis_gonio.tracing.trace_result import NextDwell, TraceResult
 
 MOST_EXTRA = 24
 """Positions that are asked for beyond the plan, by default."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from adis_gonio.model.records import Session
     from adis_gonio.record.plans import Plan
     from adis_gonio.record.source import SampleSource
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.tracing.trace_result import TraceResult
 
 _METADATA = {
     "operator": "operator, who measures",

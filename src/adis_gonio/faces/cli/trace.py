@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from adis_gonio.model.records import Session
     from adis_gonio.record.overrides import Overrides
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.tracing.trace_result import TraceResult
 
 
 @click.command("trace")
