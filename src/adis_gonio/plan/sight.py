@@ -1,6 +1,6 @@
 """What a plan will see, and what it will not tell apart: by the trace's own linear problem.
 
-The detectable amplitudes are those of `trace` (`tracing.findings.detectable`), at its error level, beside the
+The detectable amplitudes are those of `trace` (`tracing.findings.detectable`), at its level, beside the
 start angle, gains, Δφ and biases. Two effects are not told apart where one of them, just as large as is
 detected, leaves less than `LEAST_SEPARATION` standard uncertainties beside the best imitation by the other:
 the limit at which `advice` holds a measurement for worth while.
