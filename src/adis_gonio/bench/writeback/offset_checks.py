@@ -39,7 +39,7 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.settings import LEAST_SAMPLES
 from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
 from adis_gonio.record.write_journal import Numbers
-from adis_gonio.tracing.calibrations import gyro_estimates_of, gyros_as_recorded
+from adis_gonio.tracing.trace_calibrations import gyro_estimates_of, gyros_as_recorded
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration

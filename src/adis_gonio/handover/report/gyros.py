@@ -20,7 +20,7 @@ from adis_gonio.handover.offsets import gyro_offset_words
 from adis_gonio.model.records import Session
 from adis_gonio.page.parts import Figure, Section, Table
 from adis_gonio.page.svg import Role, Series, plot
-from adis_gonio.tracing.calibrations import gyros_as_recorded
+from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 
 _ROLES: tuple[Role, ...] = ("after", "third", "fourth")
 

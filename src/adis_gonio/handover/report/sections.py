@@ -37,10 +37,10 @@ from adis_gonio.model.records import Session
 from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
 from adis_gonio.page.svg import Role, Series, Style, plot
 from adis_gonio.record.provenance import digest_of_file
-from adis_gonio.tracing import summary as words
-from adis_gonio.tracing.outcome.figures import Panel, Views
-from adis_gonio.tracing.outcome.result import TraceResult, Value, WithinFinding
-from adis_gonio.tracing.within import Place
+from adis_gonio.tracing import trace_summary as words
+from adis_gonio.tracing.trace_figures import Panel, Views
+from adis_gonio.tracing.trace_result import TraceResult, Value, WithinFinding
+from adis_gonio.tracing.within.samples import Place
 
 _COVARIATES = {
     "angle": "declared angle / °",
