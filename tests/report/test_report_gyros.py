@@ -8,7 +8,7 @@ import pytest
 
 from adis_gonio import fit
 from adis_gonio.base.numbers import format_number, format_uncertain
-from adis_gonio.fitting.gyros.fit import fit_gyro
+from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
 from adis_gonio.handover.report import gyros as module
 from adis_gonio.handover.report.gyros import gyro_section
 from adis_gonio.handover.report.page import build_page

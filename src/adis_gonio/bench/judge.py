@@ -24,8 +24,7 @@ from adis_gonio.bench.guards import (
     judge_turn,
 )
 from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
-from adis_gonio.fitting.slips.diagnosis import LARGEST
-from adis_gonio.fitting.slips.finding import MEANINGS
+from adis_gonio.fitting.slips.position_diagnosis import LARGEST, MEANINGS
 from adis_gonio.model.effects import Conditions
 from adis_gonio.record.blocks import Block, session_columns
 from adis_gonio.record.expectation import (

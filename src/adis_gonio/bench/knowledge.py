@@ -15,7 +15,7 @@ from adis_gonio.bench.events import DwellProgress, NoiseMeasured, Running, Vecto
 from adis_gonio.bench.judge import Judge
 from adis_gonio.bench.ledger import Ledger
 from adis_gonio.bench.recording import Recording
-from adis_gonio.live.smoothed import SmoothedMeter, sensing_of
+from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.record.blocks import Block, join, session_columns
 from adis_gonio.record.expectation import PriorKnowledge

@@ -30,7 +30,7 @@ from adis_gonio.tracing.calibrations import gyro_estimates_of, gyros_as_recorded
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
     from adis_gonio.fitting import FitResult
-    from adis_gonio.fitting.gyros.calibrations import GyroEstimates
+    from adis_gonio.fitting.gyros.gyro_fit import GyroEstimates
 
 TEMPCO_DPS_PER_C = 0.02
 """What a zero rate may follow the temperature by where the session does not tell (D, as the catalogue)."""
