@@ -20,7 +20,7 @@ from adis_gonio.fitting.gyros.gyro_fit import TIME_BASE_U, fit_gyro
 from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.tracing.loading import load_calibration
+from adis_gonio.tracing.trace_calibrations import load_calibration
 from gyros.simulated import Recorder
 
 LEANS = {"xy": 0.5, "xz": -0.3, "yx": 0.4, "yz": -0.6, "zx": 0.2, "zy": -0.4}

@@ -20,7 +20,7 @@ from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
-from adis_gonio.tracing.loading import load_calibration
+from adis_gonio.tracing.trace_calibrations import load_calibration
 
 RATE = Configuration(1, 2, 300, data_ready=True, linear_g=False, origin=False)
 HIDDEN = "sim:?seed=9&delta_k=0.02&delta_phi_deg=1.5&bias_x_mg=30&bias_y_mg=-20&fixture_sigma_deg=0"

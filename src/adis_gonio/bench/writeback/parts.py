@@ -25,7 +25,7 @@ from adis_gonio.fitting import fit
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
 from adis_gonio.record.write_journal import Numbers
-from adis_gonio.tracing.calibrations import gyro_estimates_of, gyros_as_recorded
+from adis_gonio.tracing.trace_calibrations import gyro_estimates_of, gyros_as_recorded
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration

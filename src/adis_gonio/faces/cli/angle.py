@@ -91,7 +91,7 @@ def command(
         raise UsageError(f"--reconnect is {patience_s:g}: take 0 or more")
     calibration = None
     if calibration_path is not None:  # before the sensor is opened: a fit takes a moment
-        from adis_gonio.tracing.loading import load_calibration
+        from adis_gonio.tracing.trace_calibrations import load_calibration
 
         calibration = load_calibration(calibration_path)
 

@@ -238,7 +238,7 @@ def show_gyro_fit(
 
     accelerometers = None
     if calibration is not None:
-        from adis_gonio.tracing.loading import load_calibration
+        from adis_gonio.tracing.trace_calibrations import load_calibration
 
         accelerometers = load_calibration(calibration)
     with working("fitting the gyros"):

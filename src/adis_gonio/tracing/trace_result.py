@@ -25,8 +25,8 @@ from adis_gonio.fitting.slips.position_diagnosis import PositionFinding, listed
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.effects.environment import REFERENCE_C
 from adis_gonio.record.provenance import Provenance
-from adis_gonio.tracing.outcome.sets import CredibleSet
-from adis_gonio.tracing.within.finding import WithinFinding
+from adis_gonio.tracing.credible_sets import CredibleSet
+from adis_gonio.tracing.within.samples import WithinFinding
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration, GyroCalibration
@@ -349,12 +349,12 @@ class TraceResult(ParameterTable):
         """
         if self.part == GYRO:
             from adis_gonio.fitting.gyros.gyro_fit import gyro_calibration_as_it_is
-            from adis_gonio.tracing.calibrations import estimates_of_gyro_trace
+            from adis_gonio.tracing.trace_calibrations import estimates_of_gyro_trace
 
             return gyro_calibration_as_it_is(estimates_of_gyro_trace(self), self.provenance)
         if self.part != ACCELEROMETER:
             raise FitError(f"no calibration is made of a trace of the part {self.part}")
-        from adis_gonio.tracing.calibrations import calibration_of_trace
+        from adis_gonio.tracing.trace_calibrations import calibration_of_trace
 
         return calibration_of_trace(self)
 
@@ -386,7 +386,7 @@ class TraceResult(ParameterTable):
 
     def summary(self) -> str:
         """What was found and what it brings, as `trace` begins, and the parameters of the effects."""
-        from adis_gonio.tracing import summary as words
+        from adis_gonio.tracing import trace_summary as words
 
         return "\n".join([words.headline(self), words.gains(self), *lines_of(self._of_effects)])
 

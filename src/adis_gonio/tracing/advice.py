@@ -11,10 +11,10 @@ from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES, catalogue
 from adis_gonio.model.effects.gyro_terms import WHOLE_TURNS
 from adis_gonio.model.effects.stage import BETWEEN
-from adis_gonio.tracing.advice.proposals import LEAST_SEPARATION, propose
-from adis_gonio.tracing.outcome.cycles import cycles_alike
-from adis_gonio.tracing.outcome.result import NextDwell
-from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.tracing.findings import cycles_alike
+from adis_gonio.tracing.proposals import LEAST_SEPARATION, propose
+from adis_gonio.tracing.selection import Selection
+from adis_gonio.tracing.trace_result import NextDwell
 
 PLAIN = 100.0
 """Standard uncertainties from which a figure says nothing more."""

@@ -35,7 +35,7 @@ from adis_gonio.base.values import Detectable, Value
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
-from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Step, TraceResult
+from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Step, TraceResult
 
 BLOCKS = 10
 LEAST_ROWS = 200

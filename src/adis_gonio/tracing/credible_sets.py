@@ -1,4 +1,6 @@
-"""Credible sets: for each cause of a model the names that could stand in its place.
+"""Which names of the chosen model stand, and what they are confounded with.
+
+Credible sets: for each cause of a model the names that could stand in its place.
 
 Every scored model near the best votes with its posterior for what it has in the place of a cause: for the
 cause itself; or, where it lacks that cause, for what it has beyond the chosen model, as far as that can add
@@ -9,6 +11,8 @@ a name compete on equal terms.
 
 A name beside a function without one of the same kind may be a piece of that unknown cause, and votes for
 it; where that function is an average over processes, by their probability.
+
+Effects that could each explain what an inadequate model leaves: what this session cannot decide.
 """
 
 from __future__ import annotations
@@ -23,13 +27,123 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import HIDDEN, JsonRecord
 from adis_gonio.base.numbers import join_words
-from adis_gonio.fitting.estimation.terms import Term
-from adis_gonio.tracing.outcome.naming import related, unknown_of
-from adis_gonio.tracing.selection.design import LinearProblem, span
-from adis_gonio.tracing.selection.search import Model
-from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.fitting.estimation.terms import NamelessTerm, Term
+from adis_gonio.tracing.averaging import Averaged
+from adis_gonio.tracing.linear_problem import LinearProblem, span
+from adis_gonio.tracing.model_search import Model, skeleton
+from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.thresholds import limits
-from adis_gonio.tracing.unnamed.averaging import Averaged
+
+SLOW = {"time", "order", "temperature", "temperature_rate", "supply", "variance"}
+"""Covariates that move on from dwell to dwell; the others follow the position."""
+
+
+@dataclass(frozen=True)
+class Names:
+    """Names of the chosen model.
+
+    Attributes
+    ----------
+    stand : tuple of str
+        Names that are found.
+    open : mapping of str to str
+        Names that are not, with the reason.
+    confounded : tuple of tuple of str
+    """
+
+    stand: tuple[str, ...]
+    open: dict[str, str]
+    confounded: tuple[tuple[str, ...], ...]
+
+
+def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
+    """Names that stand.
+
+    A name stands if the models that hold it have most of the posterior (`certain`), and no nameless term of
+    the same kind of covariate (slow or of position) stands in the same model: that name may be a piece of
+    the unknown cause.
+
+    Parameters
+    ----------
+    averaged : Averaged, optional
+        What stands beside the names of a model without nameless terms.
+    """
+    verdict, terms = selection.verdict, selection.problem.terms
+    model = [terms[k] for k in verdict.best]
+    unknown = unknown_of(selection, averaged)
+    stand: list[str] = []
+    pending: dict[str, str] = {}
+    confounded: list[tuple[str, ...]] = []
+    for name in dict.fromkeys(term.name for term in model if term.name is not None):
+        mine = [term for term in model if term.name == name]
+        beside = [u for u in unknown if any(related(term, u) for term in mine)]
+        probability = verdict.names.get(name, 0.0)
+        if probability < limits.certain:
+            pending[name] = f"models without it have {1 - probability:.0%} of the posterior"
+        elif beside:
+            pending[name] = "may be a piece of the same unnamed cause"
+            confounded.append((name, *(u.shown_as for u in beside)))
+        else:
+            stand.append(name)
+    confounded += _replacements(selection)
+    return Names(tuple(stand), pending, tuple(dict.fromkeys(confounded)))
+
+
+def unknown_of(selection: Selection, averaged: Averaged | None) -> list[NamelessTerm]:
+    """Functions without a name beside which names are judged: the model's own, else what is averaged."""
+    terms = [selection.problem.terms[k] for k in selection.verdict.best]
+    own = [term for term in terms if isinstance(term, NamelessTerm)]
+    return own if own or averaged is None else [averaged.smooth]
+
+
+def related(term: Term, unknown: Term) -> bool:
+    """True where a named and a nameless term may be pieces of one cause."""
+    if not term.covariates:
+        return False
+    if term.dwell is not None:
+        return True  # one dwell may be a piece of anything
+    return bool(_kinds(term.covariates) & _kinds(unknown.covariates))
+
+
+def _kinds(covariates: Sequence[str]) -> set[bool]:
+    return {covariate in SLOW for covariate in covariates}
+
+
+def _replacements(selection: Selection) -> list[tuple[str, ...]]:
+    """What takes the place of names in models near the best, and in models that predict the same."""
+    verdict = selection.verdict
+    best = verdict.best
+    top = verdict.weights[best]
+    out: list[tuple[str, ...]] = []
+    rivals = [m for m, w in verdict.weights.items() if m != best and w >= limits.near * top]
+    rivals += [m for m in verdict.same.get(best, []) if len(m) <= len(best)]
+    for rival in sorted(rivals, key=lambda m: -selection.found.scores[m]):
+        if skeleton(selection.found, rival) == skeleton(selection.found, best):
+            continue
+        ours, theirs = _parts(selection, best), _parts(selection, rival)
+        lost = [p for p in ours if p not in theirs]
+        gained = [p for p in theirs if p not in ours]
+        named = any(part.name is not None for part in (*lost, *gained))
+        sure = all(verdict.names.get(p.name, 0.0) > limits.sure for p in lost if p.name is not None)
+        same = rival in verdict.same.get(best, [])
+        if lost and gained and named and (same or not sure):
+            out.append(tuple(part.shown_as for part in (*lost, *gained)))
+        if len(out) >= 5:
+            break
+    return out
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Name of an effect, or a nameless function, whatever its axes."""
+
+    name: str | None
+    shown_as: str
+
+
+def _parts(selection: Selection, model: Model) -> list[_Part]:
+    terms = (selection.problem.terms[k] for k in model)
+    return list(dict.fromkeys(_Part(term.name, term.shown_as) for term in terms))
 
 
 @dataclass(frozen=True)
@@ -178,3 +292,36 @@ def _piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
 
 def _word(term: Term) -> str:
     return term.name or f"unnamed: {join_words(term.covariates)}"
+
+
+def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
+    """Names that, added alone, take a significant part of an inadequate model's residual (F-test at 10 %).
+
+    The noise is then the residual itself, since what was measured within the dwells does not explain it.
+    Where one does, others count that are nearly as likely, all variants of a name together and each by its
+    share of the prior. The most likely comes first. None of them is claimed.
+    """
+    from scipy import stats
+
+    problem: LinearProblem = selection.problem
+    basis, residual = span(problem, selection.verdict.best)
+    chi2 = float(residual @ residual)
+    dof = problem.dof - basis.shape[1]
+    gains = problem.gains(basis, residual)
+    likely: dict[str, float] = defaultdict(float)
+    least_p = 1.0
+    inside = {problem.terms[k].name for k in selection.verdict.best}
+    for k, term in enumerate(problem.terms):
+        width = int(problem.width[k])
+        if term.name is None or term.name in inside or term.dwell is not None or dof - width < 1:
+            continue
+        left = max(chi2 - float(gains[k]), 1e-12 * chi2)
+        p = float(stats.f.sf(float(gains[k]) / width / (left / (dof - width)), width, dof - width))
+        least_p = min(least_p, p)
+        price = float(problem.cost[k] + problem.column_price[k])
+        likely[term.name] += math.exp(-0.5 * dof * math.log(left / chi2) - price)
+    if least_p >= limits.open_level:
+        return ()
+    most = max(likely.values())
+    alike = [name for name, odds in likely.items() if odds * limits.open_alike > most]
+    return tuple(sorted(alike, key=lambda name: -likely[name])[:count])

@@ -21,7 +21,7 @@ from adis_gonio.base.values import Detectable
 from adis_gonio.model.effects import catalogue, effect
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.records import Session
-from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, TraceResult
+from adis_gonio.tracing.trace_result import ErrorFigures, Finding, TraceResult
 
 _IN_SAMPLES = "looked for within the dwells"
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")

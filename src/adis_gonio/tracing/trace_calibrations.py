@@ -1,17 +1,32 @@
-"""From a trace to a calibration of accelerometers or gyros; the gyros of a session, fitted or traced."""
+"""From a trace to a calibration of accelerometers or gyros; the gyros of a session, fitted or traced.
+
+`load_calibration`, `load_gyro_calibration`: from a JSON file, or from a session that is fitted.
+
+Importing this module teaches `Calibration.load` and `GyroCalibration.load` to fit a session; the classes
+themselves stand below the fits.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import PurePath
+from pathlib import Path, PurePath
+from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import AdisGonioError, FitError, SessionError
+from adis_gonio.base.errors import AdisGonioError, DataError, FitError, SessionError, UsageError
+from adis_gonio.base.output import ends_in
 from adis_gonio.calibrate.calibration import Calibration, EffectTerm
 from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
+from adis_gonio.calibrate.document import (
+    GYRO_SCHEMA,
+    SCHEMA,
+    calibration_from,
+    gyro_calibration_from,
+)
+from adis_gonio.calibrate.files import calibration_in, json_document
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.calibrations import as_written, assumed_parameters, known_provenance
 from adis_gonio.fitting.estimation.fit import Fit
@@ -27,9 +42,9 @@ from adis_gonio.fitting.gyros.gyro_fit import (
 from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.measurement import BaseParameter
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
-from adis_gonio.record.provenance import provenance_of
-from adis_gonio.tracing.outcome.clock import clock_at_middle, follows_clock, middle_s
-from adis_gonio.tracing.outcome.result import TraceResult
+from adis_gonio.record.provenance import Provenance, provenance_of
+from adis_gonio.tracing.findings import clock_at_middle, follows_clock, middle_s
+from adis_gonio.tracing.trace_result import TraceResult
 
 _CLOCK = "follows the clock of the session, which no later reading shares"
 _UNKNOWN = "is not known to be a function of the reading, the temperature or the supply"
@@ -366,3 +381,106 @@ def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimate
 
         return estimates_of_gyro_trace(trace(session, part="gyro"))
     return estimates_of_gyro_fit(fit_gyro(session))
+
+
+_FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")
+"""Endings of what `export` and `report` write and nothing here reads."""
+
+
+def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
+    """Calibration of a JSON file, or of a session by `fit`; told apart by the first character.
+
+    Parameters
+    ----------
+    method : str, optional
+        Of the fit, where the file is a session.
+
+    Raises
+    ------
+    DataError
+        The file is neither, or is damaged.
+    FitError
+        The session does not determine a calibration.
+    """
+    made = calibration_in(path)
+    if made is not None:
+        return made
+    from adis_gonio.fitting import fit
+    from adis_gonio.record.loading import load_session
+    from adis_gonio.record.overrides import as_it_is
+
+    if ends_in(path, *_FOR_OTHERS):
+        raise DataError(_made_for_others(path))
+    try:
+        session = load_session(path)
+    except DataError as error:
+        raise DataError(as_it_is(str(error))) from None
+    try:
+        own = fit(session, method=method).calibration()
+    except FitError as error:
+        raise FitError(f"{error}{gyros_alone(session)}") from None
+    return with_gyros(own, session)
+
+
+def load_gyro_calibration(
+    path: str | Path, part: Provenance | None = None, *, traced: bool = False
+) -> GyroCalibration:
+    """As `GyroCalibration.load`.
+
+    Parameters
+    ----------
+    part : Provenance, optional
+        Of the accelerometers beside which the gyros shall stand: another sensor's or serial number's are
+        refused with `UsageError`.
+    traced : bool
+        Of a session: by the traced model of its gyros, with its effects.
+    """
+    document = json_document(Path(path))
+    if document is None:
+        from adis_gonio.record.loading import load_session
+
+        if ends_in(path, *_FOR_OTHERS):
+            raise DataError(_made_for_others(path))
+        session = load_session(path)
+        _refuse_another_part(part, _named(provenance_of(session)), path)
+        return gyro_calibration_of(session, traced=traced)
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if schema == SCHEMA:
+        whole = calibration_from(document, str(path))
+        _refuse_another_part(part, _named(whole.provenance), path)
+        if whole.gyro is None:
+            raise FitError(f"{path}: is a calibration without gyros")
+        return whole.gyro
+    if schema is None and isinstance(document, dict) and isinstance(document.get("gyro"), dict):
+        # What `export` makes of a session that calibrates its gyros alone, as one of the plan gyro-turns.
+        _refuse_another_part(part, _exported(document.get("session")), path)
+        return gyro_calibration_from(document["gyro"], str(path))
+    if schema != GYRO_SCHEMA:
+        raise DataError(f"{path}: is no gyro calibration; GyroCalibration.save makes one")
+    return gyro_calibration_from(document, str(path))
+
+
+def _made_for_others(path: str | Path) -> str:
+    return f"{path}: is made for others to read; give a session, or the .json of export"
+
+
+def _named(part: Provenance) -> tuple[str, str]:
+    return part.sensor, part.serial
+
+
+def _exported(session: Any) -> tuple[str, str]:
+    """Sensor and serial number as `session_dict` states them."""
+    about = session if isinstance(session, dict) else {}
+    return str(about.get("sensor") or ""), str(about.get("serial") or "")
+
+
+def _refuse_another_part(part: Provenance | None, other: tuple[str, str], path: str | Path) -> None:
+    if part is None:
+        return
+    for here, there in zip((part.sensor, part.serial), other, strict=True):
+        if here and there and here != there:
+            raise UsageError(f"{path}: its gyros are of {there}, the accelerometers of {here}")
+
+
+Calibration.of_session = load_calibration
+GyroCalibration.of_session = load_gyro_calibration

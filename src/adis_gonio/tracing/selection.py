@@ -11,9 +11,8 @@ from adis_gonio.base.budget import spent
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
-from adis_gonio.tracing.selection.design import LinearProblem, amplitudes, linearise, span
-from adis_gonio.tracing.selection.posterior import ModelPosterior, weigh
-from adis_gonio.tracing.selection.search import Search, search
+from adis_gonio.tracing.linear_problem import LinearProblem, amplitudes, linearise, span
+from adis_gonio.tracing.model_search import ModelPosterior, Search, search, weigh
 from adis_gonio.tracing.thresholds import limits
 
 

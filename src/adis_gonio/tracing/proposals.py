@@ -28,9 +28,9 @@ from adis_gonio.fitting.estimation.fit import Fit, Values
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import Conditions
-from adis_gonio.tracing.outcome.openings import undecided
-from adis_gonio.tracing.outcome.result import NextDwell, Purpose
-from adis_gonio.tracing.selection.select import Selection, fit_model
+from adis_gonio.tracing.credible_sets import undecided
+from adis_gonio.tracing.selection import Selection, fit_model
+from adis_gonio.tracing.trace_result import NextDwell, Purpose
 
 MOST_RIVALS = 10
 COVERED = 0.9

@@ -23,7 +23,7 @@ from adis_gonio.fitting.scores import DwellPrediction, Score, predicted, scores_
 from adis_gonio.fitting.sources import MODEL, response_of, sources_of
 from adis_gonio.fitting.standing import Recommendation, surely_worse
 from adis_gonio.fitting.uncertainty_budget import BudgetRow, budget_of
-from adis_gonio.tracing.outcome.result import TraceResult
+from adis_gonio.tracing.trace_result import TraceResult
 
 TRACED = "trace"
 """Name of the traced model among the scores."""

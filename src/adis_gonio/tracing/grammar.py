@@ -10,6 +10,8 @@ stand for everything that no formula names. What takes the place of the reading 
 Covariates are used in normal form: centred on the middle of what the session saw and scaled to ±1, except
 where a zero means something (25 °C, 5 V, the session's start). A function whose zero means nothing also
 stands with a constant beside it, so that its constant is not taken for a bias.
+
+Shapes of the grammar: functions of one covariate in normal form (−1 to 1), made from their places.
 """
 
 from __future__ import annotations
@@ -27,8 +29,69 @@ from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.effects.lag import lagged
-from adis_gonio.tracing.candidates import shapes
 from adis_gonio.tracing.thresholds import limits
+
+Shape = Callable[[Floats], Floats]
+
+
+def line_shape(u: Floats) -> Floats:
+    """U."""
+    return u
+
+
+def power_shape(exponent: int) -> Shape:
+    """Power of u."""
+
+    def raised(u: Floats) -> Floats:
+        out = u.copy()
+        for _ in range(exponent - 1):
+            out = out * u
+        return out
+
+    return raised
+
+
+def step_shape(place: float) -> Shape:
+    """0 up to a place, 1 beyond."""
+    return lambda u: np.where(u > place, 1.0, 0.0)
+
+
+def knee_shape(place: float, sign: float) -> Shape:
+    """0 on one side of a place, a line on the other."""
+    return lambda u: np.maximum(sign * (u - place), 0)
+
+
+def growth_shape(rate: float) -> Shape:
+    """exp(rate u), at most 1 inside."""
+    return lambda u: np.exp(rate * u - abs(rate))
+
+
+def approach_shape(time_constant: float, sign: float) -> Shape:
+    """Exponential from (sign −1) or towards (sign 1) an end; in lengths of the session."""
+    return lambda u: np.exp((sign * (u + 1) / 2 - (sign > 0)) / time_constant)
+
+
+def bump_shape(place: float, width: float) -> Shape:
+    """Gaussian bell."""
+    return lambda u: np.exp(-0.5 * ((u - place) / width) ** 2)
+
+
+def ring_bump(centre_rad: float, width_rad: float) -> Shape:
+    """Bell on the circle."""
+    return lambda t: np.exp((np.cos(t - centre_rad) - 1) / width_rad**2)
+
+
+def multiple(function: Callable[..., Floats], times: int) -> Shape:
+    """function(times · u)."""
+    return lambda u: np.asarray(function(times * u))
+
+
+def legendre(degree: int) -> Shape:
+    """Legendre polynomial."""
+    coefficients = np.zeros(degree + 1)
+    coefficients[degree] = 1.0
+    return lambda u: np.asarray(np.polynomial.legendre.legval(u, coefficients))
+
 
 COMMON = ("reading", "force", "rotation", "angle", "time", "temperature")
 """Covariates of full weight; supply, approach, memory and products are less likely causes."""
@@ -118,7 +181,7 @@ def _column(function: Callable[[Conditions], Floats]) -> Callable[[Conditions], 
 
 
 def _of_rows(
-    function: shapes.Shape, get: Callable[[Conditions], Floats], scale: float
+    function: Shape, get: Callable[[Conditions], Floats], scale: float
 ) -> Callable[[Conditions], Floats]:
     return lambda conditions: function(get(conditions) / scale)
 
@@ -192,7 +255,7 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
             Basis(
                 f"max(a − {knee:g} g, 0)",
                 ("reading",),
-                by_axis=own(shapes.knee(knee, 1.0)),
+                by_axis=own(knee_shape(knee, 1.0)),
             ),
             ("bias",),
         )
@@ -217,11 +280,11 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
 
         def powers(ideal: Floats, axis: int, degree: int = degree) -> Floats:
             a = ideal[:, axis]
-            return np.stack([shapes.legendre(k)(a) for k in range(2, degree + 1)], axis=1)
+            return np.stack([legendre(k)(a) for k in range(2, degree + 1)], axis=1)
 
         def powers_and_constant(ideal: Floats, axis: int, degree: int = degree) -> Floats:
             a = ideal[:, axis]
-            return np.stack([shapes.legendre(k)(a) for k in [0, *range(2, degree + 1)]], axis=1)
+            return np.stack([legendre(k)(a) for k in [0, *range(2, degree + 1)]], axis=1)
 
         form = f"a smooth function of the reading (degree {degree})"
         basis = Basis(form, ("reading",), by_axis=powers)
@@ -346,7 +409,7 @@ def _of_angle(data: Readings) -> Iterator[_Made]:
             yield _Made(
                 "angle",
                 False,
-                Basis(f"{word} {k}θ", ("angle",), of_angle(shapes.multiple(f, k))),
+                Basis(f"{word} {k}θ", ("angle",), of_angle(multiple(f, k))),
                 ("bias",),
             )
     turn = 2 * np.pi
@@ -370,7 +433,7 @@ def _of_angle(data: Readings) -> Iterator[_Made]:
                 Basis(
                     form,
                     ("angle",),
-                    of_angle(shapes.ring_bump(float(np.deg2rad(centre)), float(np.deg2rad(width)))),
+                    of_angle(ring_bump(float(np.deg2rad(centre)), float(np.deg2rad(width)))),
                 ),
                 ("bias", "angle"),
             )
@@ -418,17 +481,17 @@ def _of_scalar(
 
     covariates = (family,)
     named = data.model.named_forms.get(family, ())
-    yield from _both(family, covariates, f"{d}", about(shapes.line), named)
-    curves: dict[str, shapes.Shape] = {
-        f"{d}²": shapes.power(2),
-        f"{d}³": shapes.power(3),
+    yield from _both(family, covariates, f"{d}", about(line_shape), named)
+    curves: dict[str, Shape] = {
+        f"{d}²": power_shape(2),
+        f"{d}³": power_shape(3),
         f"|{letter} − {zero}|": np.abs,
     }
     for form, function in curves.items():
         yield from _both(family, covariates, form, about(function))
     for knot in _knots(values, 12):
         place = (knot - middle) / half
-        yield from _both(family, covariates, f"a step at {letter} = {knot:.4g}", inside(shapes.step(place)))
+        yield from _both(family, covariates, f"a step at {letter} = {knot:.4g}", inside(step_shape(place)))
     for knot in np.linspace(middle - 0.8 * half, middle + 0.8 * half, 9):
         place = (knot - middle) / half
         for side, sign in (("above", 1.0), ("below", -1.0)):
@@ -436,14 +499,14 @@ def _of_scalar(
                 family,
                 covariates,
                 f"a knee at {letter} = {knot:.4g} ({side})",
-                inside(shapes.knee(place, sign)),
+                inside(knee_shape(place, sign)),
             )
     for rate in (-3.0, -1.5, 1.5, 3.0):
         yield from _both(
             family,
             covariates,
             f"exp({rate / half:+.3g} {letter})",
-            inside(shapes.growth(rate)),
+            inside(growth_shape(rate)),
         )
     for knot in np.linspace(middle - 0.75 * half, middle + 0.75 * half, 7):
         for width in (0.2, 0.45):
@@ -452,7 +515,7 @@ def _of_scalar(
                 family,
                 covariates,
                 f"a bump at {letter} = {knot:.4g} of width {width * half:.2g}",
-                inside(shapes.bump(place, width)),
+                inside(bump_shape(place, width)),
             )
     yield from _waves(family, letter, get, middle, half, 5)
     yield from _smooth(family, get, middle, half, len(np.unique(values)))
@@ -480,7 +543,7 @@ def _smooth(
 
         def columns(c: Conditions, degree: int = degree) -> Floats:
             u = (get(c) - middle) / half
-            return np.stack([shapes.legendre(k)(u) for k in range(1, degree + 1)], axis=1)
+            return np.stack([legendre(k)(u) for k in range(1, degree + 1)], axis=1)
 
         form = f"a smooth function of {family} (degree {degree})"
         if family == "temperature" and degree <= 3:
@@ -514,7 +577,7 @@ def _of_time(data: Readings) -> Iterator[_Made]:
     yield from _both("time", covariates, "√t", lambda c: np.sqrt(np.maximum(c.time_s, 0) / (2 * half)))
     for knot in _knots(time, 60):
         place = (knot - middle) / half
-        yield from _both("time", covariates, f"a step at t = {knot:.4g} s", inside(shapes.step(place)))
+        yield from _both("time", covariates, f"a step at t = {knot:.4g} s", inside(step_shape(place)))
     for knot in np.linspace(middle - 0.8 * half, middle + 0.8 * half, 9):
         place = (knot - middle) / half
         for side, sign in (("after", 1.0), ("before", -1.0)):
@@ -522,7 +585,7 @@ def _of_time(data: Readings) -> Iterator[_Made]:
                 "time",
                 covariates,
                 f"a knee at t = {knot:.4g} s ({side})",
-                inside(shapes.knee(place, sign)),
+                inside(knee_shape(place, sign)),
             )
     for tau in np.geomspace(0.1, 2.0, 6):
         for word, sign in (("−", -1.0), ("+", 1.0)):
@@ -530,7 +593,7 @@ def _of_time(data: Readings) -> Iterator[_Made]:
                 "time",
                 covariates,
                 f"exp({word}t/{2 * half * tau:.3g} s)",
-                inside(shapes.approach(float(tau), sign)),
+                inside(approach_shape(float(tau), sign)),
                 ("bias",) if sign < 0 else (),
             )
     for knot in np.linspace(middle - 0.75 * half, middle + 0.75 * half, 7):
@@ -540,7 +603,7 @@ def _of_time(data: Readings) -> Iterator[_Made]:
                 "time",
                 covariates,
                 f"a bump at t = {knot:.4g} s of width {width * half:.3g} s",
-                inside(shapes.bump(place, width)),
+                inside(bump_shape(place, width)),
             )
     yield from _waves("time", "t", get, middle, half, 7)
     yield from _smooth("time", get, middle, half, len(time))
@@ -573,11 +636,11 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
 
     middle, half = _scaled(rate(data.conditions))
     if half > 1e-9:
-        curves: dict[str, shapes.Shape] = {
-            "dT/dt": shapes.line,
+        curves: dict[str, Shape] = {
+            "dT/dt": line_shape,
             "|dT/dt|": np.abs,
             "sign dT/dt": np.sign,
-            "(dT/dt)²": shapes.power(2),
+            "(dT/dt)²": power_shape(2),
         }
         for form, function in curves.items():
             scale = max(abs(middle) + half, 1e-12)
@@ -620,12 +683,12 @@ def _of_memory(data: Readings) -> Iterator[_Made]:
                 Basis(
                     f"{word} {k}θ′ of the previous position",
                     covariates,
-                    _column(_of_rows(shapes.multiple(f, k), previous, 1.0)),
+                    _column(_of_rows(multiple(f, k), previous, 1.0)),
                 ),
             )
     largest = max(float(np.abs(move(data.conditions)).max()), 1e-9)
-    moves: dict[str, shapes.Shape] = {
-        "the move θ − θ′": shapes.line,
+    moves: dict[str, Shape] = {
+        "the move θ − θ′": line_shape,
         "|θ − θ′|": np.abs,
         "sign(θ − θ′)": lambda u: np.sign(np.round(u, 9)),
     }
