@@ -44,7 +44,7 @@ from adis_gonio.tracing.trace_calibrations import gyro_estimates_of, gyros_as_re
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
     from adis_gonio.fitting import FitResult
-    from adis_gonio.fitting.gyros.calibrations import GyroEstimates
+    from adis_gonio.fitting.gyros.gyro_fit import GyroEstimates
 
 REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])

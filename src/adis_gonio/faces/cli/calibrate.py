@@ -167,7 +167,7 @@ def _show(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_
     """What a session of positions gives, its gyros in a line."""
     from adis_gonio.faces.cli.fit import print_answer, print_gains
     from adis_gonio.fitting import fit
-    from adis_gonio.fitting.gyros.gains import gains_of
+    from adis_gonio.fitting.gyros.gyro_fit import gains_of
     from adis_gonio.tracing.traced_answer import answer_with_trace
 
     truth = session.facts.get("truth")
