@@ -29,8 +29,8 @@ from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import sample_period_s
 from adis_gonio.faces.cli import app, main
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.gyros import rate_intervals
-from adis_gonio.fitting.gyros.gains import gains_of
+from adis_gonio.fitting.gyros.gyro_fit import gains_of
+from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import Plan, Position

@@ -14,8 +14,7 @@ from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.gyros import rate_intervals
-from adis_gonio.fitting.gyros.readings import readings_of_intervals
+from adis_gonio.fitting.gyros.gyro_readings import rate_intervals, readings_of_intervals
 from adis_gonio.model.effects import effect
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session

@@ -10,11 +10,15 @@ RAW = re.compile(r"\{[^{}:]+\} (?:dwells|positions|samples|poses)\b")
 ALWAYS_MANY = {
     "tracing/validation.py",  # nine dwells or more
     "tracing/within/courses.py",  # a mean of several
-    "tracing/within/finding.py",  # asks for more than one itself
-    "tracing/within/sensitivity.py",  # limits of the program
+    "tracing/within/samples.py",  # asks for more than one itself
+    "tracing/within/second_pass.py",  # limits of the program
     "device/sensor/driver.py",
     "record/plans.py",
+<<<<<<< HEAD
     "tracing/one_pose/series.py",
+=======
+    "tracing/one_pose.py",
+>>>>>>> a32b65fc49bc995ecb13ecd1d4bcbe73389e504d
 }
 
 

@@ -32,7 +32,7 @@ from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.samples_reader import read_samples_csv
 from adis_gonio.record.samples_writer import session_dict, write_csv
-from adis_gonio.tracing.loading import load_calibration
+from adis_gonio.tracing.trace_calibrations import load_calibration
 
 LONGEST_S = 60
 MEMORY_BYTES = 1_500_000_000

@@ -24,7 +24,7 @@ from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import GYRO_OFF
 from adis_gonio.faces.cli import main
 from adis_gonio.record.write_journal import operations, remarks_on
-from adis_gonio.tracing.calibrations import gyro_calibration_of
+from adis_gonio.tracing.trace_calibrations import gyro_calibration_of
 from writeback.gyro_rig import FAULTS, GYROS, LSB, gyro_flash, gyro_numbers, known_gyros
 from writeback.rig import OFFSETS, flash, new_bus, numbers, record
 

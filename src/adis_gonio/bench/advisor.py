@@ -17,8 +17,7 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.plans import Position
 
 if TYPE_CHECKING:
-    from adis_gonio.tracing import TraceResult
-    from adis_gonio.tracing.outcome.result import NextDwell
+    from adis_gonio.tracing.trace_result import NextDwell, TraceResult
 
 MOST_EXTRA = 24
 """Positions that are asked for beyond the plan, by default."""
@@ -93,8 +92,8 @@ class TraceAdvisor:
 
     def advise(self, session: Session, visited: int, reachable: Callable[[Position], bool]) -> Advice:
         """Trace the session, and ask for the measurements that it proposes."""
-        from adis_gonio.tracing.advice.proposals import LEAST_SEPARATION
-        from adis_gonio.tracing.advice.words import sentences
+        from adis_gonio.tracing.advice import sentences
+        from adis_gonio.tracing.proposals import LEAST_SEPARATION
         from adis_gonio.tracing.trace import trace
 
         try:
@@ -148,7 +147,7 @@ def _position(measurement: NextDwell) -> Position:
 
 def _ended(result: TraceResult, wanted: list[NextDwell], within: list[NextDwell], visited: int) -> str:
     """Why nothing more is asked for."""
-    from adis_gonio.tracing.advice.words import sentences
+    from adis_gonio.tracing.advice import sentences
 
     if within:
         return f"the limit of further positions is reached ({visited} were added); not all is decided"

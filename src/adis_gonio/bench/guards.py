@@ -19,8 +19,7 @@ from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.numbers import counted
 from adis_gonio.bench.events import GuardKind, TurnMeasured
 from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
-from adis_gonio.fitting.slips.diagnosis import LARGEST
-from adis_gonio.fitting.slips.finding import MEANINGS
+from adis_gonio.fitting.slips.position_diagnosis import LARGEST, MEANINGS
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns

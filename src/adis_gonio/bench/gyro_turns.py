@@ -25,7 +25,7 @@ from adis_gonio.bench.guards import Guard, angle_between_deg
 from adis_gonio.bench.recorder import FollowedTurn
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
-from adis_gonio.fitting.gyros.integral import Integral, Path, Sampling, integrate
+from adis_gonio.fitting.gyros.turn_integration import Integral, Path, Sampling, integrate
 from adis_gonio.record.blocks import Block, join, session_columns
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
 from adis_gonio.record.session_reader import TURNED

@@ -14,7 +14,7 @@ from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.bench.events import NoiseMeasured, Problem, Running, Vector, Watching, Withdrawn
 from adis_gonio.bench.guards import Judge
 from adis_gonio.bench.session_bench import SessionBench
-from adis_gonio.live.smoothed import SmoothedMeter, sensing_of
+from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Header

@@ -19,8 +19,12 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.loading import Overrides, load_session
 from adis_gonio.record.provenance import changed_registers
 from adis_gonio.record.samples_writer import session_dict
-from adis_gonio.tracing.calibrations import gyro_calibration_of, gyros_alone, with_gyros
-from adis_gonio.tracing.loading import load_gyro_calibration
+from adis_gonio.tracing.trace_calibrations import (
+    gyro_calibration_of,
+    gyros_alone,
+    load_gyro_calibration,
+    with_gyros,
+)
 
 
 @dataclass(frozen=True)

@@ -39,12 +39,12 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.settings import LEAST_SAMPLES
 from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
 from adis_gonio.record.write_journal import Numbers
-from adis_gonio.tracing.calibrations import gyro_estimates_of, gyros_as_recorded
+from adis_gonio.tracing.trace_calibrations import gyro_estimates_of, gyros_as_recorded
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
     from adis_gonio.fitting import FitResult
-    from adis_gonio.fitting.gyros.calibrations import GyroEstimates
+    from adis_gonio.fitting.gyros.gyro_fit import GyroEstimates
 
 REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])
@@ -306,14 +306,14 @@ class _FittedSensor:
         value, u = self._propagated(length, np.zeros(1))
         if value[0] < LEAST_SHARE * gravity:
             raise FitError(
-                f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the session, its"
-                " plane of rotation vertical"
+                f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the session, with"
+                " its plane of rotation vertical"
             )
         what = "gravity's length by the session's calibration"
         return Agreement(what, ("|g|",), value, np.array([gravity]), u)
 
     def bias_found(self, angle_rad: float) -> tuple[Floats, Floats]:
-        """Biases (2,) in mg by the dwell and the fit's gains and angles, and their standard uncertainties."""
+        """Biases (2,) in mg by the dwell, the fit's gains and its angles, and their u."""
 
         def left(values: Floats, mean: Floats) -> Floats:
             return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad))
@@ -330,7 +330,8 @@ class _FittedSensor:
     def _bias_mg(self, values: Floats) -> Floats:
         """Biases (axes,) with the present offsets."""
         held = dict(zip(self.known, values, strict=True))
-        return np.array([held.get(name, 0.0) for name in BIASES[: self.model.axes]]) + self.moved_mg
+        found = [held.get(name, 0.0) for name in BIASES[: self.model.axes]]
+        return np.asarray(np.array(found) + self.moved_mg)
 
     def _ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
         """Readings (2,) of gravity alone at a declared angle."""
@@ -518,7 +519,7 @@ class Accelerometers:
         """How far the outputs moved between two dwells in the same place, against the plan."""
         figures = variant(plan.variant).performance
         rows = [AXES.index(axis.axis) for axis in plan.axes]
-        # Between neighbouring dwells the bias wanders by the floor of its Allan deviation and by temperature.
+        # Between neighbouring dwells the bias wanders by the floor of its Allan deviation and the warmth.
         wander = math.hypot(
             math.sqrt(2) * figures.bias_instability_mg,
             figures.bias_tempco_mg_per_c * (after.temperature_c - before.temperature_c),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from adis_gonio.model.records import Session
     from adis_gonio.record.plans import Plan
     from adis_gonio.record.source import SampleSource
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.tracing.trace_result import TraceResult
 
 _METADATA = {
     "operator": "operator, who measures",
@@ -167,8 +167,8 @@ def _show(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_
     """What a session of positions gives, its gyros in a line."""
     from adis_gonio.faces.cli.fit import print_answer, print_gains
     from adis_gonio.fitting import fit
-    from adis_gonio.fitting.gyros.gains import gains_of
-    from adis_gonio.tracing.answer import answer_with_trace
+    from adis_gonio.fitting.gyros.gyro_fit import gains_of
+    from adis_gonio.tracing.traced_answer import answer_with_trace
 
     truth = session.facts.get("truth")
     traced = _traced(session, advisor) if advisor is not None else None

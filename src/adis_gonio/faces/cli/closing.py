@@ -10,7 +10,7 @@ from adis_gonio.faces.cli.show import WIDTH, console
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.tracing.trace_result import TraceResult
 
 _MOST_GROUPS = 3
 _ERRORS = {

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from adis_gonio.model import Session
     from adis_gonio.page.parts import Section
     from adis_gonio.record.loading import Overrides
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.tracing.trace_result import TraceResult
 
 
 @click.command("report")
