@@ -14,11 +14,7 @@ ALWAYS_MANY = {
     "tracing/within/second_pass.py",  # limits of the program
     "device/sensor/driver.py",
     "record/plans.py",
-<<<<<<< HEAD
-    "tracing/one_pose/series.py",
-=======
     "tracing/one_pose.py",
->>>>>>> a32b65fc49bc995ecb13ecd1d4bcbe73389e504d
 }
 
 

@@ -306,8 +306,8 @@ class _FittedSensor:
         value, u = self._propagated(length, np.zeros(1))
         if value[0] < LEAST_SHARE * gravity:
             raise FitError(
-                f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the session, with"
-                " its plane of rotation vertical"
+                f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the"
+                " session, its plane of rotation vertical"
             )
         what = "gravity's length by the session's calibration"
         return Agreement(what, ("|g|",), value, np.array([gravity]), u)
