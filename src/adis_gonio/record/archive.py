@@ -1,8 +1,8 @@
 """The archive: one SQLite file with all data of a session; see `database` for its tables.
 
-A dwell is written in one transaction, with its samples, its moves and the reason of an interruption: it is
-complete or not there, and it is announced only when it is on the disk. A kill or a power cut therefore loses
-at most the dwell that is being recorded.
+A dwell is written in one transaction, with its samples, its moves and the reason of an interruption. It is
+complete or not there, and it is announced only when it is on the disk. A kill or a power cut therefore
+loses at most the dwell that is being recorded.
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ class ArchiveView(Closing):
         return {record.value for record in self.records("withdrawn")}
 
     def faulty(self) -> list[StoredAttempt]:
-        """Dwells with a fault or alarm (STATUS after them, EA within) that the operator has not accepted."""
+        """Dwells with a fault or alarm (STATUS after them, EA within) that were not accepted."""
         kept = {number for record in self.records("kept") for number in record.value}
         return [
             attempt

@@ -26,7 +26,7 @@ from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
 
 GENERIC = "generic"
-"""Name of a sensor of which nothing is known but its samples."""
+"""Name of a sensor of which only the samples are known."""
 
 UNITS = dict.fromkeys(("ax", "ay", "az"), "mg") | dict.fromkeys(("gx", "gy", "gz"), "°/s")
 UNITS |= {"temp_c": "°C", "supply_v": "V"}

@@ -9,18 +9,18 @@
 | `blocks` | scans of an attempt: words (uint16), of a generic sensor values (float64); times (float64) |
 | `moves` | a move of the stage by the program, at its time on the bus's clock |
 
-Every table refuses UPDATE and DELETE, so that no data is ever changed. Every row ends with a checksum of its
-other columns. A file with other tables, or with additional views, triggers or indexes, is refused before any
-of its SQL is run; statements have a limit of steps and rows a limit of length. `archive_tables` declares the
-type and range of every value.
-Numbers in blobs are little-endian. Times called `bus_s` are on the clock of the bus of that run, in s;
-adding the run's `clock_offset_s` makes them seconds since the session began. `continues` is the attempt
-after which a resumed run goes on, 0 for the beginning: a simulated world is brought back to that point.
+Every table refuses UPDATE and DELETE, so that no data is ever changed. Every row ends with a checksum of
+its other columns. A file with other tables, or with additional views, triggers or indexes, is refused
+before any of its SQL is run; statements have a limit of steps and rows a limit of length. `archive_tables`
+declares the type and range of every value. Numbers in blobs are little-endian. Times called `bus_s` are on
+the clock of the bus of that run, in s; adding the run's `clock_offset_s` makes them seconds since the
+session began. `continues` is the attempt after which a resumed run goes on, 0 for the beginning: a
+simulated world is brought back to that point.
 
 Durability: a rollback journal (`journal_mode=DELETE`), so that between commits there is only one file, and
-`synchronous=EXTRA`, which syncs the file and, after the journal is deleted, the directory: a commit that was
-announced survives a power cut. If a killed program leaves a journal, the next program that opens the file
-rolls it back.
+`synchronous=EXTRA`, which syncs the file and, after the journal is deleted, the directory: a commit that
+was announced survives a power cut. If a killed program leaves a journal, the next program that opens the
+file rolls it back.
 """
 
 from __future__ import annotations
