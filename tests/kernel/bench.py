@@ -1,12 +1,17 @@
-"""The client's side of the bench: plugs boards in and out, finds what the kernel made of them."""
+"""The client's side of the bench: plugs boards in and out, finds the kernel's devices for them.
+
+Processes of the guest are forked from one that has imported the package: to start a program and import it
+takes the guest some 40 s.
+"""
 
 from __future__ import annotations
 
-import json
+import multiprocessing
 import os
 import subprocess
-import sys
 import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +20,43 @@ RELOAD_S = 60
 USB_DEVICES = Path("/sys/bus/usb/devices")
 
 
-class Bench:
-    """Boards on the guest's virtual USB ports, held by a process of their own."""
+class Forked:
+    """A process that answers requests; `serve(connection)` runs in it until it receives None."""
 
-    def __init__(self) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "kernel.device_process"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
+    def __init__(self, serve: Callable[[Connection], None]) -> None:
+        context = multiprocessing.get_context("fork")
+        self._connection, other = context.Pipe()
+        self._process = context.Process(target=serve, args=(other,))
+        self._process.start()
+        other.close()
+
+    def ask(self, request: Any) -> Any:
+        """Send a request and return its answer.
+
+        Raises
+        ------
+        RuntimeError
+            If the process answers with `{"error": message}`.
+        """
+        self._connection.send(request)
+        answer = self._connection.recv()
+        if isinstance(answer, dict) and "error" in answer:
+            raise RuntimeError(f"{request}: {answer['error']}")
+        return answer
+
+    def close(self) -> None:
+        """End the process."""
+        self._connection.send(None)
+        self._process.join(SETTLE_S)
+        self._process.kill()
+        self._connection.close()
+
+
+class Bench:
+    """Boards on the guest's virtual USB ports; `devices` is the process that is the boards."""
+
+    def __init__(self, devices: Forked) -> None:
+        self._devices = devices
         self._ports: dict[int, str] = {}
 
     def plug(self, kind: str, serial: str) -> int:
@@ -68,22 +100,8 @@ class Bench:
         for port in list(self._ports):
             self.unplug(port)
 
-    def close(self) -> None:
-        """End the device process; what is still plugged in goes with it."""
-        if self._process.stdin is not None:
-            self._process.stdin.close()
-        self._process.wait(SETTLE_S)
-        if self._process.stdout is not None:
-            self._process.stdout.close()
-
     def _command(self, command: str, **arguments: Any) -> dict[str, Any]:
-        if self._process.stdin is None or self._process.stdout is None:
-            raise RuntimeError("the device process has no pipes")
-        self._process.stdin.write(json.dumps({"do": command, **arguments}) + "\n")
-        self._process.stdin.flush()
-        answer: dict[str, Any] = json.loads(self._process.stdout.readline())
-        if "error" in answer:
-            raise RuntimeError(f"{command} {arguments}: {answer['error']}")
+        answer: dict[str, Any] = self._devices.ask({"do": command, **arguments})
         return answer
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""The process that is the boards: commands by lines of JSON on stdin, an answer a line on stdout.
+"""The process that is the boards: a command and its answer are dictionaries on a connection.
 
 It must not be the client's process: hidapi opens and closes with the interpreter's lock held while the
 kernel talks to the device, so a device in the same process could never answer.
@@ -16,9 +16,8 @@ kernel talks to the device, so a device in the same process could never answer.
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from typing import Any
 
 from kernel.boards import BulkBoard, HidBoard, SerialBoard
@@ -135,18 +134,12 @@ class Boards:
         return self._figures[port]()
 
 
-def main() -> None:
-    """Serve commands until stdin ends."""
+def serve(connection: Connection) -> None:
+    """Run commands until None is received."""
     boards = Boards()
-    for line in sys.stdin:
-        arguments = json.loads(line)
+    while (arguments := connection.recv()) is not None:
         try:
             answer = getattr(boards, arguments.pop("do"))(**arguments)
         except Exception as error:  # whatever it was, the test that asked shall show it
             answer = {"error": f"{type(error).__name__}: {error}"}
-        sys.stdout.write(json.dumps(answer) + "\n")
-        sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    main()
+        connection.send(answer)

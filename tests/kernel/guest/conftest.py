@@ -5,24 +5,40 @@ from collections.abc import Iterator
 
 import pytest
 
-from kernel.bench import Bench
+import adis_gonio.sim  # noqa: F401 - imported once, before the processes are forked
+from kernel import device_process, open_urls
+from kernel.bench import Bench, Forked
 
 TEST_TIME_S = 300
 
+# Forked before any test imports a USB library: a library's state must not be shared by two processes.
+_devices = Forked(device_process.serve)
+_users = Forked(open_urls.serve)
 
-@pytest.fixture(scope="session")
-def device_process() -> Iterator[Bench]:
-    """The process that is the boards."""
-    bench = Bench()
-    yield bench
-    bench.close()
+
+def pytest_unconfigure() -> None:
+    """End the processes; boards that are still plugged in go with theirs."""
+    _users.close()
+    _devices.close()
 
 
 @pytest.fixture
-def bench(device_process: Bench) -> Iterator[Bench]:
+def users() -> Forked:
+    """The process that opens boards as an ordinary user."""
+    return _users
+
+
+@pytest.fixture(scope="session")
+def all_boards() -> Bench:
+    """The process that is the boards."""
+    return Bench(_devices)
+
+
+@pytest.fixture
+def bench(all_boards: Bench) -> Iterator[Bench]:
     """An empty bench; what a test plugs in is pulled out after it."""
-    yield device_process
-    device_process.clear()
+    yield all_boards
+    all_boards.clear()
 
 
 @pytest.fixture(autouse=True)

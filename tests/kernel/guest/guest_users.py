@@ -3,8 +3,6 @@
 import grp
 import json
 import stat
-import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,12 +11,11 @@ import pytest
 from click.testing import CliRunner
 
 from adis_gonio.faces.cli import app
-from kernel.bench import Bench, node, reload_rules, settle
+from kernel.bench import Bench, Forked, node, reload_rules, settle
 
 BENCH_USER = 4242
 RULES = Path("/etc/udev/rules.d/70-adis-gonio.rules")
 SUPPLY_5_V = 2730
-PROGRAM_TIME_S = 80
 
 
 def command(*arguments: str) -> str:
@@ -28,20 +25,12 @@ def command(*arguments: str) -> str:
     return done.stdout
 
 
-def open_as_user(urls: Sequence[str], groups: Sequence[str]) -> list[dict[str, Any]]:
-    """What a user of some groups gets from the boards."""
-    done = subprocess.run(
-        [sys.executable, "-m", "kernel.open_urls", *urls],
-        user=BENCH_USER,
-        group=BENCH_USER,
-        extra_groups=[grp.getgrnam(name).gr_gid for name in groups],
-        capture_output=True,
-        text=True,
-        timeout=PROGRAM_TIME_S,
-        check=False,
+def open_as_user(users: Forked, urls: Sequence[str], groups: Sequence[str]) -> list[dict[str, Any]]:
+    """Open boards as a user of some groups; return the outcome for each."""
+    answer: list[dict[str, Any]] = users.ask(
+        (urls, BENCH_USER, [grp.getgrnam(name).gr_gid for name in groups])
     )
-    assert done.returncode == 0, done.stderr
-    return [json.loads(line) for line in done.stdout.splitlines()]
+    return answer
 
 
 def plug_all(bench: Bench) -> list[str]:
@@ -73,10 +62,12 @@ def test_devices_lists_what_is_connected(bench: Bench) -> None:
 
 
 @pytest.mark.usefixtures("no_rules")
-def test_without_the_rules_a_user_is_refused_and_told_the_rule_with_them_it_works(bench: Bench) -> None:
+def test_without_the_rules_a_user_is_refused_and_told_the_rule_with_them_it_works(
+    bench: Bench, users: Forked
+) -> None:
     urls = plug_all(bench)
     # Debian gives ttys to dialout without any rule of ours: this user is in no group.
-    refused = open_as_user(urls, [])
+    refused = open_as_user(users, urls, [])
     assert [row.get("error") for row in refused] == ["CannotOpenError"] * len(urls)
     for row, words in zip(
         refused,
@@ -92,7 +83,7 @@ def test_without_the_rules_a_user_is_refused_and_told_the_rule_with_them_it_work
     bench.clear()
     plug_all(bench)
     settle()
-    allowed = open_as_user(urls, ["plugdev", "dialout"])
+    allowed = open_as_user(users, urls, ["plugdev", "dialout"])
     assert [row.get("message") for row in allowed] == [None] * len(urls)
     assert all(abs(row["supply"] - SUPPLY_5_V) < 100 for row in allowed)
     for place in (node("A1", "hidraw"), node("A1", "usb"), node("B2", "usb")):
