@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 
-from adis_gonio.live.motion_model import StateEstimate, TimeStep, backward, forward, looked_back
+from adis_gonio.live.motion_model import Passed, StateEstimate, TimeStep, advance, backward, looked_back
 
 SIZE, COUNT = 4, 30
+
+
+def forward(state: StateEstimate, steps: list[TimeStep]) -> list[Passed]:
+    """The filter over many steps."""
+    passed: list[Passed] = []
+    for step in steps:
+        passed.append(advance(passed[-1].filtered if passed else state, step))
+    return passed
 
 
 def model(
