@@ -66,7 +66,7 @@ def test_zero_rates_and_what_force_adds_are_those_of_linear_least_squares() -> N
     np.testing.assert_allclose(result.residual_dps, left, atol=1e-9)
     (told,) = [line for line in result.warnings if "not determined" in line]
     assert told == (
-        "not determined, taken as of perfect gyros: gyro_scale; gyro_misalignment; "
+        "not determined, fixed at perfect gyros: gyro_scale; gyro_misalignment; "
         "turn the part by whole turns about each axis (plan gyro-turns)"
     )
 

@@ -159,9 +159,7 @@ def test_a_part_of_the_turn_that_was_not_recorded_shows_in_gravity():
     recorder.now_s = world.stage.move_to(recorder.now_s, 30.0) + 1.0
     recorder.turn(lambda at: world.stage.move_to(at, 90.0), before_s=1.0)
     recorder.dwell(2.0, 90.0)
-    assert integrate(path_of(recorder), sampling(noise_dps=0.6)) == (
-        "a part of the turn went by while nothing was recorded"
-    )
+    assert integrate(path_of(recorder), sampling(noise_dps=0.6)) == ("a part of the turn was not recorded")
 
 
 def test_a_turn_of_which_nothing_was_recorded_is_not_taken_for_rest():

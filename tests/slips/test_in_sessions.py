@@ -13,7 +13,7 @@ from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.fitting.slips.session_positions import angles_of, in_context, positions_of
+from adis_gonio.fitting.slips.session_positions import angles_of, failure_message, positions_of
 from adis_gonio.record.overrides import AngleChange, Overrides
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.trace import as_the_angles_leave, as_the_part_stood
@@ -57,7 +57,7 @@ def test_a_session_without_turns_is_judged_by_gravity_alone(mistyped):
 
 def test_a_fit_that_fails_says_which_position_is_wrong(mistyped):
     session, truth = mistyped
-    told = in_context(replace(session, source="a.csv"), FitError("nothing is determined"))
+    told = failure_message(replace(session, source="a.csv"), FitError("nothing is determined"))
     assert told.startswith(f"a.csv: nothing is determined; position {truth.positions[0]}: declared ")
     assert "\n" not in told
 

@@ -518,7 +518,7 @@ class TestSessions:
             raise FitError("too few")
 
         with monkeypatch.context() as patched:
-            patched.setattr(stages, "in_context", lambda session, error: f"of this session: {error}")
+            patched.setattr(stages, "failure_message", lambda session, error: f"of this session: {error}")
             patched.setattr(stages, "refuse_too_few", refuse)
             with pytest.raises(FitError, match="of this session: too few"):
                 trace(session())

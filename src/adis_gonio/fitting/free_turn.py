@@ -108,8 +108,8 @@ def require_turn(psi_rad: Floats) -> None:
     turned = sweeps_of(psi_rad).span_deg
     if turned < LEAST_TURN_DEG:
         raise FitError(
-            f"the turn is too short: it went {turned:.0f}°, at least {LEAST_TURN_DEG:.0f}° tell biases from"
-            f" gains and 360° are wanted; {_AGAIN}, all around"
+            f"the turn is too short: it went {turned:.0f}°, at least {LEAST_TURN_DEG:.0f}° separate biases"
+            f" from gains, and 360° are best; {_AGAIN}, all around"
         )
 
 
@@ -140,7 +140,7 @@ def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, grav
         )
         raise FitError(
             f"the turn was not in one vertical plane: the part {worst}; hold it in a bearing or on a stage"
-            f" whose axis lies level and {_AGAIN}"
+            f" with a level axis and {_AGAIN}"
         )
     return []
 
@@ -164,7 +164,7 @@ def remarks(
     rate = np.degrees(np.abs(np.diff(psi_rad) / np.diff(windows.centre_s)))
     for where, part in (("start", rate[:4]), ("end", rate[-4:])):
         if len(part) and float(np.median(part)) > REST_DPS:
-            notes.append(f"no rest at the {where}: a lever arm is told from a bias less well")
+            notes.append(f"no rest at the {where}: a lever arm is separated less well from a bias")
     if (windows.gap_s > 0).any():
         lost = float(windows.gap_s.sum())
         notes.append(f"{lost:.2g} s of samples are missing: across them the gyro is not used")
@@ -175,8 +175,8 @@ METHOD = "free-turn"
 
 WHY = "a free turn without declared angles: gravity and gyro together are all that it has"
 UNSEEN = (
-    "the angle is counted from the start, where alpha stands; a zero of the stage was not declared",
-    "scale_x and scale_y hold for the stated gravity and a level axis: neither is told from them by a turn",
+    "the angle is counted from the start, the angle alpha; a zero of the stage was not declared",
+    "scale_x and scale_y hold for the stated gravity and a level axis: a turn separates neither from them",
 )
 """Limits of every free turn."""
 

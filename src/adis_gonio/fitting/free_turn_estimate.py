@@ -8,7 +8,7 @@ Unknown are the angle ψ_k of gravity to X at the centre of each window, and com
 
 ⟨…⟩ is the mean in a window over the gyro's course of the angle within it, so neither the window nor an
 uneven turn smears the angle. d are slow drifts with the spectrum 1/f, as its principal components. l is
-the lever arm in mm, τ the gyro's latency. The priors are those of any part (`SENSOR_SPREAD`) and of any
+the lever arm in mm, τ the gyro's latency. The priors hold for any part (`SENSOR_SPREAD`) and any
 bench (`LEVER_MM` …); the biases have none.
 
 Gauss–Newton maximises the posterior. The variances of accelerometers, gyro and drifts follow from the
@@ -144,7 +144,8 @@ LEVER_MM = 100.0
 GYRO_GAIN = 0.05
 """Prior standard deviation of the gyro's gain about 1 (D)."""
 G_SENSITIVITY_DPS = 0.2
-"""That of the gyro's sensitivity to acceleration, in °/s/g (CHIP: 0.05, B, of the sibling)."""
+"""Prior standard deviation of the gyro's sensitivity to acceleration, in °/s/g (CHIP: 0.05, B, of the
+sibling)."""
 LATENCY_S = 2e-3
 """Prior standard deviation of the gyro's delay against the accelerometers (D)."""
 GYRO_INSTABILITY_DPS = 0.015
@@ -286,7 +287,7 @@ class LeastSquaresProblem:
         gyro = np.concatenate([rest[7:12], rest[self.drift_rows.stop :]])
         course = -(self._integrals @ gyro[:5] + self._gyro_drifts @ gyro[5:])
         inside = self.windows.mean(np.exp(1j * course)) * np.exp(-1j * course[self._centre])
-        # The rate of turn is what the gyro shows less its zero: the square of both is not a square of one.
+        # Square of the rate minus the gyro zero, by the means of the square and of the rate.
         spin2 = gyro[0] ** 2 * self._square - 2 * gyro[0] * gyro[1] * self._rate + gyro[1] ** 2
         smear = 1 - 0.5 * self.series.smear_s**2 * spin2
         z = inside * np.exp(1j * psi) * smear
@@ -446,7 +447,8 @@ def _renewed(
     accel, gyro, by_accel, by_gyro = problem.model(values)
     flat = by_accel.reshape(-1, problem.size)
     taken = np.einsum("ij,ij->i", flat @ covariance, flat).reshape(-1, 2) / before.accel_mg2[:, None]
-    # The used degrees of freedom are slow, and slow noise is denser than that of a window (`LONG_RUN`).
+    # The used degrees of freedom are slow, and slow noise is denser than the noise of a window
+    # (`LONG_RUN`).
     free = np.maximum(2 - LONG_RUN * taken.sum(axis=1), 1e-3)
     squares = (accel**2).sum(axis=1)
     whole = float(squares.sum() / free.sum()) if free.sum() > 1 else float(before.accel_mg2.mean())

@@ -41,8 +41,8 @@ from adis_gonio.live.motion_model import (
     backward,
     coloured,
     disturbance_of,
-    looked_back,
     slow_drift_mg,
+    smooth_lagged,
 )
 
 SPAN_S = 1.0
@@ -173,11 +173,11 @@ class AngleSmoother:
     ----------
     sensing : Sensing
     gyros : GyroKnowledge, optional
-        By default those of an uncalibrated part.
+        By default of an uncalibrated part.
     lag_s : float
         0 for the filter alone.
     corrected : callable, optional
-        Corrects accelerometers; without it the angle is that of the uncorrected readings.
+        Corrects accelerometers; without it the readings count as they are.
     bend : float
         Standard deviation of the slope of gravity's angle: `motion_model.BEND` without a calibration.
     keeps : bool
@@ -267,13 +267,13 @@ class AngleSmoother:
     def _pass(self, state: StateEstimate) -> None:
         """Advance the filter by a step."""
         passed = advance(state, self._step_of(self._done, state))
-        self._state = self._believed(passed.filtered)
+        self._state = self._doubt_calibration(passed.filtered)
         if self._kept is not None:
             at = self._seen[self._done].turned
             self._kept.append(Kept(self._time_s(at), self._drift_deg(at), passed))
         self._done += 1
 
-    def _believed(self, state: StateEstimate) -> StateEstimate:
+    def _doubt_calibration(self, state: StateEstimate) -> StateEstimate:
         """Widen the state, once, if the zero rate refutes the calibration of the gyros."""
         stated = self._gyros
         if self._doubted or stated.calibration is None or abs(state.mean[ZERO]) < DOUBT * stated.zero_dps:
@@ -353,7 +353,7 @@ class AngleSmoother:
         for place in range(self._done, len(self._seen)):
             passed.append(advance(state, self._step_of(place, state)))
             state = passed[-1].filtered
-        state = looked_back(self._state, passed)
+        state = smooth_lagged(self._state, passed)
         at = self._seen[self._done - 1].turned
         mean, u = state.mean, np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
         notes = tuple(name for name in _NOTES if any(name in one.notes for one in self._seen))

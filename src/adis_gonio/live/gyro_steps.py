@@ -59,7 +59,7 @@ class GyroKnowledge:
     def of(cls, calibration: GyroCorrection | None, u: Mapping[str, float | None] | None) -> GyroKnowledge:
         """Combine a calibration with its standard uncertainties by name (`gyro_bias_z`, `gyro_scale_z`, …).
 
-        An unstated uncertainty is that of an uncalibrated part.
+        An unstated uncertainty has the value of an uncalibrated part.
         """
         if calibration is None:
             return cls()

@@ -151,7 +151,7 @@ class AngleMeter:
         if self._smoother is not None:
             self._smoother.restart()
 
-    def go_on(self, before: AngleMeter) -> None:
+    def continue_from(self, before: AngleMeter) -> None:
         """Continue the times and losses of another meter."""
         self._resume_s, self._lost = before._last_s, before._lost
 
@@ -179,7 +179,7 @@ class AngleMeter:
         smoothed = None
         if self._smoother is not None:
             if still:
-                self._smoother.rested(mean, temperature_c)
+                self._smoother.take_rest(mean, temperature_c)
             smoothed = self._smoother.reading(end_s)
         return LiveAngle(
             self._last_s,
@@ -396,7 +396,7 @@ def live_angles(
                 meter.restart()
             else:
                 ended, meter = meter, _meter(source, calibration, lag_s)
-                meter.go_on(ended)
+                meter.continue_from(ended)
         reading = meter.feed(block)
         if reading is not None:
             yield reading

@@ -23,7 +23,7 @@ few per cent. Slower octaves are constant over a few seconds and are added to u.
 
     x(k) = F x(k−1) + s + w,  w ~ N(0, Q);    y(k) = h·x(k) + v,  v ~ N(0, r)
 
-The backward pass is that of Rauch, Tung and Striebel in the form of Bierman ("Fixed interval smoothing with
+The backward pass follows Rauch, Tung and Striebel in the form of Bierman ("Fixed interval smoothing with
 discrete measurements", 1973). It carries the information of later observations as an adjoint vector and
 matrix, and needs no inverse, so constant parts of the state, or parts without variance, are no special
 case.
@@ -48,7 +48,7 @@ LEAST_STEPS = 8
 START_MG = 20.0
 """Level before the first steps have shown it (D): a part held in the hand."""
 SHOCK = 16.0
-"""A step whose square is this many times that of the span is a shock, and counts alone: one Gaussian
+"""A step with a square this many times larger than in the span is a shock, and counts alone: one Gaussian
 step in nine million."""
 STATIONARY = 0.97
 _MEDIAN = 2 * math.log(2)
@@ -239,7 +239,7 @@ def backward(passed: Sequence[Passed]) -> list[StateEstimate]:
     return smoothed[::-1]
 
 
-def looked_back(state: StateEstimate, later: Sequence[Passed]) -> StateEstimate:
+def smooth_lagged(state: StateEstimate, later: Sequence[Passed]) -> StateEstimate:
     """Filtered state with the observations of later steps (fixed lag)."""
     adjoint = _Adjoint(len(state.mean))
     for one in reversed(later):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
 
 GENERIC_WALK_DEG = 0.021
-"""Angle random walk in a second of unknown gyros: that of the family (CHIP, B)."""
+"""Angle random walk in a second of unknown gyros, as in the family (CHIP, B)."""
 LENGTH_K = 3.0
 """Smallest error of gravity's length, in standard uncertainties, that refutes a calibration."""
 LENGTH_FLOOR = 1e-3
@@ -133,7 +133,7 @@ class SmoothedMeter:
         """Restart after a break of the link; see `AngleSmoother.restart`."""
         self._smoother.restart()
 
-    def rested(self, mean_mg: Floats, temperature_c: float | None) -> None:
+    def take_rest(self, mean_mg: Floats, temperature_c: float | None) -> None:
         """Take a reading (3,) at rest: check the length of gravity against the calibration."""
         calibration = self._calibration
         if calibration is None:
@@ -207,7 +207,7 @@ def corrected_angle(
 
 
 def _bend_of(calibration: Calibration) -> float:
-    """Standard deviation of the calibrated angle's slope: by its u without that of its zero."""
+    """Standard deviation of the calibrated angle's slope: by its u without the u of its zero."""
     psi = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     unit = np.stack([np.cos(psi), np.sin(psi), np.zeros(8)], axis=1)[:, : calibration.axes]
     u_deg = calibration.angle(calibration.readings_of(unit), plane="xy").u_deg

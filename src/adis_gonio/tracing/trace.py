@@ -30,7 +30,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.noise import state_noise
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
-from adis_gonio.fitting.slips.session_positions import in_context, positions_of
+from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
 from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
@@ -140,7 +140,7 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
         data = state_noise(data) if own else data
         result = trace_readings(data, max_effects, positions)
     except FitError as error:
-        raise FitError(in_context(session, error)) from error
+        raise FitError(failure_message(session, error)) from error
     result = with_positions(result, data, positions)
     checked = result.stopped is None or result.stopped.checked
     if own:

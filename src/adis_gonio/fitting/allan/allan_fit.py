@@ -28,8 +28,8 @@ from adis_gonio.fitting.allan.spectral_likelihood import (
     SpectralLine,
     ordinates,
     profile,
+    subtract_sinusoids,
     together,
-    without_lines,
 )
 from adis_gonio.fitting.estimation.converter import steps_of
 from adis_gonio.fitting.estimation.readings import mg_per_unit
@@ -192,7 +192,7 @@ def _period(dwells: list[Dwell], where: str) -> float:
     steps = np.diff(longest.time_s)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     if not usual > 0:
-        raise DataError(f"{where}: the times of the samples stand still; without them there is no rate")
+        raise DataError(f"{where}: the times of the samples do not increase, so the rate is unknown")
     # A longer step is a missing sample; a step of zero comes from coarse times and counts.
     return float(steps[steps < _EVEN * usual].mean())
 
@@ -231,7 +231,7 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
         With dwells, or continuous with rests: each is a record with its own mean and slope.
     part : {"gyro", "accelerometer"}
     filter_m : int, optional
-        M of the chip's filter, 0 to 6; by default the session's, or that of the spectrum of a known sensor.
+        M of the chip's filter, 0 to 6; by default the session's, or, of a known sensor, by the spectrum.
         Other sensors count as unfiltered in the band in which these noises explain their spectrum.
 
     Raises
@@ -250,9 +250,9 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
     if m is None:
         m = _filter_seen(rests) if chip else 0
         notes.append(
-            f"the file does not say the chip's filter: M = {m} by the spectrum; --filter says it"
+            f"the file does not state the chip's filter: M = {m} by the spectrum; --filter states it"
             if chip
-            else "no filter is known: fitted in the band whose spectrum these noises explain"
+            else "no filter is known: fitted in the band that these noises explain"
         )
     share = current().share
     found = []
@@ -364,7 +364,7 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
     lines: list[list[SpectralLine]] = []
     parts = []
     for record in flat:
-        clean, own, masked = without_lines(record, period_s, highest)
+        clean, own, masked = subtract_sinusoids(record, period_s, highest)
         lines.append(own)
         parts.append(ordinates(_flat(clean) if own else record, m, period_s, rounding, masked))
     quiet = _quiet(parts, highest)

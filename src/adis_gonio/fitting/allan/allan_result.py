@@ -139,7 +139,7 @@ class AxisNoise:
     lines : tuple of SpectralLine
         Subtracted sinusoids.
     step : float
-        Step of the converter, whose rounding is no part of the coefficients. 0 unknown.
+        Step of the converter; its rounding is no part of the coefficients. 0 unknown.
     curve : AllanCurve
     notes : tuple of str
         Remarks for the user, one line each.
@@ -292,13 +292,13 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[in
         yield f"{counted(len(loud), 'record')} left out, louder than the quietest (positions {which})"
     if coarse:
         yield (
-            f"the noise is below half a step of the converter ({format_number(axis.step)}): what is seen is"
+            f"the noise is below half a step of the converter ({format_number(axis.step)}): it shows"
             " its rounding"
         )
     if narrowed and axis.adequacy >= INADEQUATE:
         yield f"above {format_number(axis.band_hz[1])} Hz the spectrum is of another kind and was left out"
     if axis.adequacy < INADEQUATE:
-        yield f"the spectrum is not that of these noises (p = {axis.adequacy:.1g}): u is too small"
+        yield f"these noises do not explain the spectrum (p = {axis.adequacy:.1g}): u is too small"
     for line in axis.lines:
         yield (
             f"a sinusoid of {format_number(line.frequency_hz, 4)} Hz, amplitude"
@@ -307,8 +307,8 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[in
     flicker, walk = axis["flicker"], axis["walk"]
     if not flicker.present and not walk.present and axis.slow_p_value < SLOW_NOISE:
         yield (
-            "there is slow noise, and the records are too short to tell bias instability from random walk:"
-            " let it lie still for four times as long"
+            "there is slow noise, and the records are too short to separate bias instability from random"
+            " walk: record four times as long at rest"
         )
     for parameter in (flicker, walk):
         if parameter.present and parameter.profile.dof < _FEW_DOF:

@@ -16,7 +16,7 @@ walk K          τ/3                 1/(2πf)²
 F is the floor of the Allan deviation, 0.664 times the standard's B. The likelihood works in the basis of
 the DCT-II without its first vector. In this basis white noise and a random walk of any mean are exactly
 independent, because its vectors are the eigenvectors of the differences' normal matrix. The correlations of
-flicker are at most 0.12, those of the squares in the likelihood 0.015.
+flicker are at most 0.12, the correlations of the squares in the likelihood 0.015.
 
 The variance of the Allan deviation follows from the fitted noise of the record (its variogram), not from an
 assumed kind: for Gaussian noise Var σ̂² = 2/M² Σ (M − |l|) R(l)², with R the autocovariance of the M
@@ -148,7 +148,7 @@ _LATTICE = 32
 
 @dataclass(frozen=True)
 class AllanCurve(JsonRecord):
-    """Allan deviation of one axis with its 95 % intervals, and that of the fitted model.
+    """Allan deviation of one axis with its 95 % intervals, and the deviation of the fitted model.
 
     Attributes
     ----------
@@ -206,7 +206,7 @@ def overlapping(samples: Sequence[Floats]) -> tuple[list[int], Floats]:
 def curve(
     records: Sequence[Floats], squares: Floats, filter_m: int, period_s: float, rounding: Floats
 ) -> AllanCurve:
-    """Allan deviation of an axis, and that of the fitted noise.
+    """Allan deviation of an axis, and the deviation of the fitted noise.
 
     Parameters
     ----------

@@ -5,7 +5,7 @@ left out. The spectrum consists of DCT-II ordinates: the lowest ones individuall
 means of narrow bins.
 
 Ordinates are independent and normal with variances linear in the squared coefficients θ ≥ 0. The mean and
-the linear slope of each record are no noise. The likelihood is therefore that of the part of the data
+the linear slope of each record are no noise. The likelihood therefore describes the part of the data
 orthogonal to them (REML), which is a term of rank one for the slope. An absent coefficient is on the
 boundary θ = 0, and the likelihood ratio has there the distribution ½χ²₀ + ½χ²₁ (Self and Liang 1987).
 """
@@ -53,7 +53,7 @@ class SpectralLine(JsonRecord):
     amplitude: float
 
 
-def without_lines(
+def subtract_sinusoids(
     record: Floats, period_s: float, highest: float
 ) -> tuple[Floats, list[SpectralLine], NDArray[np.intp]]:
     """Subtract the sinusoids of a record; return the rest, the sinusoids and the ordinates around them.
@@ -73,7 +73,7 @@ def without_lines(
         if peak is None:
             break
         place, ratio = peak
-        record, amplitude = _taken_off(record, place)
+        record, amplitude = _subtract_sinusoid(record, place)
         reach = _LEAKS + int(min(math.sqrt(ratio) / 16, len(record) / 256))
         middle = round(place)
         taken[max(0, middle - reach) : middle + reach + 1] = True
@@ -118,7 +118,7 @@ def _level(power: Floats) -> Floats:
     return level
 
 
-def _taken_off(record: Floats, place: float) -> tuple[Floats, float]:
+def _subtract_sinusoid(record: Floats, place: float) -> tuple[Floats, float]:
     phase = 2 * np.pi * place / len(record) * np.arange(len(record))
     columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
     values = np.linalg.solve(columns.T @ columns, columns.T @ record)
@@ -150,8 +150,8 @@ class Ordinates:
     rounding : (b,) float
         Mean variance of the converter's rounding.
     lines : tuple of (first, ordinate, line)
-        For each record: the bin of its first single ordinate, the (s,) single ordinates, and those of a
-        line of slope 1 per sample.
+        For each record: the bin of its first single ordinate, the (s,) single ordinates, and the ordinates
+        of a line of slope 1 per sample.
     """
 
     frequency: Floats

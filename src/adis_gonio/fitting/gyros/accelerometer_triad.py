@@ -35,7 +35,8 @@ SKEWS = tuple(f"skew_{AXES[i]}{AXES[j]}" for i, j in SKEW_AXES)
 BIASES = tuple(f"bias_{axis}" for axis in AXES)
 NAMES = (*GAINS, *SKEWS, *BIASES)
 CONSISTENT = 4.0
-"""Largest distance of a declared angle from that of gravity, in standard uncertainties, to average both."""
+"""Largest difference of the declared angle and the angle by gravity, in standard uncertainties, to
+average both."""
 UNKNOWN_SKEW_DEG = 0.25
 UNKNOWN_BIAS_MG = 50.0
 """Of a part without a measurement: the one real ADIS16350 showed +57, −21, +46 mg. The default of 10 mg of
@@ -46,12 +47,12 @@ _NATURAL = np.array([1.0] * 3 + [math.pi / 180] * 3 + [1.0] * 3)
 """Units inside: 1, rad, mg; results state skews in degrees."""
 _STEP = 0.01
 _NOT_CALIBRATED = (
-    "the accelerometers' biases are not determined: u of the directions of axes holds what they may be;"
+    "the accelerometers' biases are not determined: u of the directions of axes includes them;"
     " rest each arrow up and down"
 )
 _NOT_SQUARE = (
-    "the angles between the accelerometers are not determined: u of the directions of axes holds what they"
-    " may be; rest the part with gravity shared between two axes"
+    "the angles between the accelerometers are not determined: u of the directions of axes includes"
+    " them; rest the part with gravity shared between two axes"
 )
 
 
@@ -173,7 +174,7 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
         from adis_gonio.fitting.methods import fit_of
 
         readings = readings_of(session)
-        # In space by gravity alone: the turns are what these gyros are to be calibrated by.
+        # In space by gravity alone, because the turns will calibrate the gyros.
         result = fit(session, method="ml") if readings.planar else fit_of(readings, "ml")
         own = calibration_as_recorded(result) if readings.planar else None
     except AdisGonioError:
@@ -189,7 +190,7 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
     biases_open = any(name.startswith("bias") for name in result.undetermined)
     unseen = math.degrees(UNKNOWN_BIAS_MG / session.gravity_mg) if biases_open else 0.0
     u = np.hypot(np.asarray(shown.u_deg), unseen)
-    note = "the accelerometers' biases are not determined: u of the turns holds what they may be"
+    note = "the accelerometers' biases are not determined: u of the turns includes them"
     return replace(
         _triad_in_space(session, *given),
         psi_deg=_with_declared(readings, np.asarray(shown.angle_deg), u),

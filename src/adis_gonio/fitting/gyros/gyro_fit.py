@@ -3,8 +3,8 @@
 The model is the gyros' base model (`model.rates`) with the effects of a physical calibration:
 `g_sensitivity` if poses show it, `gyro_scale` and `gyro_misalignment` if turns show them. No parameter
 belongs to two gyros, so each gyro is determined alone. A parameter that the intervals do not determine is
-fixed at that of a perfect gyro, and the result reports it. A result states gains and misalignments as K
-and D of rate = K D ω, however large they are.
+fixed at the value of a perfect gyro, and the result reports it. A result states gains and misalignments
+as K and D of rate = K D ω, however large they are.
 
 The directions D of the gyros (rows, in the accelerometers' frame) are a rotation of the whole triad and the
 misalignment of the three axes with one another: D = S R with a symmetric S (polar decomposition). The
@@ -72,10 +72,10 @@ TIME_BASE_U = 50e-6 / math.sqrt(3)
 Times are the host's, so the chip's own clock does not count. An angle is rate times time: all gains
 share this error."""
 LARGEST_DPS = 10.0
-"""Zero rate above which another cause is more probable: ten times that of parts of this class (D)."""
+"""Zero rate above which another cause is more probable: ten times the typical rate of this class (D)."""
 
 
-def implausible(session: Session, zero_dps: Sequence[float]) -> tuple[str, ...]:
+def gyro_doubts(session: Session, zero_dps: Sequence[float]) -> tuple[str, ...]:
     """Reasons to doubt the gyros of a session, one line each: large zero rates, or constant samples.
 
     Parameters
@@ -95,7 +95,7 @@ def implausible(session: Session, zero_dps: Sequence[float]) -> tuple[str, ...]:
         if samples and np.ptp(np.concatenate([rows[:, k] for rows in samples])) == 0:
             doubts.append(
                 f"gyro {axis} reads {samples[0][0, k]:g} in every sample, without any noise: is it"
-                " connected, and the column that of a gyro?"
+                " connected, and is the column a gyro?"
             )
     return tuple(doubts)
 
@@ -155,7 +155,7 @@ class GyroScore:
     max_dps: dict[str, float]
 
     def as_dict(self) -> dict[str, Any]:
-        """One entry of `scores`; the residual is that of all axes together."""
+        """One entry of `scores`; the residual is over all axes."""
         both = np.array(list(self.rms_dps.values()))
         return {
             "residual_rms_dps": float(np.sqrt((both**2).mean())),
@@ -318,7 +318,7 @@ def _fit_session(session: Session, readings: Readings) -> GyroFit:
         result = fit_gyro_readings(readings.training)
     except FitError as error:
         raise FitError(f"{session.source}: {error}" if session.source else str(error)) from error
-    doubts = implausible(session, [result[f"gyro_bias_{axis}"].value for axis in AXES])
+    doubts = gyro_doubts(session, [result[f"gyro_bias_{axis}"].value for axis in AXES])
     return replace(
         result,
         doubts=doubts,
@@ -376,7 +376,7 @@ class _Model:
     Attributes
     ----------
     names : tuple of str
-        Base parameters and those of the terms.
+        Base parameters and parameters of the terms.
     free : (p,) bool
     """
 
@@ -396,7 +396,7 @@ class _Model:
 
     @cached_property
     def begun(self) -> Fit:
-        """Fit with all parameters at those of perfect gyros."""
+        """Fit with all parameters at the values of perfect gyros."""
         base = Fit.begin(self.data, with_prior=False)
         tau = max(BEGIN_TAU * float(np.ptp(self.data.conditions.time_s)), 1.0)
         values = [[tau if p.shape else 0.0 for p in term.effect.parameters] for term in self.terms]
@@ -574,13 +574,13 @@ def _warnings(
     lost = [name for name in CALIBRATED if _lacks(data, name)] + _kinds(model.lost)
     if lost:
         warnings.append(
-            f"not determined, taken as of perfect gyros: {'; '.join(lost)}; {_remedy(data, model)}"
+            f"not determined, fixed at perfect gyros: {'; '.join(lost)}; {_remedy(data, model)}"
         )
     large = [f"{axis} {math.sqrt(own):.2g}" for axis, (own, _) in inflation.items() if own > 1]
     if large:
         warnings.append(
-            f"the residual is larger than the noise that was measured ({', '.join(large)} times):"
-            " uncertainties are stated by the residual; trace --sensor-part gyro says what is missing"
+            f"the residual is larger than the measured noise ({', '.join(large)} times):"
+            " uncertainties are stated by the residual; trace --sensor-part gyro reports the missing effect"
         )
     return warnings + _drifting(data, model, parameters)
 
@@ -622,10 +622,12 @@ def _drifting(data: Readings, model: _Model, parameters: dict[str, Value]) -> li
             elif abs(float(value) - known.value) > known.u:
                 moved.append(f"{name} {known.value:+.3f} to {float(value):+.3f}")
         changes = [f"with one in the model {', '.join(moved)} °/s/g"] if moved else []
-        changes += [f"beside one {', '.join(_kinds(open_))} cannot be determined"] if open_ else []
+        changes += (
+            [f"with one in the model {', '.join(_kinds(open_))} cannot be determined"] if open_ else []
+        )
         if changes:
             warnings.append(
-                f"in this order of poses force is not wholly told from a {word}: {'; '.join(changes)}; "
+                f"in this order of poses force cannot be separated from a {word}: {'; '.join(changes)}; "
                 "repeat poses in another order"
             )
     return warnings
@@ -717,7 +719,7 @@ def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
 
 
 def gyro_calibration_as_it_is(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
-    """Return the calibration for the offsets that the sensor holds now; see `gyro_as_written`."""
+    """Return the calibration for the present offsets of the sensor; see `gyro_as_written`."""
     made = make_gyro_calibration(found, where)
     return made if where is None else gyro_as_written(made, where)
 

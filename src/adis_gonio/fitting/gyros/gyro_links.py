@@ -6,7 +6,7 @@ accelerometers while the part turns. The uncertainty of the rotation has these p
 * white noise of the samples and of the means of both dwells, and the error of bridges over lost scans;
 * 1/f noise: the distance of the zero rate over the turn from that mean, by the covariance of the three
   intervals;
-* the rotation of the earth, whose share in the zero rate changes with the attitude;
+* the rotation of the earth: its share in the zero rate changes with the attitude;
 * errors that all links share: gains and directions of the gyros (`GyroPrior`), the g-sensitivity as the
   dwells of the session leave it, and the asymmetry of the gains.
 
@@ -87,8 +87,8 @@ class GyroPrior:
     def of_sheet(cls, sensor: str) -> GyroPrior:
         """Perfect gyros with the uncertainty of their data sheet: rectangles within its limits.
 
-        Gains and misalignments of each gyro are independent. The whole triad is rotated against that of the
-        accelerometers, whose own direction in the package is equally uncertain.
+        Gains and misalignments of each gyro are independent. The whole triad is rotated against the
+        triad of the accelerometers: the direction of each in the package is equally uncertain.
         """
         values = np.concatenate([np.eye(3).ravel(), np.zeros(PARAMETERS - 9)])
         gain, per_g = UNKNOWN_GAIN, UNKNOWN_G_DPS

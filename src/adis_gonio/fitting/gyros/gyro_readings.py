@@ -47,10 +47,10 @@ from adis_gonio.fitting.gyros.turn_integration import (
 from adis_gonio.fitting.gyros.turn_references import (
     MARK_U_DEG,
     Reference,
-    in_space,
-    on_stage,
+    reference_in_space,
+    reference_of_whole_turns,
+    reference_on_stage,
     steady_force,
-    whole_turns,
 )
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.rates import MeanRate
@@ -238,7 +238,7 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
     dwells = tuple(dwell for dwell in session.dwells if dwell.gyro is not None and len(dwell) > 1)
     if not dwells and any(dwell.gyro is not None for dwell in session.dwells):
         raise DataError(
-            f"{source}: its dwells hold one sample of the gyros each, and nothing tells how noisy that is: "
+            f"{source}: its dwells hold one sample of the gyros each, and their noise is unknown: "
             "give all samples"
         )
     if not dwells:
@@ -288,9 +288,9 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
     triad = triad_of(session, calibration) if turns else None
     refused: dict[str, list[int]] = {}
     if triad is not None:
-        alike, whole = _alike(turns), any(turn.turned_deg is not None for turn in turns)
+        consecutive, whole = _consecutive(turns), any(turn.turned_deg is not None for turn in turns)
         for turn in turns:
-            found = _interval_of_turn(session, turn, rests, triad, alike[turn.position])
+            found = _interval_of_turn(session, turn, rests, triad, consecutive[turn.position])
             if isinstance(found, _Interval):
                 rows.append(found)
             elif turn.turned_deg is not None or not whole:
@@ -324,20 +324,20 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
     })  # fmt: skip
 
 
-def _alike(turns: Sequence[Turn]) -> dict[int, int]:
+def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
     """Number of consecutive whole turns without a change of attitude, by the dwell in which each ends.
 
     Such turns share the error of the direction of their axis.
     """
-    alike = {turn.position: 1 for turn in turns}
+    consecutive = {turn.position: 1 for turn in turns}
     group: list[int] = []
     for turn in turns:
         if turn.turned_deg is None:
             group = []
             continue
         group = [*group, turn.position] if group and group[-1] == turn.before else [turn.position]
-        alike |= dict.fromkeys(group, len(group))
-    return alike
+        consecutive |= dict.fromkeys(group, len(group))
+    return consecutive
 
 
 def _surroundings(part: Dwell | Turn) -> dict[str, Any]:
@@ -376,7 +376,7 @@ def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[_Interval]
 
 
 def _interval_of_turn(
-    session: Session, turn: Turn, rests: GyroDwells, triad: Triad, alike: int
+    session: Session, turn: Turn, rests: GyroDwells, triad: Triad, consecutive: int
 ) -> _Interval | str:
     """Interval of a turn, or the reason why there is none."""
     before, after = (rests.dwells[rests.by_position[k]] for k in (turn.before, turn.position))
@@ -385,7 +385,7 @@ def _interval_of_turn(
     if path is None or isinstance(integral, str):
         return str(integral)
     if turn.turned_deg is not None:
-        found = _whole(session, path, integral, triad, rests.sampling.delay_s, alike)
+        found = _whole(session, path, integral, triad, rests.sampling.delay_s, consecutive)
     else:
         found = _by_gravity(integral, triad, (before.position, after.position))
     if isinstance(found, str):
@@ -412,14 +412,14 @@ def _interval_of_turn(
 
 
 def _whole(
-    session: Session, path: Path, integral: Integral, triad: Triad, delay_s: float, alike: int
+    session: Session, path: Path, integral: Integral, triad: Triad, delay_s: float, consecutive: int
 ) -> Reference | str:
     """Reference of whole turns about the vertical."""
     steady, covariance = steady_force(path, integral.begin_s + delay_s, integral.end_s + delay_s)
     axis = covariance / max(float(steady @ steady), 1e-18)
     sigma = session.fixture_sigma_deg
     mark_u_deg = MARK_U_DEG if sigma is None or not math.isfinite(sigma) else sigma
-    found = whole_turns(integral, triad.axes.direction(steady), mark_u_deg, axis, alike)
+    found = reference_of_whole_turns(integral, triad.axes.direction(steady), mark_u_deg, axis, consecutive)
     if isinstance(found, str):
         return found
     # The upward direction is opposite to the accelerometers' reading.
@@ -432,11 +432,11 @@ def _by_gravity(integral: Integral, triad: Triad, positions: tuple[int, int]) ->
         here, there = (triad.psi_deg.get(position) for position in positions)
         if here is None or there is None:
             return "one of its dwells has no angle by gravity"
-        return on_stage(integral, (here[0], there[0]), math.hypot(here[1], there[1]))
+        return reference_on_stage(integral, (here[0], there[0]), math.hypot(here[1], there[1]))
     before, after = (triad.gravity.get(position) for position in positions)
     if before is None or after is None:
         return "one of its dwells has no direction of gravity"
-    return in_space(integral, (before, after), triad.u_rad)
+    return reference_in_space(integral, (before, after), triad.u_rad)
 
 
 def gyro_readings_of(session: Session) -> Readings:
@@ -481,8 +481,9 @@ def readings_of_intervals(
 ) -> Readings:
     """Convert rate intervals to readings, as fit and trace take them.
 
-    The covariance of a reading is the covariance of the interval, plus that of the true rotation, plus its
-    independent part of the 1/f noise. `Readings.slow` has the modes that intervals share.
+    The covariance of a reading is the covariance of the interval, plus the covariance of the true
+    rotation, plus its independent part of the 1/f noise. `Readings.slow` has the modes that intervals
+    share.
     """
     n = len(intervals)
     own, slow = intervals.drift()
@@ -537,12 +538,12 @@ def _conditions(intervals: RateIntervals, force: Floats | None) -> Conditions:
 def _changing_force(force_g: Floats) -> tuple[Floats | None, list[str]]:
     """Forces (n, 3) with 0 for components that do not change, and a remark on these components."""
     if not np.isfinite(force_g).all():
-        return None, ["accelerometers in counts: nothing can be said of the gyros' g-sensitivity"]
+        return None, ["accelerometers in counts: the gyros' g-sensitivity is not determined"]
     moves = np.ptp(force_g, axis=0) >= LEAST_FORCE_G
     names = [AXES[k] for k in np.flatnonzero(~moves)]
     if not names:
         return force_g, []
     if len(names) == len(AXES):
-        return None, ["the force was the same throughout: what it adds is in the zero rates"]
-    note = f"the force along {', '.join(names)} did not change: what it adds is in the zero rates"
+        return None, ["the force was constant: its effect is in the zero rates"]
+    note = f"the force along {', '.join(names)} did not change: its effect is in the zero rates"
     return np.where(moves, force_g, 0.0), [note]

@@ -228,9 +228,9 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
     if _shows_another_attitude(path, path.force_g[head], 0) or _shows_another_attitude(
         path, path.force_g[tail], 1
     ):
-        return "a part of the turn went by while nothing was recorded"
+        return "a part of the turn was not recorded"
     if moving[head].any() or moving[tail].any():
-        return "the part was moving already where the recording begins, or still where it ends"
+        return "the part was already moving when the recording began, or still moving when it ended"
     return integral_over(path, sampling, begin, end)
 
 
@@ -245,7 +245,7 @@ def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
 
 
 def _moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
-    """True (n,) if the mean of a window around a sample exceeds that of a part at rest."""
+    """True (n,) if the mean of a window around a sample exceeds the mean of a part at rest."""
     rate = path.rate_dps - path.zero_dps.mean(axis=0)
     # Means of windows that shrink at both ends, by differences of the cumulative sum.
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate, axis=0)])
@@ -277,7 +277,7 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
     weight, length = _trapezoid_weights(time), float(time[-1] - time[0])
     bridges = _bridges(time, rate, sampling)
     if bridges is None:
-        return "too many scans were lost while it was turned to tell what is missing"
+        return "too many scans were lost during the turn to estimate the missing part"
     missing, bridged = bridges
     zero = path.zero_dps.mean(axis=0)
     angle, share = weight @ rate, weight / length
@@ -416,7 +416,7 @@ def attitude(
     noise_dps2 : (3, 3) float
         Covariance of one sample, by the spectral density at frequency zero.
     magnitude_dps : (n, 3) float, optional
-        |rate| without the noise of the samples; by default that of `rate_dps`.
+        |rate| without the noise of the samples; by default |`rate_dps`|.
     """
     inverse = np.linalg.inv(gyros.sensitivity)
     free = rate_dps - force_g @ gyros.per_g.T

@@ -68,7 +68,7 @@ UNSEEN = 0.2
 """Relative standard uncertainty of an unobserved component: every gyro is more accurate."""
 
 
-def on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: float) -> Reference | str:
+def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: float) -> Reference | str:
     """Turn about the stage's axis, from the angles ψ of gravity in both dwells.
 
     Parameters
@@ -83,13 +83,13 @@ def on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: float) -> 
     turns = round((seen - part) / 360.0)
     angle = part + 360.0 * turns
     if abs(seen - angle) > max(10.0, 0.1 * abs(angle)):
-        return f"the gyro turned {seen:.1f}° where gravity says {angle:.1f}°: not about the stage's axis"
+        return f"the gyro turned {seen:.1f}°, by gravity {angle:.1f}°: not about the stage's axis"
     if abs(angle) < LEAST_REFERENCE_DEG:
-        return f"a turn of {angle:.1f}° is too short; {LEAST_REFERENCE_DEG:g}° or more tell a gain"
+        return f"a turn of {angle:.1f}° is too short; a gain needs {LEAST_REFERENCE_DEG:g}° or more"
     return Reference("gravity", np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, u_deg**2]), turns)
 
 
-def in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
+def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
     """Turn about the gyro's own axis, with its angle by gravity (3,) before and after in the part.
 
     Parameters
@@ -99,7 +99,7 @@ def in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -
     """
     size = float(np.linalg.norm(integral.turned_deg))
     if size < LEAST_REFERENCE_DEG:
-        return f"a turn of {size:.1f}° is too short; {LEAST_REFERENCE_DEG:g}° or more tell a gain"
+        return f"a turn of {size:.1f}° is too short; a gain needs {LEAST_REFERENCE_DEG:g}° or more"
     travelled = float(np.linalg.norm(integral.mean_abs_dps)) * integral.length_s
     if size < STRAIGHT * travelled:
         return "it was not turned about one axis; turn about one axis at a time"
@@ -107,7 +107,7 @@ def in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -
     across = [g / np.linalg.norm(g) - axis * (axis @ g) / np.linalg.norm(g) for g in gravity]
     inclined = min(float(np.linalg.norm(a)) for a in across)
     if inclined < LEAST_INCLINED:
-        return "the axis stood upright, where gravity tells nothing of the angle; declare whole turns"
+        return "the axis was upright, so gravity does not show the angle; declare whole turns"
     # A direction fixed in space moves backwards in the part: from the second direction to the first.
     part = math.degrees(
         math.atan2(float(axis @ np.cross(across[1], across[0])), float(across[1] @ across[0]))
@@ -115,15 +115,15 @@ def in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -
     turns = round((size - part) / 360.0)
     angle = part + 360.0 * turns
     if abs(angle - size) > max(10.0, 0.1 * size):
-        return f"the gyro turned {size:.1f}° where gravity says {angle:.1f}°: not about one axis, or a slip"
+        return f"the gyro turned {size:.1f}°, by gravity {angle:.1f}°: not about one axis, or a slip"
     u_deg = math.degrees(math.sqrt(2) * u_rad / inclined)
     along = np.outer(axis, axis)
     covariance = u_deg**2 * along + (UNSEEN * angle) ** 2 * (np.eye(3) - along)
     return Reference("gravity", angle * axis, covariance, turns)
 
 
-def whole_turns(
-    integral: Integral, steady: Floats, u_mark_deg: float, axis_rad2: Floats, alike: int = 1
+def reference_of_whole_turns(
+    integral: Integral, steady: Floats, u_mark_deg: float, axis_rad2: Floats, consecutive: int = 1
 ) -> Reference | str:
     """Whole turns about the vertical, from a mark back to it.
 
@@ -137,7 +137,7 @@ def whole_turns(
     axis_rad2 : (3, 3) float
         Covariance of that direction by errors of this turn alone; its component along the direction does
         not count.
-    alike : int
+    consecutive : int
         Number of consecutive turns forward and back. One ends where the next begins, so an error of the
         mark between them is in both, and twice in their difference.
     """
@@ -154,7 +154,7 @@ def whole_turns(
     angle = 360.0 * turns
     along = np.outer(up, up)
     across = np.eye(3) - along
-    mark = 2 * u_mark_deg**2 * (2 - 1 / alike)
+    mark = 2 * u_mark_deg**2 * (2 - 1 / consecutive)
     covariance = mark * along + angle**2 * across @ axis_rad2 @ across
     return Reference("whole turns", angle * up, covariance, turns)
 

@@ -26,14 +26,14 @@ from adis_gonio.fitting.slips.position_faults import (
     ACCUSED,
     Name,
     Pattern,
-    may_have_been_meant,
     patterns_of,
+    possible_entries,
 )
 from adis_gonio.fitting.slips.position_model import (
     BASE,
     Angles,
     Rows,
-    calibrated_by_length,
+    calibrate_by_length,
     rows_at,
 )
 
@@ -141,19 +141,19 @@ class PositionFinding:
         correct = f"correct the file or give --angles {self.correction}"
         match self.finding:
             case "gravity_wrong":
-                gyro = "" if self.gyro_deg is None else f", the gyro {_stated(self.gyro_deg)}"
+                gyro = "" if self.gyro_deg is None else f", {_stated(self.gyro_deg)} by the gyro"
                 return (
-                    f"{where}: {declared}gravity says {_stated(self.gravity_deg)}{gyro}: "
+                    f"{where}: {declared}{_stated(self.gravity_deg)} by gravity{gyro}: "
                     f"{self._named}; repeat it, or leave it out"
                 )
             case "slipped":
-                stands = f"{where} stands {_signed(self.error_deg)} from where it is"
+                off = f"{where} is {_signed(self.error_deg)} from its declared angle"
                 if self.others:
                     those = f"positions {self.position} to {self.others[-1]}"
-                    stands = f"{those} stand {_signed(self.error_deg)} from where they are"
+                    off = f"{those} are {_signed(self.error_deg)} from their declared angles"
                 repeat = "repeat them" if self.others else "repeat it"
                 return (
-                    f"{stands} declared by {sources}: {self._named}; clamp the part and {repeat},"
+                    f"{off} by {sources}: {self._named}; clamp the part and {repeat},"
                     f" or give --angles {self.correction}"
                 )
             case "reversed":
@@ -161,8 +161,7 @@ class PositionFinding:
                     f"from position {self.position} on the part turned against the declared angles by "
                     f"{sources}: {self._named}; {correct}"
                 )
-        verb = "says" if self.gyro_deg is None else "say"
-        text = f"{where}: {declared}{sources} {verb} {_stated(self.angle_deg)}: {self._named}"
+        text = f"{where}: {declared}{_stated(self.angle_deg)} by {sources}: {self._named}"
         if self.finding == "swapped":
             text += f" with position {self.others[0]}"
         return f"{text}; {correct}"
@@ -286,7 +285,7 @@ def diagnose(angles: Angles) -> Diagnosis:
     if declared < LEAST - watched or len(angles) > LARGEST:
         return Diagnosis()
     grid = scatters(angles.fixture_rad)
-    calibration = calibrated_by_length(angles)
+    calibration = calibrate_by_length(angles)
     rows = rows_at(angles, calibration)
     accepted, last = _search(rows, grid)
     # Calibrate again without the accepted faults, and repeat the search if that changes any angle.
@@ -418,10 +417,10 @@ class _Account:
         """Finding of one accused position."""
         declared = _degrees(self.rows.declared_rad[k])
         gravity, gyro = self._gravity(k), self._gyro(k)
-        stood = _together([gravity, gyro])
+        actual = _weighted_mean([gravity, gyro])
         if name == "gravity_wrong":
-            stood = gyro or (0.0, math.degrees(self.scatter.position_rad))
-        size = stood
+            actual = gyro or (0.0, math.degrees(self.scatter.position_rad))
+        size = actual
         others = [self.position[j] for j in self.pattern.dwells if j != k]
         if name in ("slipped", "reversed"):
             size = math.degrees(self.error[0][k]), math.degrees(self.error[1])
@@ -436,15 +435,15 @@ class _Account:
             declared if self.rows.declared[k] else None,
             at(gravity),
             None if gyro is None else at(gyro),
-            at(stood),
+            at(actual),
             size,
-            self._meant(k, name, declared, stood),
+            self._intended(k, name, declared, actual),
             tuple(others),
             probability,
             names,
         )
 
-    def _meant(self, k: int, name: Name, declared: float, stood: Angle) -> float | None:
+    def _intended(self, k: int, name: Name, declared: float, actual: Angle) -> float | None:
         """Intended entry: the other's angle of a swap, else an angle on the list, or a whole degree."""
         if name == "swapped":
             other = next(j for j in self.pattern.dwells if j != k)
@@ -454,9 +453,9 @@ class _Account:
         others = [
             _degrees(v) for j, v in enumerate(self.rows.declared_rad) if self.rows.declared[j] and j != k
         ]
-        near = 3 * math.hypot(stood[1], math.degrees(self.scatter.position_rad))
-        angle = declared + stood[0]
-        for candidates in (may_have_been_meant(declared, others), (float(round(angle)),)):
+        near = 3 * math.hypot(actual[1], math.degrees(self.scatter.position_rad))
+        angle = declared + actual[0]
+        for candidates in (possible_entries(declared, others), (float(round(angle)),)):
             off = {c: abs(wrap_degrees(c - angle)) for c in candidates}
             good = [c for c in candidates if off[c] < near]
             if good:
@@ -466,7 +465,7 @@ class _Account:
         return None
 
     def _stated(self, e: float, row: int, variance: float) -> Angle:
-        """E in degrees, with u by its own variance and that of the columns of a row."""
+        """E in degrees, with u by its own variance and the columns of a row."""
         columns = self.rows.design[row]
         p = len(columns)
         u = math.sqrt(variance + float(columns @ self.posterior[1][:p, :p] @ columns))
@@ -503,7 +502,7 @@ def _degrees(angle_rad: float) -> float:
     return round(math.degrees(angle_rad), 9)
 
 
-def _together(found: Sequence[Angle | None]) -> Angle:
+def _weighted_mean(found: Sequence[Angle | None]) -> Angle:
     """Weighted mean of angles in degrees, on the turn of the first."""
     known = [one for one in found if one is not None]
     weights = np.array([1 / max(u, 1e-6) ** 2 for _, u in known])

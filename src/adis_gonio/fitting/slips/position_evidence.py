@@ -101,7 +101,7 @@ class KnownFaults:
         """Combine accepted patterns; without any the session is as declared."""
         error = sum((p.error_rad for p in accepted), np.zeros(len(rows)))
         zero = common_zero(wrap_radians(rows.seen_rad + error)[rows.declared])
-        none = np.zeros((len(rows.stands), 0))
+        none = np.zeros((len(rows.by_error), 0))
         return cls(error, zero, np.hstack([none, *(p.columns for p in accepted)]))
 
     def residual(self, rows: Rows) -> Floats:
@@ -139,15 +139,15 @@ class Whitened:
         """Covariance (m, m) without the columns."""
         n = len(self.rows)
         # e without a fault scatters around the declared angle, or anywhere without one.
-        turned = self.rows.stands * np.where(self.rows.declared, self.scatter.position_rad, NOWHERE_RAD)
-        added = np.zeros(len(self.rows.stands))
+        turned = self.rows.by_error * np.where(self.rows.declared, self.scatter.position_rad, NOWHERE_RAD)
+        added = np.zeros(len(self.rows.by_error))
         added[: 2 * n] = self.scatter.reading**2
         noise = self.rows.noise + turned @ turned.T + np.diag(added)
         if not (self.scatter.turns_rad or self.scatter.drifts):
             return np.asarray(noise)
         # Random walks over the session: of the part in its mount, and of the zeros of both axes.
         walk = np.minimum(self.rows.course[:, None], self.rows.course)
-        noise = noise + self.scatter.turns_rad**2 * self.rows.stands @ walk @ self.rows.stands.T
+        noise = noise + self.scatter.turns_rad**2 * self.rows.by_error @ walk @ self.rows.by_error.T
         readings = np.tile(walk, (2, 2)) * (self.rows.reading[: 2 * n] @ self.rows.reading[: 2 * n].T)
         noise[: 2 * n, : 2 * n] += self.scatter.drifts**2 * readings
         return np.asarray(noise)
@@ -187,7 +187,7 @@ class Weighed:
     none : float
         ln of the probability that nothing else is wrong, not normalized.
     named : mapping of (int, Name) to float
-        That of each pattern, by its number, under each of its names.
+        Logarithm for each pattern, by its number, under each of its names.
     scatter : ScatterPoint
         The grid's most probable point under the best of them.
     """
@@ -227,7 +227,7 @@ def weigh(
         # A useless gyro shows any angle, and its turns have a uniform density.
         bare = rows.without_gyro()
         share = math.log(GYRO_FAILS) - len(rows.turn) * math.log(2 * math.pi)
-        cut = replace(known, columns=known.columns[: len(bare.stands)])
+        cut = replace(known, columns=known.columns[: len(bare.by_error)])
         top = int(np.argmax(logs))
         one = patterns if top == 0 else [patterns[keys[top - 1][0]]]
         first, _ = _weighed(bare, grid, one[:1], cut)
@@ -243,7 +243,7 @@ def _weighed(
     rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
 ) -> tuple[Floats, list[tuple[int, Name]]]:
     """Ln of prior times likelihood (1 + names, grid): of no pattern, then of each pattern and name."""
-    m = len(rows.stands)
+    m = len(rows.by_error)
     shifted = [rows.observed(known.error_rad + p.error_rad, p.zero_rad) for p in patterns]
     residual = np.stack([known.residual(rows), *shifted], axis=1)
     # First and second free direction of each pattern, zero without one.
@@ -282,7 +282,7 @@ def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
     vv, vz, ww, wz, vw = moments
     if pattern.columns.shape[1] == 2:
         return np.asarray(log_prior + _pushes(vv, vz, ww, wz, vw))
-    if amplitude is None or not vv.any():  # without the gyro nothing shows what it did
+    if amplitude is None or not vv.any():  # without the gyro its error is not observed
         return np.full(len(vv), log_prior)
     # If only the size of the pattern's linearisation is wrong, the residual is column · step.
     step = vz / vv
@@ -324,7 +324,7 @@ class Detectability:
     known: KnownFaults
 
     def detectable_deg(self, name: Name, certain: float) -> dict[int, float]:
-        """Smallest error at each position whose posterior reaches `certain` with 99 % power, in degrees.
+        """Smallest error at each position with a posterior of `certain` in 99 % of sessions, in degrees.
 
         An error of each size is put into sessions simulated with the scatter of this one. Only names with
         one free size count, and only one fault at a time.

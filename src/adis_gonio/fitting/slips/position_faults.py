@@ -32,7 +32,7 @@ DIGITS = "0123456789"
 LARGEST_DEG = 360.0
 
 
-def may_have_been_meant(declared_deg: float, others_deg: Iterable[float] = ()) -> tuple[float, ...]:
+def possible_entries(declared_deg: float, others_deg: Iterable[float] = ()) -> tuple[float, ...]:
     """Angles that become `declared_deg` by one typing error, without itself.
 
     The errors are a sign, a quarter or half turn (90 for 270), two digits exchanged, one digit wrong,
@@ -73,7 +73,7 @@ ACCUSED: frozenset[Name] = frozenset(
 LEAST_SLIP_RAD = math.radians(0.02)
 """Size below which all slips are equally probable."""
 LISTED, WHOLE = 0.9, 0.07
-"""Share of mistakes on the list of `may_have_been_meant`, and share of other whole degrees.
+"""Share of mistakes on the list of `possible_entries`, and share of other whole degrees.
 
 Of errors in numbers that people copied 79 % were one wrong digit, 10 % two exchanged digits, 9 % another
 error (Verhoeff, Error Detecting Decimal Codes, 1969)."""
@@ -143,12 +143,15 @@ def _single(rows: Rows, seen: Floats, zero: float) -> Iterator[Pattern]:
         unit[k] = 1.0
         amplitude = -float(wrap_radians(seen[k] - zero))
         declared = float(np.degrees(rows.declared_rad[k]))
-        listed = np.radians(np.array(may_have_been_meant(declared, others)) - declared)
+        listed = np.radians(np.array(possible_entries(declared, others)) - declared)
         names: Names = {
-            "mistyped": (math.log(SHARE["mistyped"] / len(places)), partial(_typed, listed, declared)),
+            "mistyped": (
+                math.log(SHARE["mistyped"] / len(places)),
+                partial(_typing_error, listed, declared),
+            ),
             "misset": (math.log(SHARE["misset"] / len(places)), _any_size),
         }
-        yield Pattern((k,), amplitude * unit, rows.stands @ unit[:, None], unit, amplitude, names, zero)
+        yield Pattern((k,), amplitude * unit, rows.by_error @ unit[:, None], unit, amplitude, names, zero)
 
 
 def _slipped(rows: Rows, seen: Floats) -> Iterator[Pattern]:
@@ -162,18 +165,20 @@ def _slipped(rows: Rows, seen: Floats) -> Iterator[Pattern]:
         amplitude = -float(wrap_radians(np.array(common_zero(seen[declared & later]) - zero)))
         unit = later.astype(float)
         halts = rows.halts.get(k)
-        names: Names = {"slipped": (prior, _any_size if halts is None else partial(_slipped_on, halts))}
-        yield Pattern((k,), amplitude * unit, rows.stands @ unit[:, None], unit, amplitude, names, zero)
+        names: Names = {
+            "slipped": (prior, _any_size if halts is None else partial(_slip_after_rests, halts))
+        }
+        yield Pattern((k,), amplitude * unit, rows.by_error @ unit[:, None], unit, amplitude, names, zero)
 
 
 def _swapped(rows: Rows, before_rad: Floats, seen: Floats, zero: float) -> Iterator[Pattern]:
     places = np.flatnonzero(rows.declared).tolist()
     pairs = len(places) * (len(places) - 1) / 2
-    stands = rows.declared_rad + before_rad
+    angle = rows.declared_rad + before_rad
     left = wrap_radians(seen - zero)
     for a, i in enumerate(places):
         for j in places[a + 1 :]:
-            apart = float(wrap_radians(stands[j] - stands[i]))
+            apart = float(wrap_radians(angle[j] - angle[i]))
             error = np.zeros(len(rows))
             error[i], error[j] = apart, -apart
             near = np.abs(wrap_radians(left + error)[[i, j]]).max() < NEAR_RAD
@@ -183,9 +188,9 @@ def _swapped(rows: Rows, before_rad: Floats, seen: Floats, zero: float) -> Itera
 
 def _reversed(rows: Rows, before_rad: Floats, zero: float) -> Iterator[Pattern]:
     n = len(rows)
-    stands = rows.declared_rad + before_rad
+    angle = rows.declared_rad + before_rad
     for k in range(1, n):
-        error = np.where(np.arange(n) >= k, -2 * (stands - stands[k - 1]), 0.0)
+        error = np.where(np.arange(n) >= k, -2 * (angle - angle[k - 1]), 0.0)
         error[~rows.declared] = 0.0
         if np.abs(wrap_radians(error)).max() > LEAST_SLIP_RAD:
             own = common_zero(wrap_radians(rows.seen_rad + before_rad + error)[rows.declared])
@@ -195,7 +200,7 @@ def _reversed(rows: Rows, before_rad: Floats, zero: float) -> Iterator[Pattern]:
 def _fixed(
     rows: Rows, name: Name, dwells: tuple[int, ...], error: Floats, prior: float, zero: float
 ) -> Pattern:
-    none = np.zeros((len(rows.stands), 0))
+    none = np.zeros((len(rows.by_error), 0))
     return Pattern(dwells, error, none, np.zeros(len(rows)), 0.0, {name: (math.log(prior), None)}, zero)
 
 
@@ -203,7 +208,7 @@ def _pushed(rows: Rows, zero: float) -> Iterator[Pattern]:
     n = len(rows)
     names: Names = {"gravity_wrong": (math.log(SHARE["gravity_wrong"] / n), None)}
     for k in range(n):
-        columns = np.zeros((len(rows.stands), 2))
+        columns = np.zeros((len(rows.by_error), 2))
         columns[k, 0] = columns[n + k, 1] = 1.0
         yield Pattern((k,), np.zeros(n), columns, np.zeros(n), 0.0, names, zero)
 
@@ -211,7 +216,7 @@ def _pushed(rows: Rows, zero: float) -> Iterator[Pattern]:
 def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
     n = len(rows)
     for row, k in enumerate(rows.turn):
-        columns = np.zeros((len(rows.stands), 1))
+        columns = np.zeros((len(rows.by_error), 1))
         columns[2 * n + row] = 1.0
         names: Names = {"gyro_wrong": (math.log(SHARE["gyro_wrong"] / len(rows.turn)), _any_size)}
         yield Pattern((int(k),), np.zeros(n), columns, np.zeros(n), 0.0, names, zero)
@@ -227,12 +232,12 @@ def _any_size(estimate: Floats, u: Floats) -> Floats:
     return np.asarray(np.log(density * u * math.sqrt(2 * math.pi)))
 
 
-def _slipped_on(halts: Halts, estimate: Floats, u: Floats) -> Floats:
+def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
     """Slip of any size, with the evidence of the rests on the way."""
     return _any_size(estimate, u) + halts.log_odds(wrap_radians(estimate), u)
 
 
-def _typed(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
+def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
     """On the list, a whole degree, or anywhere."""
     spread = u * math.sqrt(2 * math.pi)
     on_list = np.exp(-0.5 * (wrap_radians(listed_rad[:, None] - estimate) / u) ** 2).mean(axis=0)

@@ -216,7 +216,7 @@ class Rows:
         Of δ about the calibration of the rows.
     effect : (p,) bool
         Columns of effects, with a guessed size.
-    stands : (2n + g, n) float
+    by_error : (2n + g, n) float
         ∂row/∂e.
     noise : (2n + g, 2n + g) float
     reading : (2n + g, 2) float
@@ -224,7 +224,7 @@ class Rows:
     course : (n,) float
         Time of each dwell as a share of the session.
     declared_rad : (n,) float
-        θ; for a dwell without a declared angle that of gravity.
+        θ; the angle by gravity for a dwell without one.
     declared : (n,) bool
     halts : mapping of int to Halts
         Rests on the way to a dwell, if known.
@@ -238,7 +238,7 @@ class Rows:
     prior_sd: Floats
     prior_mean: Floats
     effect: NDArray[np.bool_]
-    stands: Floats
+    by_error: Floats
     noise: Floats
     reading: Floats
     course: Floats
@@ -254,7 +254,7 @@ class Rows:
         n = 2 * len(self)
         return replace(
             self, gyro_rad=self.gyro_rad[:0], turn=self.turn[:0], design=self.design[:n],
-            stands=self.stands[:n], noise=self.noise[:n, :n], reading=self.reading[:n], halts={},
+            by_error=self.by_error[:n], noise=self.noise[:n, :n], reading=self.reading[:n], halts={},
         )  # fmt: skip
 
     def observed(self, error_rad: Floats, zero_rad: float) -> Floats:
@@ -305,7 +305,7 @@ def _base_sd(angles: Angles) -> Floats:
     return np.array([GAIN, GAIN, SKEW_RAD, angles.bias_mg, angles.bias_mg])
 
 
-def calibrated_by_length(angles: Angles) -> Floats:
+def calibrate_by_length(angles: Angles) -> Floats:
     """First calibration (5,), by the lengths of the readings alone, without any declared angle."""
     calibration = NOMINAL
     sd = _base_sd(angles)
@@ -428,6 +428,6 @@ def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Float
 def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditions:
     """Conditions at the angles of gravity, because a declared angle may be wrong."""
     zero = common_zero(wrap_radians(near.psi_rad + angles.declared_rad))
-    stands = zero - near.psi_rad
-    before = np.concatenate([stands[:1], stands[:-1]])
-    return replace(conditions, angle_rad=stands, previous_angle_rad=before)
+    angle = zero - near.psi_rad
+    before = np.concatenate([angle[:1], angle[:-1]])
+    return replace(conditions, angle_rad=angle, previous_angle_rad=before)

@@ -52,7 +52,7 @@ def positions_of(session: Session) -> Diagnosis:
     return kept
 
 
-def in_context(session: Session, error: Exception) -> str:
+def failure_message(session: Session, error: Exception) -> str:
     """Message of a failed fit with its file, and with faults of positions, which may be the cause."""
     text = "; ".join((str(error), *positions_of(session).sentences))
     return f"{session.source}: {text}" if session.source else text
@@ -167,7 +167,7 @@ def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, fl
         return None
     rest = path.rest_g.mean(axis=0)
     zero = length**2 * (zero_dps2 / 2 + float(sampling.drift_dps[2]) ** 2)
-    beyond = np.nan_to_num(length * (mean - rest))  # NaN for counts, whose size in g is unknown
+    beyond = np.nan_to_num(length * (mean - rest))  # NaN for counts of unknown size in g
     return angle, math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])
 
 
