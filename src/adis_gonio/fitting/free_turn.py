@@ -85,6 +85,7 @@ def require_slow(series: TurnRecording, windows: Windows, range_dps: float | Non
 def require_axis(series: TurnRecording, windows: Windows) -> None:
     """Raise `FitError` if the gyros measured a turn about another axis than Z."""
     rates = windows.mean(series.rate)
+    # Without the zero rates; the largest of X and Y against Z.
     rates = rates - np.median(rates, axis=0)
     size = np.sqrt((rates**2).mean(axis=0))
     other = int(np.argmax(size[:2]))
@@ -127,6 +128,7 @@ def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, grav
     # A skew of Z, and a tilt that turns with the part, are one cycle in Z; a bias is a constant.
     design = np.column_stack([np.ones(len(z)), np.cos(psi_rad), np.sin(psi_rad)])
     found = np.linalg.lstsq(design, z, rcond=None)[0]
+    # Robust noise by second differences (six times its variance).
     noise = float(np.median(np.abs(np.diff(z, n=2)))) / 0.6745 / math.sqrt(6)
     left = math.sqrt(max(float(((z - design @ found) ** 2).mean()) - noise**2, 0.0))
     wobble = math.degrees(left / gravity_mg)
@@ -216,6 +218,7 @@ class FreeTurnResult(FitResult):
         base = np.array([0.0, k_x, k_y, math.radians(self["delta_phi"].value)])
         natural = gradient_of_base(base, zero=False)
         mg = 1000.0 if self.provenance is None else MG_PER_MPS2 * self.provenance.gravity_mps2
+        # From natural units to the units of the result.
         found = np.zeros((len(natural), len(at)))
         for column, (name, factor) in enumerate(
             [("scale_x", 1.0), ("scale_y", 1.0), ("delta_phi", math.pi / 180), ("bias_x", 1 / mg),
@@ -367,6 +370,7 @@ def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[floa
     k_x, k_y = value["scale_x"], value["scale_y"]
     start = _first_rest(solution.psi_rad, windows)
     alpha = np.zeros(size)
+    # The start angle is the mean over the windows at rest.
     alpha[len(NAMES) : len(NAMES) + start] = 1 / start
     at_start = float(np.degrees(solution.psi_rad[:start].mean()))
     gain = value["gyro_gain_z"]

@@ -106,6 +106,7 @@ class Windows:
         rows, columns, weights = [], [], []
         for step in (-1, 0):
             row = low + step
+            # Hann weights of each sample in its two windows.
             phase = (time_s - (row + 1) * hop) / hop
             inside = (row >= 0) & (row < count)
             rows.append(row[inside])
@@ -115,6 +116,7 @@ class Windows:
             (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))),
             shape=(max(count, 0), len(time_s)),
         )
+        # Share of each window with samples.
         filled = np.asarray(matrix.sum(axis=1)).ravel() * period / hop
         keep = filled > LEAST_FILLED
         self._matrix: Any = matrix[keep].multiply(1 / (filled[keep] * hop / period)[:, None]).tocsr()
@@ -272,6 +274,7 @@ class LeastSquaresProblem:
     def begin(self) -> Floats:
         """First values: an ellipse with upright axes, then the angle of each window."""
         x, y = self.reading.T / self.gravity_mg
+        # Circle through the readings by linear least squares.
         found = np.linalg.lstsq(np.column_stack([x, y, np.ones(self.m)]), x**2 + y**2, rcond=None)[0]
         centre = np.clip(found[:2] / 2, -0.3, 0.3)
         values = np.concatenate([self.prior[0], np.zeros(self.m)])
@@ -286,6 +289,7 @@ class LeastSquaresProblem:
         psi = values[-self.m :]
         gyro = np.concatenate([rest[7:12], rest[self.drift_rows.stop :]])
         course = -(self._integrals @ gyro[:5] + self._gyro_drifts @ gyro[5:])
+        # Mean of the direction within a window, relative to the direction at its centre.
         inside = self.windows.mean(np.exp(1j * course)) * np.exp(-1j * course[self._centre])
         # Square of the rate minus the gyro zero, by the means of the square and of the rate.
         spin2 = gyro[0] ** 2 * self._square - 2 * gyro[0] * gyro[1] * self._rate + gyro[1] ** 2
@@ -400,6 +404,7 @@ def _system(
     accel, gyro, by_accel, by_gyro = problem.model(values)
     mean, variance = problem.prior
     n_p = problem.size - problem.m
+    # Precision of the priors, with the fitted size of the drifts.
     scaled = variance.copy()
     scaled[problem.drift_rows] *= variances.drift
     weight = 1 / variances.accel_mg2
@@ -419,6 +424,7 @@ def _system(
 def _inverse(information: Floats) -> Floats:
     from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+    # Unit diagonal before the factorisation.
     size = 1 / np.sqrt(np.diag(information))
     try:
         factor = cho_factor(information * size[:, None] * size)
@@ -436,6 +442,7 @@ def _step(
     covariance = _inverse(information)
     step = covariance @ right
     change = float(np.abs(step[: problem.common] / np.sqrt(np.diag(covariance)[: problem.common])).max())
+    # At most half a radian per step, so that no angle jumps to another turn.
     largest = float(np.abs(step[-problem.m :]).max())
     return values + step * min(1.0, 0.5 / max(largest, 1e-12)), covariance, change
 
@@ -453,11 +460,13 @@ def _renewed(
     squares = (accel**2).sum(axis=1)
     whole = float(squares.sum() / free.sum()) if free.sum() > 1 else float(before.accel_mg2.mean())
     stretch = (problem.windows.centre_s / STRETCH_S).astype(np.intp)
+    # Variance of each stretch, drawn towards the whole by `STATED_DOF`.
     sums, frees = np.bincount(stretch, squares), np.bincount(stretch, free)
     each = (sums + STATED_DOF * whole) / (frees + STATED_DOF)
     # The whole is an average over uneven stretches; a quiet stretch may have much less.
     each = np.maximum(each, 1e-3 * whole)
     walk = problem.walk(before)
+    # Degrees of freedom that the fit used of each step of the gyro.
     used = np.einsum("ij,ij->i", by_gyro @ covariance, by_gyro) / walk
     sure = problem.windows.gap_s == 0
     left = float(np.maximum(1 - used[sure], 0).sum())
@@ -481,6 +490,7 @@ def _renewed(
 def _finished(problem: LeastSquaresProblem, values: Floats, variances: Variances) -> Solution:
     information, _, (by_accel, by_gyro, precision) = _system(problem, values, variances)
     covariance = _inverse(information)
+    # Common parameters and angles, without the drifts.
     keep = np.r_[0 : problem.common, problem.size - problem.m : problem.size]
     drifts = np.zeros(problem.size, bool)
     drifts[problem.drift_rows] = True

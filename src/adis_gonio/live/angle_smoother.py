@@ -92,6 +92,7 @@ class PlaneWatch:
         if len(self._rows) < 4:
             return False
         rows = np.array(self._rows)
+        # Share of gravity along Z: its change at the two ends of the span is a tilt.
         lengths = np.linalg.norm(rows[:, 3:], axis=1)
         out = rows[:, 5] / np.maximum(lengths, 1.0)
         if abs(float(out[-4:].mean() - out[:4].mean())) > TILT:
@@ -283,6 +284,7 @@ class AngleSmoother:
         covariance = state.covariance.copy()
         places = [ZERO, SCALE, G_X, G_Y]
         u = np.array([open_.zero_dps, open_.scale, open_.g_dps_per_g, open_.g_dps_per_g])
+        # Variances of an uncalibrated gyro in addition.
         covariance[places, places] += u * u
         return StateEstimate(state.mean, covariance)
 
@@ -308,6 +310,7 @@ class AngleSmoother:
         earlier = present if before is None or present.gap_s > BEGIN_S else before
         later = present if after.gap_s > BEGIN_S else after
         span_s = later.time_s - earlier.time_s
+        # Change of the rate over the two neighbouring steps.
         spin = math.radians(float(later.rate_dps[2] - earlier.rate_dps[2])) / span_s if span_s > 0 else 0.0
         across = self._plane.see(present.rate_dps, accel)
         return Turned(
@@ -319,6 +322,7 @@ class AngleSmoother:
         """Gravity turned back by the gyros, without the known errors of gyro and lever."""
         assert self._state is not None
         known = self._state.mean
+        # Turn by the gyro without its known errors, and gravity without the lever arm.
         drift_dps = known[ZERO] + turned.force_g @ known[[G_X, G_Y]]
         turn = turned.turn_deg * (1 - known[SCALE]) - drift_dps * turned.increment.length_s
         self._phase_rad = wrap_radians(self._phase_rad + math.radians(float(turn)))
@@ -336,6 +340,7 @@ class AngleSmoother:
         # Only steps within the lag count after it, so that the result does not depend on the blocks.
         last = min(last, place + self._lag + 1)
         span = [self._seen[k] for k in range(first, last)]
+        # Steps without a break between them and this one.
         alike = [k for k, one in enumerate(span) if one.segment == seen.segment]
         level = np.array([span[k].level for k in alike])
         return disturbance_of(level, alike.index(place - first), self._sensing.step_noise_mg2)
@@ -350,6 +355,7 @@ class AngleSmoother:
         if self._state is None or not self._done:
             return None
         state, passed = self._state, list[Passed]()
+        # Filter through the lag with the present models, then smooth back to its beginning.
         for place in range(self._done, len(self._seen)):
             passed.append(advance(state, self._step_of(place, state)))
             state = passed[-1].filtered

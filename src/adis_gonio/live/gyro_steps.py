@@ -195,6 +195,7 @@ class Stepper:
     ) -> list[Increment]:
         """Take samples (n,), (n, 3), (n, 3); return the steps that they complete."""
         warm = np.full(len(time_s), np.nan) if temperature_c is None else temperature_c
+        # Columns: time, three accelerations, three rates, temperature.
         self._rows = np.concatenate([self._rows, np.column_stack([time_s, accel_mg, gyro_dps, warm])])
         found = []
         while len(self._rows) >= self._count:
@@ -210,6 +211,7 @@ class Stepper:
         self._middle = (middle_s, mean_turn)
         length_s = middle_s - before[0]
         saturated = self._saturation(rates[:, 2], length_s)
+        # Turn each reading back to the middle of the step, then average.
         back = np.exp(-1j * np.radians(turn[:, 2] - mean_turn[2]))
         level = complex(((accel[:, 0] - 1j * accel[:, 1]) * back).mean())
         rate = rates.mean(axis=0)
@@ -238,6 +240,7 @@ class Stepper:
         times = np.concatenate([self._last[:1], time_s])
         all_rates = np.vstack([self._last[4:7], rates])
         lengths = np.diff(times)
+        # Cumulative trapezoidal rule, continued from the sample before.
         pieces = 0.5 * (all_rates[1:] + all_rates[:-1]) * lengths[:, None]
         turn = np.asarray(self._last[1:4] + np.cumsum(pieces, axis=0))
         self._miss(lengths)
@@ -267,6 +270,7 @@ class Stepper:
         """Follow the random walk of the rate over the last second."""
         if self._rate_before is not None and length_s > 0:
             share = min(1.0, length_s)
+            # Exponential mean of squared changes over one second.
             seen = (rate_dps - self._rate_before) ** 2 / length_s
             self._walk += share * (seen - self._walk)
         self._rate_before = rate_dps

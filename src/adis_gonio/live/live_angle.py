@@ -157,6 +157,7 @@ class AngleMeter:
 
     def _reading(self, blocks: list[Block], first_s: float) -> LiveAngle:
         accel = np.concatenate([block.accel_mg for block in blocks])
+        # Keep a window of the newest samples, or all of this span.
         self._kept = np.concatenate([self._kept, accel])[-max(self._window, len(accel)) :]
         mean = accel.mean(axis=0)
         known = [columns["temp_c"] for block in blocks if "temp_c" in (columns := session_columns(block))]

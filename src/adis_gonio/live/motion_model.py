@@ -98,12 +98,14 @@ def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
     squares = rest.real**2 + rest.imag**2
     middle = len(squares) // 2
     typical = max(float(np.partition(squares, middle)[middle]) / _MEDIAN, 0.5 * sensor_mg2)
+    # Shocks are left out of the autocovariances.
     calm = squares <= 2 * SHOCK * typical
     shock = 0.0 if calm[at] else 0.5 * float(squares[at])
     rest = np.where(calm, rest, 0.0)
     count = int(calm.sum())
     free = 2 * max(count - 2, 1)
     zeroth = float(squares[calm].sum()) / free
+    # Coloured part: variance in excess of the white noise of the sensor.
     excess = zeroth - sensor_mg2
     if excess <= 2 * zeroth * math.sqrt(2 / free):
         return Disturbance(max(sensor_mg2, zeroth) + shock)
@@ -116,6 +118,7 @@ def coloured(white_mg2: float, variance_mg2: float, first: float, second: float)
     """Disturbance with a given variance and two autocorrelations, made stationary."""
     r1 = min(max(first, -STATIONARY), STATIONARY)
     r2 = min(max(second, 2 * r1**2 - STATIONARY), STATIONARY)
+    # Yule–Walker equations of second order.
     one = r1 * (1 - r2) / (1 - r1**2)
     two = (r2 - r1**2) / (1 - r1**2)
     drive = variance_mg2 * max(1 - one * r1 - two * r2, 0.0)
@@ -219,6 +222,7 @@ def advance(state: StateEstimate, step: TimeStep) -> Passed:
     predicted = StateEstimate(f @ state.mean + step.shift, 0.5 * (covariance + covariance.T))
     if step.observed is None:
         return Passed(predicted, predicted, 0.0, np.inf, np.zeros(len(state.mean)), step)
+    # Kalman gain of one scalar observation.
     seen = predicted.covariance @ step.design
     variance = float(step.design @ seen) + step.variance
     innovation = step.observed - float(step.design @ predicted.mean)
@@ -372,6 +376,7 @@ class MotionModel:
         length_s = turned.increment.length_s
         f = np.eye(SIZE)
         seen_deg = turned.gravity_deg
+        # The angle changes by the gyro minus its errors, times measured factors.
         f[ANGLE, ZERO] = -length_s
         f[ANGLE, SCALE] = -turned.turn_deg
         f[ANGLE, G_X], f[ANGLE, G_Y] = -length_s * turned.force_g
@@ -388,9 +393,11 @@ class MotionModel:
         process[ZERO, ZERO] = self._gyros.walk_dps_per_rt_s**2 * length_s
         process[SCALE, SCALE] = 2 * self._bend**2 * abs(math.radians(turned.turn_deg))
         process[NOW, NOW] = disturbance.drive_mg2
+        # First-order processes of the 1/f noise.
         kept = drift_memory(length_s, turned.turn_deg)
         f[DRIFT, DRIFT] = np.diag(kept)
         process[DRIFT, DRIFT] = np.diag(self._drift_mg2 * (1 - kept**2))
+        # After a long gap the angle starts again from gravity.
         if turned.lost:
             f[ANGLE, :] = f[NOW, :] = f[BEFORE, :] = 0.0
             shift[ANGLE], process[ANGLE, ANGLE] = seen_deg, OPEN_DEG**2
@@ -399,6 +406,7 @@ class MotionModel:
         length_mg = abs(turned.gravity)
         if length_mg < LEAST_MG:
             return TimeStep(f, shift, process, np.zeros(SIZE), None, math.inf)
+        # Degrees per mg across gravity: disturbances, drift and lever arm shift the observed angle.
         per_mg = math.degrees(1.0 / length_mg)
         along = turned.gravity / length_mg
         design = np.zeros(SIZE)

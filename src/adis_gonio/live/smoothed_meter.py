@@ -145,6 +145,7 @@ class SmoothedMeter:
         # A calibration in the plane has no Z: the raw reading counts, with a larger error.
         planar = len(gravity) < 3
         z = float(mean_mg[2]) / calibration.gravity_mg if planar else float(gravity[2])
+        # Error of the length of gravity, and its allowance.
         off = abs(math.hypot(along, z) - 1.0)
         _, u_deg = corrected_angle(calibration, mean_mg, temperature_c)
         across = abs(z) * Z_ERROR if planar else 0.0
@@ -164,13 +165,7 @@ class SmoothedMeter:
             u_deg = math.hypot(u_deg, by_calibration or 0.0, math.degrees(self._off))
             notes = (*notes, "calibration") if self._off else notes
         return Smoothed(
-            shown_deg,
-            u_deg,
-            end_s - angle.time_s,
-            angle.rate_dps,
-            angle.zero_dps,
-            angle.zero_u_dps,
-            notes,
+            shown_deg, u_deg, end_s - angle.time_s, angle.rate_dps, angle.zero_dps, angle.zero_u_dps, notes
         )
 
     def _corrected(self, accel_mg: Floats, temperature_c: float | None) -> Floats:
@@ -208,6 +203,7 @@ def corrected_angle(
 
 def _bend_of(calibration: Calibration) -> float:
     """Standard deviation of the calibrated angle's slope: by its u without the u of its zero."""
+    # u of the angle at eight angles over a turn.
     psi = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     unit = np.stack([np.cos(psi), np.sin(psi), np.zeros(8)], axis=1)[:, : calibration.axes]
     u_deg = calibration.angle(calibration.readings_of(unit), plane="xy").u_deg

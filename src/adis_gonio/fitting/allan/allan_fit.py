@@ -278,6 +278,7 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
 
 def _flat(record: Floats) -> Floats:
     """Subtract mean and linear slope from samples (n,)."""
+    # Least squares slope against sample numbers about their middle.
     at = np.arange(len(record)) - (len(record) - 1) / 2
     centred = record - record.mean()
     return np.asarray(centred - at * float(at @ centred) / float(at @ at), np.float64)
@@ -289,6 +290,7 @@ def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool
     lag = 1 << m
     weights = bartlett(m)
     shape = np.correlate(weights, weights, "full")[len(weights) - 1 :]
+    # Share of white noise in front of the filter that such a difference shows.
     kept = float(shape[0] - (shape[lag] if lag < len(shape) else 0.0))
     change = float(np.median([np.mean((record[lag:] - record[:-lag]) ** 2) / 2 for record in flat]))
     sigma = math.sqrt(max(change - step**2 / 12, 0.0) / kept)
@@ -410,6 +412,7 @@ def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
             inside = (part.frequency > low) & (part.frequency <= high)
             weight[row, column] = max(float(part.weight[inside].sum()), 1e-9)
             level[row, column] = part.weight[inside] @ part.power[inside] / weight[row, column]
+    # From the quietest record on, by the product of both levels.
     order = np.argsort(level.prod(axis=1), kind="stable")
     kept = [int(order[0])]
     for k in order[1:].tolist():
@@ -434,6 +437,7 @@ def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
 def _slow(fitted: _Fitted) -> float:
     """p-value of the absence of both flicker and walk: a bound for two coefficients on their boundary."""
     _, without = fitted.likelihood.maximum(fitted.theta.copy(), {2: 0.0, 3: 0.0})
+    # Mixture of χ² with one and two degrees of freedom, an upper bound on the boundary.
     ratio = max(without - fitted.deviance, 0.0)
     if ratio <= 0:
         return 1.0
@@ -443,6 +447,7 @@ def _slow(fitted: _Fitted) -> float:
 def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> Value:
     """Weighted mean of the records' slopes, per second."""
     rest = fitted.likelihood.slopes(fitted.theta)
+    # Weighted mean of the slopes, each corrected by the slope of the likelihood.
     weight = np.array([1 / u**2 if u > 0 else 0.0 for _, u in rest])
     if not weight.sum() > 0:
         return Value(float(np.mean(slopes)) / period_s, None, f"{unit}/s")

@@ -55,6 +55,7 @@ def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
     frequency = k / (2 * n)
     passed = response(filter_m, frequency)
     white = ordinate_variances(_autocovariance(bartlett(filter_m)), n, k)
+    # Quantization of the angle is white noise of its differences.
     angles = ordinate_variances(_autocovariance(np.convolve(bartlett(filter_m), [1.0, -1.0])), n, k)
     flicker = passed * _edge(k) / frequency / _FLICKER_ALLAN
     walk = passed / (4 * np.sin(angle / 2) ** 2)
@@ -87,11 +88,13 @@ def variograms(filter_m: int, lags: int, period_s: float) -> Floats:
     own = _autocovariance(bartlett(filter_m))
     reach = len(own) - 1
     lag = np.arange(lags + reach + 1)
+    # Autocovariance of the filter at negative and positive lags.
     both = np.concatenate([own[:0:-1], own])
     made = np.empty((lags, len(KINDS)))
     angles = _autocovariance(np.convolve(bartlett(filter_m), [1.0, -1.0]))
     made[:, 0] = angles[0] - _padded(angles, lags)
     made[:, 1] = own[0] - _padded(own, lags)
+    # Flicker and walk: filter the variogram of the unfiltered process.
     for column, values in ((2, 2 * _cin(np.pi * lag) / _FLICKER_ALLAN), (3, lag / 2)):
         mirrored = np.concatenate([values[reach:0:-1], values])
         filtered = np.convolve(mirrored, both, "valid")[:lags]
@@ -192,6 +195,7 @@ def overlapping(samples: Sequence[Floats]) -> tuple[list[int], Floats]:
     totals = np.zeros((len(times), samples[0].shape[1]))
     counts = np.zeros(len(times))
     for part in samples:
+        # Second differences of the integrated samples at distance m, overlapping.
         sums = np.concatenate([np.zeros((1, part.shape[1])), np.cumsum(part - part.mean(axis=0), axis=0)])
         for row, m in enumerate(times):
             if len(part) < 2 * m + LEAST_DIFFERENCES:
@@ -231,6 +235,7 @@ def _expected(
     coarse = 1 if m <= _EXACT else m // _LATTICE
     step = m // coarse
     gamma = _variogram(squares, filter_m, 10 * step, period_s, coarse, rounding)
+    # The Allan difference as a filter, and its autocorrelation.
     weights = np.concatenate([np.full(step, -1.0), np.full(step, 1.0)]) / (step * np.sqrt(2))
     pairs = np.correlate(weights, weights, "full")  # lags −2m + 1 … 2m − 1
     reach = 2 * step - 1

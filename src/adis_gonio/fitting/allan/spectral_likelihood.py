@@ -107,6 +107,7 @@ def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[flo
 def _level(power: Floats) -> Floats:
     """Level (mean) of the noise at each ordinate: the higher one of the medians on both sides."""
     step = _WIDTH // 4
+    # Medians over four cells of `step` ordinates; the median of exponential noise is ln 2 times its mean.
     cells = power[: len(power) // step * step].reshape(-1, step)
     windows = np.lib.stride_tricks.sliding_window_view(cells, 4, axis=0)
     medians = np.median(windows, axis=(1, 2)) / math.log(2)
@@ -120,6 +121,7 @@ def _level(power: Floats) -> Floats:
 
 def _subtract_sinusoid(record: Floats, place: float) -> tuple[Floats, float]:
     phase = 2 * np.pi * place / len(record) * np.arange(len(record))
+    # Least squares of cosine and sine at this frequency.
     columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
     values = np.linalg.solve(columns.T @ columns, columns.T @ record)
     return np.asarray(record - columns @ values, np.float64), float(np.hypot(*values))
@@ -198,6 +200,7 @@ def ordinates(
     kept = np.ones(n - 1, dtype=bool)
     kept[masked[(masked >= 1) & (masked < n)] - 1] = False
     square = np.where(kept, lines**2, 0.0)
+    # Sums over the ordinates of each bin.
     weight = np.add.reduceat(kept.astype(np.float64), starts - 1)
     power = np.add.reduceat(square, starts - 1) / np.maximum(weight, 1.0)
     rounded = grid.mean(ordinate_variances(rounding, n, grid.points))
@@ -255,6 +258,7 @@ def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
     count = np.minimum(_POINTS, stops - starts)
     first = np.cumsum(count) - count
     owner = np.repeat(np.arange(len(starts)), count)
+    # Evenly spaced points within each bin.
     step = np.arange(len(owner)) - first[owner]
     points = starts[owner] + (step + 0.5) / count[owner] * (stops - starts)[owner] - 0.5
     shapes = np.add.reduceat(variances(filter_m, n, points, period_s), first, axis=0) / count[:, None]
@@ -400,6 +404,7 @@ class Likelihood:
     def _step(self, slope: Floats, information: Floats, free: np.ndarray) -> Floats:
         step = np.zeros(len(slope))
         scale = self.scale[free]
+        # Scaled Newton step by the expected information of the free coefficients.
         inner = information[np.ix_(free, free)] * np.outer(scale, scale)
         step[free] = -scale * (np.linalg.pinv(inner, rcond=1e-13) @ (slope[free] * scale)) / 2
         return step
@@ -416,6 +421,7 @@ class Likelihood:
     def best(self) -> tuple[Floats, float]:
         """Maximum of the likelihood from several starts."""
         white = np.array([0.0, self.scale[1], 0.0, 0.0])
+        # White noise alone, a little slow noise, and all processes alike.
         starts = [white + share * self.scale * [0.0, 0.0, 1.0, 1.0] for share in (0.0, 0.01)]
         starts.append(self.scale / 4)
         return min((self.maximum(start) for start in starts), key=lambda found: found[1])
@@ -504,6 +510,7 @@ def _detectable(likelihood: Likelihood, absent: Floats, index: int) -> float:
     """Coefficient that nine of ten such records show."""
     at = absent.copy()
     without = likelihood.u_squared(at, index)
+    # The uncertainty depends on the size, so iterate.
     size = (NORMAL_95 + _POWER_90) * without
     for _ in range(8):
         at[index] = size

@@ -86,14 +86,17 @@ class Axes:
         values = _NOMINAL.copy()
         covariance, known = np.diag(np.repeat(np.array(prior, dtype=float), 3) ** 2), set[str]()
         for found, order, matrix in sources:
+            # Parameters that no earlier source has measured.
             new = [k for k, name in enumerate(NAMES) if name in found and name not in known]
             if matrix is None or not new:
                 continue
             values[new] = [found[NAMES[k]] * _NATURAL[k] for k in new]
             rows = [list(order).index(NAMES[k]) for k in new]
+            # Covariance of the new parameters, from the units of results to those used here.
             block = np.asarray(matrix)[np.ix_(rows, rows)] * np.outer(_NATURAL[new], _NATURAL[new])
             covariance[np.ix_(new, new)] = block
             known |= {NAMES[k] for k in new}
+        # One column per independent error: eigenvectors times standard uncertainties.
         variance, vectors = np.linalg.eigh(covariance)
         return cls(values, vectors * np.sqrt(np.maximum(variance, 0.0)), frozenset(known))
 
@@ -112,6 +115,7 @@ class Axes:
 
     def u_rad(self) -> float:
         """Standard uncertainty of a direction, each way across it: the mean over the three axes."""
+        # A direction has two components across it, so half of the squared length counts for each.
         sizes = [np.linalg.norm(self.modes(row)) for row in np.eye(3)]
         return float(np.sqrt(np.mean(np.square(sizes)) / 2))
 
@@ -230,6 +234,7 @@ def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tupl
         alpha = math.degrees(mean_direction(np.radians(psi + theta)))
         off = wrap_degrees(psi + theta - alpha)
         agrees = np.abs(off) < CONSISTENT * np.hypot(u, sigma)
+        # Weighted mean of both angles, only for dwells in which they agree.
         psi = psi - np.where(agrees, u**2 / (u**2 + sigma**2), 0.0) * off
         u = np.where(agrees, u * sigma / np.hypot(u, sigma), u)
     pairs = zip(psi.tolist(), u.tolist(), strict=True)

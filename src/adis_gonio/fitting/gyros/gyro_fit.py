@@ -139,6 +139,7 @@ def alignment(parameters: Mapping[str, Value], covariance: Floats) -> dict[str, 
     own = np.eye(9).reshape(9, 3, 3)[[3 * k + j for k, j in MISALIGNMENTS]]
     misalignments = np.einsum("p,pij->ij", [parameters[name].value for name in names], own)
     slope = central_differences(rotation_and_skews_deg, misalignments, _STEP_DEG, own)
+    # Propagate the covariance of the six angles to rotation and skews.
     variance = np.diag(slope @ covariance[np.ix_(rows, rows)] @ slope.T)
     dof = min(parameters[name].dof or math.inf for name in names)
     stated = [f"triad_rotation_{axis}" for axis in AXES]
@@ -339,6 +340,7 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
     names, values, covariance = stated_parameters(
         model.names, fit.values.parameters, model.covariance * np.outer(factor, factor), model.free
     )
+    # All gains share the error of the time base.
     gains = np.where([name.startswith("gyro_scale_") for name in names], TIME_BASE_U * values, 0.0)
     covariance = covariance + np.outer(gains, gains)
     parameters = {
@@ -424,12 +426,15 @@ class _Model:
         `LIMIT`. The zero rate stays free: it is stated however large its uncertainty is.
         """
         free = np.ones(len(self.names), dtype=bool)
+        # Columns scaled so that `LIMIT` holds for all of them alike.
         rows = self.begun.jacobian * _natural(self.names)
         for axis in AXES:
             own = np.array([_gyro_of(name) == axis for name in self.names])
             base = len(self.data.model.parameters)
             while True:
                 index = np.flatnonzero(own & free)
+                # Variances of the parameters are the diagonal of the inverse information, by its
+                # eigenvalues.
                 values, vectors = np.linalg.eigh(rows[:, index].T @ rows[:, index])
                 known = np.maximum(values, _NOTHING * max(float(values.max(initial=0.0)), 1.0))
                 u2 = np.where(index >= base, (vectors**2 / known).sum(axis=1), 0.0)
@@ -455,6 +460,7 @@ def _natural(names: Sequence[str]) -> Floats:
 
 def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
     rows = fit.jacobian[:, free]
+    # Invert with columns of unit length, because the parameters have very different sizes.
     size = np.linalg.norm(rows, axis=0)
     size[size == 0] = 1.0
     inverse = np.linalg.pinv((rows / size).T @ (rows / size), rcond=1e-14) / np.outer(size, size)
@@ -529,6 +535,7 @@ def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
             continue
         angles = [k for name, k in at.items() if name.startswith(f"gyro_misalignment_{axis}")]
         sines = np.sin(np.radians(values[angles]))
+        # Length and direction of the row (c + e, sin m_p, …).
         along = math.sqrt(max(1 - float(sines @ sines), 0.0)) + float(values[scale])
         out[scale] = gain = math.hypot(along, float(np.hypot.reduce(sines)))
         out[angles] = np.degrees(np.arcsin(sines / gain))

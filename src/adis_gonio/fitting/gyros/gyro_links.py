@@ -221,9 +221,11 @@ class GyroLinks:
         """1/f noise of an Allan variance of 1: variance (m,) of each leg, covariance (m,) with the next."""
         own, following = np.zeros(len(self.legs)), np.zeros(len(self.legs))
         for k, leg in enumerate(self.legs):
+            # Variance of the contrast of dwell, turn and dwell.
             covariance = covariance_of_means(*leg.spans_s.T)
             own[k] = _CONTRAST @ covariance @ _CONTRAST
             if k + 1 < len(self.legs) and self.legs[k + 1].positions[0] == leg.positions[1]:
+                # Two legs with a common dwell: five intervals, two overlapping contrasts.
                 spans = np.concatenate([leg.spans_s, self.legs[k + 1].spans_s[1:]])
                 covariance = covariance_of_means(*spans.T)
                 following[k] = np.append(_CONTRAST, [0, 0]) @ covariance @ np.append([0, 0], _CONTRAST)
@@ -249,11 +251,14 @@ class GyroLinks:
         own, following = np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
         for row, k in enumerate(used):
             leg, found = self.legs[k], turned[k]
+            # Noise of the zero rate and of the samples, turned into the frame after the turn.
             zero = np.diag(leg.zero_dps2 + self.allan_dps2 * own_wander[k])
             own[row] = found.by_zero @ zero @ found.by_zero.T + found.noise_rad2
+            # The earth turns by a known angle about an unknown axis: a third of its square on each axis.
             earth = (math.radians(EARTH_DPS) * float(leg.time_s[-1] - leg.time_s[0])) ** 2 / 3
             own[row] += (leg.missing_rad2 + earth) * np.eye(3)
             if row + 1 < m and self.legs[used[row + 1]].positions[0] == leg.positions[1]:
+                # Each leg takes half of the common dwell as its zero rate.
                 shared = np.diag(leg.shared_dps2 / 4 + self.allan_dps2 * next_wander[k])
                 following[row] = found.by_zero @ shared @ turned[used[row + 1]].by_zero.T
         slopes = np.array([turned[k].by_parameter for k in used]).reshape(m, 3, len(values))
@@ -298,11 +303,7 @@ def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | 
         return None
     known = GyroPrior.of_sheet(session.sensor) if prior is None else prior
     return GyroLinks(
-        tuple(legs),
-        _by_dwells(known, rests),
-        rests.sampling.density_dps2,
-        rests.allan_dps2,
-        tuple(refused),
+        tuple(legs), _by_dwells(known, rests), rests.sampling.density_dps2, rests.allan_dps2, tuple(refused)
     )
 
 
@@ -342,6 +343,7 @@ def _by_dwells(prior: GyroPrior, rests: GyroDwells) -> GyroPrior:
     """Update the g-sensitivity of a prior by the zero rates of the dwells."""
     if len(rests.dwells) < 2 or not np.isfinite(rests.force_g).all():
         return prior
+    # Least squares of zero rates on forces, both minus their means.
     away = rests.force_g - rests.force_g.mean(axis=0)
     left = rests.mean_dps - rests.mean_dps.mean(axis=0)
     least = np.linalg.lstsq(away, left, rcond=1e-6)[0]

@@ -301,6 +301,7 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
     dof = float(noise.dof.max() if noise.pooled else noise.dof.sum())
     modes = [row.rotation_modes_dps for row in rows if row.rotation_modes_dps is not None]
     none = np.zeros_like(modes[0]) if modes else None
+    # One array per field of the intervals.
     columns: dict[str, Any] = {
         one.name: np.array([none if (value := getattr(row, one.name)) is None else value for row in rows])
         for one in fields(_Interval)
@@ -488,6 +489,7 @@ def readings_of_intervals(
     n = len(intervals)
     own, slow = intervals.drift()
     flicker = np.broadcast_to(own, (n, 3)).copy()
+    # The error of the true rotation acts on the residual like noise of the reading.
     covariance = intervals.covariance_dps2 + intervals.rotation_covariance_dps2
     force, still = _changing_force(intervals.force_g)
     # Modes (n, 3, k) of the 1/f noise and of errors of the accelerometers, which turns share.

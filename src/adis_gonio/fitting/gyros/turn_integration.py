@@ -202,6 +202,7 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
         )
     moving = _moving(path, sampling)
     steps = np.diff(path.time_s)
+    # Gaps that a straight line must not bridge.
     long = np.flatnonzero(steps > LONGEST_GAP_S)
     if not moving.any():
         turned = _shows_another_attitude(path, path.rest_g[1:], 0)
@@ -264,6 +265,7 @@ def _is_rest(path: Path, sampling: Sampling, low: int, high: int, zero_dps: Floa
     length = float(time[-1] - time[0])
     if length <= 0:
         return True
+    # Integral of the rest, against its uncertainty by white noise and drift.
     held = np.abs(np.trapezoid(rate, time, axis=0))
     noise = np.diagonal(sampling.density_dps2) * length * sampling.period_s
     u = np.sqrt(noise + (sampling.drift_dps * length) ** 2 * 2)
@@ -302,6 +304,7 @@ def _trapezoid_weights(time_s: Floats) -> Floats:
 
 def smooth_blocks(rate: Floats, window: int) -> Floats:
     """Replace samples by the means of their blocks, because noise about zero has a positive mean of |…|."""
+    # Sums over blocks of `window` samples, the last one shorter.
     starts = np.arange(0, len(rate), window)
     counts = np.diff(np.append(starts, len(rate)))
     means = np.add.reduceat(rate, starts, axis=0) / counts[:, None]
@@ -319,6 +322,7 @@ def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, in
     covariance = np.zeros((3, 3))
     if not gaps.size:
         return covariance, 0
+    # Cumulative angle by the trapezoidal rule.
     means = (rate[1:] + rate[:-1]) / 2
     path = np.concatenate([np.zeros((1, 3)), np.cumsum(means * np.diff(time)[:, None], axis=0)])
     for size in np.unique(lost[gaps]).tolist():
@@ -421,6 +425,7 @@ def attitude(
     inverse = np.linalg.inv(gyros.sensitivity)
     free = rate_dps - force_g @ gyros.per_g.T
     size = np.abs(free) if magnitude_dps is None else magnitude_dps
+    # True rate by the assumed gyros, then Φ(t₁, t) from each sample to the end.
     omega = np.radians(free - gyros.asymmetry * size) @ inverse.T
     to_end = _to_end((omega[1:] + omega[:-1]) / 2 * np.diff(time_s)[:, None])
     weighted = _trapezoid_weights(time_s)[:, None, None] * (to_end @ inverse)
@@ -435,6 +440,7 @@ def attitude(
         ],
         axis=1,
     )
+    # Sum over samples of W Σ Wᵀ with W = Φ A⁻¹ dt.
     by_row = weighted.transpose(1, 0, 2)
     noise = rad**2 * (by_row @ noise_dps2).reshape(3, -1) @ by_row.reshape(3, -1).T
     return Attitude(to_end[0], by_parameter, rad * weighted.sum(axis=0), noise)

@@ -104,6 +104,7 @@ def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad
     if size < STRAIGHT * travelled:
         return "it was not turned about one axis; turn about one axis at a time"
     axis = integral.turned_deg / size
+    # Components of both unit vectors of gravity across the axis.
     across = [g / np.linalg.norm(g) - axis * (axis @ g) / np.linalg.norm(g) for g in gravity]
     inclined = min(float(np.linalg.norm(a)) for a in across)
     if inclined < LEAST_INCLINED:
@@ -118,6 +119,7 @@ def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad
         return f"the gyro turned {size:.1f}°, by gravity {angle:.1f}°: not about one axis, or a slip"
     u_deg = math.degrees(math.sqrt(2) * u_rad / inclined)
     along = np.outer(axis, axis)
+    # Along the axis the uncertainty by gravity, across it the large one of an unobserved component.
     covariance = u_deg**2 * along + (UNSEEN * angle) ** 2 * (np.eye(3) - along)
     return Reference("gravity", angle * axis, covariance, turns)
 
@@ -154,6 +156,7 @@ def reference_of_whole_turns(
     angle = 360.0 * turns
     along = np.outer(up, up)
     across = np.eye(3) - along
+    # Two marks per turn; a mark between consecutive turns counts in both.
     mark = 2 * u_mark_deg**2 * (2 - 1 / consecutive)
     covariance = mark * along + angle**2 * across @ axis_rad2 @ across
     return Reference("whole turns", angle * up, covariance, turns)
@@ -172,6 +175,7 @@ def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floa
     time, force = path.time_s[rows], path.force_g[rows]
     rate = path.rate_dps[rows] - path.zero_dps.mean(axis=0)
     turned = np.trapezoid(rate, time, axis=0)
+    # Rate about the axis of the whole turn, and its integral.
     spin = np.radians(rate @ (turned / np.linalg.norm(turned)))
     angle = np.concatenate([[0.0], np.cumsum((spin[1:] + spin[:-1]) / 2 * np.diff(time))])
     starts = np.unique(np.linspace(0, len(time), _BLOCKS, endpoint=False).astype(np.intp))

@@ -22,20 +22,8 @@ from adis_gonio.fitting.slips.position_evidence import (
     scatters,
     weigh,
 )
-from adis_gonio.fitting.slips.position_faults import (
-    ACCUSED,
-    Name,
-    Pattern,
-    patterns_of,
-    possible_entries,
-)
-from adis_gonio.fitting.slips.position_model import (
-    BASE,
-    Angles,
-    Rows,
-    calibrate_by_length,
-    rows_at,
-)
+from adis_gonio.fitting.slips.position_faults import ACCUSED, Name, Pattern, patterns_of, possible_entries
+from adis_gonio.fitting.slips.position_model import BASE, Angles, Rows, calibrate_by_length, rows_at
 
 Angle = tuple[float, float]
 """An angle and its standard uncertainty in degrees."""
@@ -326,6 +314,7 @@ def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -
     known = KnownFaults.of(rows, accepted)
     white = Whitened(rows, scatter, known.columns)
     z = white.white_residual(known.residual(rows)[:, None])[:, 0]
+    # Posterior of a linear Gaussian model: prior covariance times design, whitened.
     spread = white.white(white.design * white.prior_sd**2)
     mean = spread.T @ z
     mean[: len(rows.prior_mean)] += rows.prior_mean
@@ -348,6 +337,7 @@ def _findings(
         if weighed.best is None:
             continue
         accusing = [v for (_, name), v in weighed.named.items() if name in ACCUSED]
+        # Posterior probability of all accusing patterns together.
         total = np.logaddexp.reduce([weighed.none, *weighed.named.values()])
         probability = float(np.exp(np.logaddexp.reduce(accusing) - total))
         number, name = weighed.likeliest
@@ -406,6 +396,7 @@ class _Account:
         u = 0.0
         for p in self.accepted:
             q = p.columns.shape[1]
+            # Only patterns with one free amplitude have an error of unknown size.
             if q == 1:
                 error += p.unit * mean[first]
                 if p is self.pattern:
@@ -506,6 +497,7 @@ def _weighted_mean(found: Sequence[Angle | None]) -> Angle:
     """Weighted mean of angles in degrees, on the turn of the first."""
     known = [one for one in found if one is not None]
     weights = np.array([1 / max(u, 1e-6) ** 2 for _, u in known])
+    # Unwrap all angles to within half a turn of the first.
     first = known[0][0]
     values = np.array([first + wrap_degrees(value - first) for value, _ in known])
     return float((weights * values).sum() / weights.sum()), float(1 / math.sqrt(weights.sum()))

@@ -62,6 +62,7 @@ def scatters(fixture_rad: float | None) -> list[ScatterPoint]:
     """Grid of scatters."""
     more = MORE_UNSTATED if fixture_rad is None else MORE_STATED
     stated = LEAST_RAD if fixture_rad is None else max(fixture_rad, LEAST_RAD / 10)
+    # Without a random walk: all combinations of the three scatters.
     at_rest = math.log(1 - len(WANDERS) * WANDERS_PRIOR)
     still = [
         ScatterPoint(math.hypot(stated, a), b, c, math.log(pa * pb * pc) + at_rest)
@@ -293,6 +294,7 @@ def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
 def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Floats:
     """Ln of the likelihood gained by two free directions with Gaussian priors of several sizes."""
     inverse = (1000.0 / np.array(PUSH_MG)[:, None]) ** 2
+    # Two by two normal equations for each prior size, solved by hand.
     a, d = vv + inverse, ww + inverse
     det = a * d - vw * vw
     fit = (d * vz * vz - 2 * vw * vz * wz + a * wz * wz) / det
@@ -359,10 +361,12 @@ class Detectability:
         sizes = np.radians(SIZES_DEG)[:, None]
         faulty, none = np.full((2, len(sizes), drawn[0][1].shape[1]), -np.inf)
         for account, z in drawn:
+            # A fault of each size changes whitened rows by −size · v.
             v = account.white(pattern.columns[:, 0])
             vv, vz = float(v @ v), v @ z
             clean = account.weight(z)
             none = np.logaddexp(none, clean - sizes * vz - 0.5 * sizes**2 * vv)
+            # Estimated size in each session, and the gain in likelihood by fitting it.
             seen = sizes + vz / vv
             own = amplitude(seen.ravel(), np.full(seen.size, 1 / math.sqrt(vv))).reshape(seen.shape)
             faulty = np.logaddexp(faulty, clean + 0.5 * vz**2 / vv + log_prior + own)

@@ -141,6 +141,7 @@ def _single(rows: Rows, seen: Floats, zero: float) -> Iterator[Pattern]:
     for k in places:
         unit = np.zeros(len(rows))
         unit[k] = 1.0
+        # The error that moves this dwell onto the angle of the others.
         amplitude = -float(wrap_radians(seen[k] - zero))
         declared = float(np.degrees(rows.declared_rad[k]))
         listed = np.radians(np.array(possible_entries(declared, others)) - declared)
@@ -161,6 +162,7 @@ def _slipped(rows: Rows, seen: Floats) -> Iterator[Pattern]:
         later = np.arange(n) >= k
         if not (declared & later).any() or not (declared & ~later).any():
             continue
+        # Median angles before and after the slip.
         zero = common_zero(seen[declared & ~later])
         amplitude = -float(wrap_radians(np.array(common_zero(seen[declared & later]) - zero)))
         unit = later.astype(float)
@@ -180,6 +182,7 @@ def _swapped(rows: Rows, before_rad: Floats, seen: Floats, zero: float) -> Itera
         for j in places[a + 1 :]:
             apart = float(wrap_radians(angle[j] - angle[i]))
             error = np.zeros(len(rows))
+            # Each dwell gets the declared angle of the other.
             error[i], error[j] = apart, -apart
             near = np.abs(wrap_radians(left + error)[[i, j]]).max() < NEAR_RAD
             if abs(apart) > LEAST_SLIP_RAD and near:
@@ -190,6 +193,7 @@ def _reversed(rows: Rows, before_rad: Floats, zero: float) -> Iterator[Pattern]:
     n = len(rows)
     angle = rows.declared_rad + before_rad
     for k in range(1, n):
+        # Mirror all later angles at the last one before.
         error = np.where(np.arange(n) >= k, -2 * (angle - angle[k - 1]), 0.0)
         error[~rows.declared] = 0.0
         if np.abs(wrap_radians(error)).max() > LEAST_SLIP_RAD:
@@ -227,6 +231,7 @@ def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
 
 def _any_size(estimate: Floats, u: Floats) -> Floats:
     """Each order of magnitude of a slip is equally probable, up to half a turn."""
+    # Density 1/size up to half a turn, constant below the least slip.
     size = np.maximum(np.maximum(np.abs(wrap_radians(estimate)), u), LEAST_SLIP_RAD)
     density = 1 / (2 * size * (1 + math.log(math.pi / LEAST_SLIP_RAD)))
     return np.asarray(np.log(density * u * math.sqrt(2 * math.pi)))
@@ -240,6 +245,7 @@ def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
 def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
     """On the list, a whole degree, or anywhere."""
     spread = u * math.sqrt(2 * math.pi)
+    # Mean over the list of Gaussians around each possible entry.
     on_list = np.exp(-0.5 * (wrap_radians(listed_rad[:, None] - estimate) / u) ** 2).mean(axis=0)
     meant = declared_deg + np.degrees(estimate)
     off = np.radians(meant - np.rint(meant))

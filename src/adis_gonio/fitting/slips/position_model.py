@@ -72,6 +72,7 @@ class Halts:
         m = len(self.left_rad)
         if not m:
             return np.full(len(error_rad), math.log(1 - AFTERWARDS))
+        # Density of each rest if it is the arrival before a slip of this size.
         spread = np.sqrt(2 * u_rad**2 + LEAST_RAD**2 + (REST_GAIN * error_rad) ** 2)
         off = (self.left_rad[:, None] - error_rad) / spread
         arrived = np.exp(-0.5 * off**2) / (spread * math.sqrt(2 * math.pi))
@@ -83,6 +84,7 @@ class Halts:
         size = max(abs(self.turned_rad), LEAST_RAD)
         left = self.left_rad * np.sign(self.turned_rad) if self.turned_rad else self.left_rad
         sd = math.hypot(NEAR_MARK * size, LEAST_RAD)
+        # Mixture: near the end of the move, anywhere on its way, anywhere at all.
         near = np.exp(-0.5 * (left / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
         on_its_way = (left > -ASTRAY * size) & (left < (1 + ASTRAY) * size)
         even = on_its_way / ((1 + 2 * ASTRAY) * size)
@@ -95,6 +97,7 @@ def halts_of(path: Path, sampling: Sampling) -> Halts:
     rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
     steps = np.diff(path.time_s, append=path.time_s[-1])
     means = (rate + np.append(rate[1:], rate[-1])) / 2
+    # Cumulative angle by the trapezoidal rule.
     turned = np.concatenate([[0.0], np.cumsum(means * steps)])[: len(rate)]
     width = min(sampling.window, len(rate))
     slow = np.abs(np.convolve(rate, np.full(width, 1 / width), mode="same")) < SLOW_DPS
@@ -103,6 +106,7 @@ def halts_of(path: Path, sampling: Sampling) -> Halts:
         return Halts(np.zeros(0), math.radians(float(turned[-1])))
     least = max(1, round(LEAST_S / sampling.period_s))
     inner = slow[moving[0] : moving[-1] + 1]
+    # Begin and end of each run of slow samples between the first and the last motion.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inner, [False]]).astype(np.int8)))
     begins, ends = edges[::2], edges[1::2]
     # The end of a rest counts, because a hand's corrections after the arrival are slow as well.
@@ -338,6 +342,7 @@ def rows_at(angles: Angles, calibration: Floats) -> Rows:
     by_length = np.einsum("ni,nij->nj", near.across, reading)
     turn, gyro, gyro_u, force = _turns(angles)
     g, still = len(turn), np.zeros((n, turned.shape[1]))
+    # Difference of each turn: angle of its end minus angle of the dwell before.
     steps = np.zeros((g, n))
     steps[np.arange(g), turn], steps[np.arange(g), turn - 1] = 1.0, -1.0
     calibrating = np.zeros((g, reading.shape[2]))
@@ -353,6 +358,7 @@ def rows_at(angles: Angles, calibration: Floats) -> Rows:
     mean[1 : 1 + BASE] = NOMINAL - calibration
     effect = np.zeros(len(sd), dtype=np.bool_)
     effect[1 + BASE : -3] = True
+    # Covariance of angle and length of each dwell, by the covariance of its reading.
     both = np.stack([near.along, near.across], axis=1)
     pairs = np.einsum("nai,nij,nbj->nab", both, angles.covariance_mg2, both)
     noise = np.zeros((2 * n + g, 2 * n + g))

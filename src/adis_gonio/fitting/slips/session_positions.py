@@ -90,6 +90,7 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
         return None
     sampling, zero_dps2 = _sampling(session, dwells)
     pairs = list(zip(readings.position[:-1].tolist(), readings.position[1:].tolist(), strict=True))
+    # Angle, u and both forces of each turn; NaN without a record.
     rows = np.full((len(pairs), 4), np.nan)
     halts: list[Halts | None] = [None] * len(pairs)
     for k, pair in enumerate(pairs):
@@ -141,6 +142,7 @@ def _density(session: Session, dwells: Sequence[Dwell], period_s: float) -> Floa
         whole = len(dwell) // block
         if whole < 2 or dwell.gyro is None:
             continue
+        # Means of whole blocks; their scatter gives the density at low frequencies.
         means = dwell.gyro[: whole * block].reshape(whole, block, 3).mean(axis=1)
         left = means - means.mean(axis=0)
         squares += left.T @ left
@@ -166,6 +168,7 @@ def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, fl
     else:
         return None
     rest = path.rest_g.mean(axis=0)
+    # Error of the zero rate: noise of both dwells, and drift.
     zero = length**2 * (zero_dps2 / 2 + float(sampling.drift_dps[2]) ** 2)
     beyond = np.nan_to_num(length * (mean - rest))  # NaN for counts of unknown size in g
     return angle, math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])
@@ -178,6 +181,7 @@ def _stayed(path: Path, sampling: Sampling) -> bool:
     window = min(sampling.window, len(path.time_s))
     whole = len(path.time_s) // window
     rate = path.rate_dps[: whole * window] - path.zero_dps.mean(axis=0)
+    # Means of windows must all stay within the noise of a part at rest.
     means = rate.reshape(whole, window, 3).mean(axis=1)
     allowed = sampling.moving_dps + np.abs(path.zero_dps[1] - path.zero_dps[0])
     return bool((np.abs(means) <= allowed).all())
