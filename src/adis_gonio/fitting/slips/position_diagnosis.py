@@ -176,19 +176,15 @@ class PositionFinding:
 
     def as_dict(self) -> dict[str, Any]:
         """One entry of `positions`."""
-        gyro = self.gyro_deg
-        return {
-            "position": self.position,
-            "finding": self.finding,
-            "declared_deg": self.declared_deg,
-            "gravity_deg": self.gravity_deg[0],
-            "gravity_u_deg": self.gravity_deg[1],
-            "gyro_deg": None if gyro is None else gyro[0],
-            "gyro_u_deg": None if gyro is None else gyro[1],
-            "angle_deg": self.angle_deg[0],
-            "angle_u_deg": self.angle_deg[1],
-            "error_deg": self.error_deg[0],
-            "error_u_deg": self.error_deg[1],
+        document: dict[str, Any] = {
+            "position": self.position, "finding": self.finding, "declared_deg": self.declared_deg
+        }  # fmt: skip
+        for name in ("gravity", "gyro", "angle", "error"):
+            document[f"{name}_deg"], document[f"{name}_u_deg"] = getattr(self, f"{name}_deg") or (
+                None,
+                None,
+            )
+        return document | {
             "meant_deg": self.meant_deg,
             "others": list(self.others),
             "probability": self.probability,
@@ -296,7 +292,7 @@ def _search(rows: Rows, grid: Sequence[ScatterPoint]) -> tuple[list[Pattern], We
         patterns, weighed = _weigh_others(rows, grid, accepted)
         if weighed.best is None or len(accepted) == MOST_FAULTS:
             return accepted, weighed
-        accepted.append(patterns[weighed.best[0]])
+        accepted.append(patterns[weighed.best])
 
 
 def _weigh_others(

@@ -203,18 +203,13 @@ class Weighed:
         return max(self.named, key=self.named.__getitem__)
 
     @property
-    def best(self) -> tuple[int, Name] | None:
-        """The most probable pattern by all its names, and its best one; None if nothing else is wrong."""
+    def best(self) -> int | None:
+        """Number of the most probable pattern by all its names; None if nothing else is wrong."""
         whole: dict[int, float] = {}
         for (k, _), value in self.named.items():
             whole[k] = float(np.logaddexp(whole.get(k, -math.inf), value))
-        if not whole:
-            return None
-        chosen = max(whole, key=whole.__getitem__)
-        if whole[chosen] <= self.none:
-            return None
-        names = {name: value for (k, name), value in self.named.items() if k == chosen}
-        return chosen, max(names, key=names.__getitem__)
+        chosen = max(whole, key=whole.__getitem__, default=None)
+        return None if chosen is None or whole[chosen] <= self.none else chosen
 
 
 def weigh(
