@@ -221,7 +221,7 @@ def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Va
     biased = {
         letter
         for term in fit.terms
-        if isinstance(term, NamedTerm) and term.name == "bias"
+        if isinstance(term, NamedTerm) and term.constant
         for letter in term.effect.axes
     }
     lacking = tuple(letter for letter in axes if letter not in biased)
@@ -231,7 +231,7 @@ def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Va
         fit = Fit(data, (*fit.terms, zero), values, fit.with_prior).refit()
     stated = {f"bias_{letter}": Value(0.0, None, "mg") for letter in axes}
     for index, term in enumerate(fit.terms):
-        if not isinstance(term, NamedTerm) or term.name != "bias":
+        if not (isinstance(term, NamedTerm) and term.constant):
             continue
         start = fit.slice_of(index).start
         for place, parameter in enumerate(term.effect.parameters, start):
@@ -466,7 +466,7 @@ def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
         return finding
     stated = dict(finding.parameters)
     for index, term in enumerate(fit.terms):
-        if not isinstance(term, NamedTerm) or term.name != "bias":
+        if not (isinstance(term, NamedTerm) and term.constant):
             continue
         places = range(fit.slice_of(index).start, fit.slice_of(index).stop)
         for place, letter in zip(places, term.effect.axes, strict=True):

@@ -145,7 +145,7 @@ class _Beam:
         self.every = _Joining(problem, np.arange(len(problem.terms)), Products(problem, problem))
         self.named = np.array([term.name is not None for term in problem.terms])
         self.nameless = frozenset(np.flatnonzero(~self.named).tolist())
-        biases = (int(w) for w, t in zip(problem.width, problem.terms, strict=True) if t.name == "bias")
+        biases = (int(w) for w, t in zip(problem.width, problem.terms, strict=True) if t.constant)
         self.bias_width = max(biases, default=0)
         self.top = 0.0
 

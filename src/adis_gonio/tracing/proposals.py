@@ -495,12 +495,7 @@ def _measurement(
     second = set(hypotheses[parted[0]].labels)
     others = [name for k in parted for name in hypotheses[k].labels if name not in first]
     return NextDwell(
-        angle_deg=place.angle_deg,
-        direction=place.direction,
-        approach=place.approach,
-        wait_s=place.wait_s,
-        temperature_c=place.temperature_c,
-        supply_v=place.supply_v,
+        **vars(place),
         separation=separation,
         information=information,
         purpose=purpose,

@@ -75,7 +75,7 @@ def with_scatter(
     """
     data = selection.data
     promising = selection.promising(terms)
-    plain = {term.name for term in selection.terms} <= {"bias"}
+    plain = all(term.constant for term in selection.terms)
     checks = selection.base.dof - data.axes
     untouched = plain and selection.adequate
     if not max_effects or not data.noise_known or checks < limits.scatter_checks or untouched:
@@ -124,7 +124,7 @@ def _evidence_of_processes(selection: Selection) -> float:
     if not candidates:
         return -math.inf
     named = tuple(term for term in selection.terms if term.name is not None)
-    plain = tuple(term for term in named if term.name == "bias")
+    plain = tuple(term for term in named if term.constant)
     best = -math.inf
     for kept in dict.fromkeys((named, plain, ())):
         fit = selection.fit.having(kept, [selection.fit.value_of(term) for term in kept]).refit()
@@ -144,7 +144,7 @@ def _settled(
     data: Readings, kind: Kind, selection: Selection, terms: Sequence[Term], max_effects: int
 ) -> tuple[float, Selection | None]:
     """Size of a component and the selection under it, each given the other."""
-    bias = [term for term in selection.terms if term.name == "bias"]
+    bias = [term for term in selection.terms if term.constant]
     kept = selection.fit.having(bias, [selection.fit.value_of(term) for term in bias])
     size = 0.0
     again: Selection | None = None

@@ -161,7 +161,7 @@ def _begun(base: Fit, terms: Sequence[Term]) -> Fit:
     slips = [term for term in named if term.begins and term.dwell in here]
     if not slips:
         return base
-    biases = [term for term in named if term.name == "bias"]
+    biases = [term for term in named if term.constant]
     widest = max(biases, key=lambda term: len(term.effect.axes), default=None)
     model = slips if widest is None else [*slips, widest]
     return base.having(
@@ -245,5 +245,5 @@ def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> Fit | None:
 
 def _widest_bias(problem: LinearProblem) -> int | None:
     """Number of the bias on most axes."""
-    constants = [k for k, term in enumerate(problem.terms) if term.name == "bias"]
+    constants = [k for k, term in enumerate(problem.terms) if term.constant]
     return max(constants, key=lambda k: problem.width[k]) if constants else None

@@ -82,7 +82,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
         for term in final.terms
         if isinstance(term, NamedTerm) and term.effect.correctable and _stands(term, result)
     ]
-    others = [term for term in final.terms if term not in standing and term.name != "bias"]
+    others = [term for term in final.terms if term not in standing and not term.constant]
     left = [_left_out(term, result, middle_s(final)) for term in others]
     if result.unnamed is not None and all(term.name is not None for term in final.terms):
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
@@ -92,7 +92,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     columns = _Columns(fit)
     for parameter in fit.data.model.parameters:
         columns.base(parameter)
-    biased = columns.biases([term for term in named if term.name == "bias"])
+    biased = columns.biases([term for term in named if term.constant])
     effects = tuple(columns.effect(term) for term in corrected)
     parameters, matrix = columns.stated(inflation)
     names = [one.name for one in parameters if one.u is not None]
@@ -124,7 +124,7 @@ def _holds_bias(term: Term) -> bool:
 
 def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
     """The terms that stay and a bias fitted anew; the factor on the variance by which u holds the rest."""
-    biased = any(term.name == "bias" for term in fit.terms)
+    biased = any(term.constant for term in fit.terms)
     terms = [term for term in terms if _of_reading(term) or (not biased and _holds_bias(term))]
     if not terms or (biased and all(term.name is not None for term in terms)):
         return fit, inflation

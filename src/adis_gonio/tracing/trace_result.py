@@ -139,8 +139,10 @@ Purpose = Literal["decide", "cover"]
 
 
 @dataclass(frozen=True)
-class NextDwell:
+class NextDwell(JsonRecord):
     """One more dwell that is worth while.
+
+    The JSON document is one entry of `measurements`.
 
     Attributes
     ----------
@@ -167,6 +169,11 @@ class NextDwell:
     sentence : str
     """
 
+    document_keys = (
+        *("angle_deg", "direction", "approach", "wait_s", "temperature_c", "supply_v", "separation"),
+        *("information", "purpose", "separates", "sentence"),
+    )
+
     angle_deg: float | None
     direction: tuple[float, float, float] | None
     approach: int
@@ -180,21 +187,10 @@ class NextDwell:
     other: tuple[str, ...]
     sentence: str = ""
 
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `measurements`."""
-        return json_object(
-            angle_deg=self.angle_deg,
-            direction=self.direction,
-            approach=self.approach,
-            wait_s=self.wait_s,
-            temperature_c=self.temperature_c,
-            supply_v=self.supply_v,
-            separation=self.separation,
-            information=self.information,
-            purpose=self.purpose,
-            separates=[self.one, self.other],
-            sentence=self.sentence,
-        )
+    @property
+    def separates(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """`one` and `other`."""
+        return self.one, self.other
 
 
 @dataclass(frozen=True)
@@ -428,17 +424,3 @@ class TraceResult(ParameterTable):
             overrides=self.overrides,
             **listed(self.position_findings),
         )
-
-
-__all__ = [
-    "Detectable",
-    "ErrorFigures",
-    "Finding",
-    "Rival",
-    "Step",
-    "Stopped",
-    "TraceResult",
-    "Unnamed",
-    "Value",
-    "WithinFinding",
-]

@@ -23,7 +23,14 @@ from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.model.records import MG_PER_G
-from adis_gonio.tracing.within.samples import Place, Samples, View, WithinFinding, corrected
+from adis_gonio.tracing.within.samples import (
+    Place,
+    Samples,
+    View,
+    WithinFinding,
+    corrected,
+    neighbour_means,
+)
 
 Usable = NDArray[np.bool_]
 
@@ -250,13 +257,7 @@ def _finding(
             wait = format_number(needed, 2)
             advice = f"wait {wait} s longer after each move before recording: the dwells settle"
         places = tuple(
-            Place(
-                int(samples.position[k]),
-                samples.letters[axis],
-                float(samples.time_s[k][0]),
-                Value(float(slope[axis] * weight[k, axis]), None, "mg"),
-                float(shifts[k, axis]),
-            )
+            samples.place(k, axis, slope[axis] * weight[k, axis], at=0, shift=float(shifts[k, axis]))
             for k in dwells
             for axis in axes
             if best.by_move
@@ -298,11 +299,7 @@ def _view(
         for k in dwells
     ) / max(norm, 1e-300)
     first = max(dwells, key=lambda k: len(samples.values[k]) == length)
-    time = samples.elapsed_s(first)[:length]
-    cuts = np.unique(np.linspace(0, length, min(length, _POINTS), endpoint=False).astype(np.intp))
-    counts = np.diff(np.append(cuts, length))
-    x = np.add.reduceat(time, cuts) / counts
-    y = np.add.reduceat(np.asarray(mean, dtype=np.float64), cuts) / counts
+    x, y = neighbour_means(_POINTS, samples.elapsed_s(first)[:length], np.asarray(mean))
     whole = _course(samples.elapsed_s(first), tau)
     model = slope * (_course(x, tau) - whole.mean())
     letter = samples.letters[best.axis]
@@ -310,10 +307,9 @@ def _view(
     return View(
         x,
         y,
-        x,
-        model,
         "time since the first sample / s",
         f"{letter} about its mean / {unit}",
         f"Mean course of {letter} over {len(dwells)} dwells, with what was fitted.",
+        model,
         points=True,
     )

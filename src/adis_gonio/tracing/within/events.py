@@ -21,15 +21,16 @@ from scipy import stats
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.robust import MAD_TO_SD
 from adis_gonio.tracing.within.samples import (
     Place,
     Samples,
     View,
     WithinFinding,
+    axes_and_positions,
     corrected,
     deviation,
+    neighbour_means,
     positions_text,
 )
 
@@ -235,7 +236,6 @@ def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, 
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     elapsed = samples.elapsed_s(k)
     n = len(rows)
-    position, letter = int(samples.position[k]), samples.letters[axis]
     # A step: the sum of squares falls by n1 n2/n times the squared difference of the means.
     total = np.cumsum(rows)[:-1]
     first = np.arange(1, n)
@@ -246,34 +246,18 @@ def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, 
     height = float(rows[cut + 1 :].mean() - rows[: cut + 1].mean())
     model = np.where(np.arange(n) > cut, height, 0.0)
     model = model - model.mean()
-    smaller = min(cut + 1, n - cut - 1) / n
-    fitted["step"] = (
-        float(gain[cut]),
-        model,
-        Place(
-            position,
-            letter,
-            float(samples.time_s[k][cut + 1]),
-            Value(height, look.u_mg(k, axis, min(cut + 1, n - cut - 1)), "mg"),
-            height * smaller * (1 if cut + 1 >= n - cut - 1 else -1),
-        ),
-    )
+    before, after = cut + 1, n - cut - 1
+    shift = height * (min(before, after) / n) * (1 if before >= after else -1)
+    u = look.u_mg(k, axis, min(before, after))
+    fitted["step"] = float(gain[cut]), model, samples.place(k, axis, height, u, at=cut + 1, shift=shift)
     line = elapsed - elapsed.mean()
     energy = max(float(line @ line), 1e-300)
     slope = float(line @ rows) / energy
     length = max(float(elapsed[-1]), 1e-12)
-    fitted["drift"] = (
-        slope**2 * energy,
-        slope * line,
-        # Half-means of a line are half its span apart.
-        Place(
-            position,
-            letter,
-            None,
-            Value(slope, 2 * look.u_mg(k, axis, n / 2) / length, "mg/s"),
-            slope * length / 2,
-        ),
-    )
+    # Half-means of a line are half its span apart.
+    u = 2 * look.u_mg(k, axis, n / 2) / length
+    place = samples.place(k, axis, slope, u, "mg/s", shift=slope * length / 2)
+    fitted["drift"] = slope**2 * energy, slope * line, place
     best: tuple[float, float, float, Floats, float] | None = None
     for tau in (
         np.geomspace(3 * samples.period_s, length / 3, _TAUS) if length > 9 * samples.period_s else ()
@@ -286,18 +270,9 @@ def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, 
             best = (amplitude**2 * own, amplitude, float(course.mean()), centred, float(tau))
     if best is not None:
         explained, amplitude, mean, centred, tau = best
-        decay = min(tau / samples.period_s, n / 2)
-        fitted["settling"] = (
-            explained,
-            amplitude * centred,
-            Place(
-                position,
-                letter,
-                float(samples.time_s[k][0]),
-                Value(amplitude, look.u_mg(k, axis, decay), "mg"),
-                amplitude * mean,
-            ),
-        )
+        u = look.u_mg(k, axis, min(tau / samples.period_s, n / 2))
+        place = samples.place(k, axis, amplitude, u, at=0, shift=amplitude * mean)
+        fitted["settling"] = explained, amplitude * centred, place
     kind = max(fitted, key=lambda name: fitted[name][0])
     _, course, place = fitted[kind]
     size = place.value
@@ -307,9 +282,8 @@ def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, 
     height = float(look.difference_mg[k, axis])
     course = np.zeros(n)
     course[at : at + int(stretch)] = height
-    shown = Value(height, look.u_mg(k, axis, stretch), "mg")
-    shift = height * stretch / n
-    return "disturbance", Place(position, letter, float(samples.time_s[k][at]), shown, shift), course
+    u = look.u_mg(k, axis, stretch)
+    return "disturbance", samples.place(k, axis, height, u, at=at, shift=height * stretch / n), course
 
 
 _WORDS: dict[_Form, tuple[str, str, str]] = {
@@ -337,8 +311,8 @@ def _finding(
 ) -> WithinFinding:
     words, name, cause = _WORDS[kind]
     places = tuple(place for _, _, place, _ in chosen)
+    axes, positions = axes_and_positions(places)
     k, axis, worst, model = max(chosen, key=lambda one: abs(one[2].shift_mg or 0.0))
-    positions = tuple(dict.fromkeys(place.position for place in places))
     assert worst.value is not None
     when = "" if worst.time_s is None or kind == "settling" else f" at {worst.time_s:.1f} s"
     where = positions_text(positions, len(samples))
@@ -346,7 +320,7 @@ def _finding(
     return WithinFinding(
         kind=kind,
         effect=None,
-        axes=tuple(sorted({place.axis for place in places})),
+        axes=axes,
         positions=positions,
         parameters={f"{name}_{worst.axis}": worst.value},
         p_value=p_value,
@@ -365,18 +339,14 @@ def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> Vi
     """Course of one dwell in at most `_POINTS` means of neighbours."""
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     time = samples.elapsed_s(k)
-    n = len(rows)
-    cuts = np.unique(np.linspace(0, n, min(n, _POINTS), endpoint=False).astype(np.intp))
-    counts = np.diff(np.append(cuts, n))
-    x, y, m = (np.add.reduceat(values, cuts) / counts for values in (time, rows, model))
+    x, y, shown = neighbour_means(_POINTS, time, rows, model)
     letter = samples.letters[axis]
     return View(
         x,
         y,
-        x,
-        m,
         "time since the first sample / s",
         f"{letter} about its mean / mg",
         f"{kind.capitalize()} in position {samples.position[k]}, {letter}: samples averaged, and the fit.",
+        shown,
         points=True,
     )

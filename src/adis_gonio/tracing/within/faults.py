@@ -46,6 +46,7 @@ from adis_gonio.tracing.within.samples import (
     Samples,
     View,
     WithinFinding,
+    axes_and_positions,
     corrected,
     deviation,
     positions_text,
@@ -102,15 +103,7 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
                 cleaned[low:high, axis] = middle[top]
                 shift = float((rows[low:high, axis] - middle[top]).sum() / len(rows))
                 values[k] = cleaned
-                places.append(
-                    Place(
-                        int(samples.position[k]),
-                        samples.letters[axis],
-                        float(samples.time_s[k][top]),
-                        Value(float(away[top]), spread, "mg"),
-                        shift,
-                    )
-                )
+                places.append(samples.place(k, axis, away[top], spread, at=top, shift=shift))
                 if worst is None or abs(away[top]) > worst[0]:
                     worst = (abs(float(away[top])), k, axis, top)
     if worst is None:
@@ -148,7 +141,7 @@ def _spikes_finding(
     samples: Samples, places: list[Place], p_value: float, worst: tuple[float, int, int, int]
 ) -> WithinFinding:
     size, k, axis, top = worst
-    positions = tuple(sorted({place.position for place in places}))
+    axes, positions = axes_and_positions(places)
     noise = {
         int(position): float(np.min(rows.std(axis=0))) / np.sqrt(len(rows))
         for position, rows in zip(samples.position, samples.values, strict=True)
@@ -158,17 +151,13 @@ def _spikes_finding(
     repeat = f"; repeat {positions_text(spoiled, 0)}, whose means they move" if spoiled else ""
     count = len(places)
     low, high = max(0, top - 40), min(len(samples.values[k]), top + 41)
-    time = samples.elapsed_s(k)[low:high]
     letter = samples.letters[axis]
     return WithinFinding(
         kind="spikes",
         effect=None,
-        axes=tuple(sorted({place.axis for place in places})),
+        axes=axes,
         positions=positions,
-        parameters={
-            "count": Value(float(count), None, "1"),
-            "largest": Value(size, None, "mg"),
-        },
+        parameters={"count": Value(float(count), None, "1"), "largest": Value(size, None, "mg")},
         p_value=p_value,
         sentence=(
             f"{count} spike{'' if count == 1 else 's'} in {positions_text(positions, len(samples))}, the "
@@ -177,10 +166,8 @@ def _spikes_finding(
         places=tuple(places),
         advice=f"look for what makes the spikes (contacts, supply, a touch){repeat}",
         view=View(
-            time,
+            samples.elapsed_s(k)[low:high],
             samples.values[k][low:high, axis],
-            np.zeros(0),
-            np.zeros(0),
             "time since the first sample / s",
             f"{letter} / mg",
             f"The largest spike: {letter}, position {samples.position[k]}.",
@@ -217,24 +204,16 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
             if p < FOUND_WITHIN:
                 least_p = min(least_p, p)
                 begin = int(own[: int(own.argmax())].sum())
-                places.append(
-                    Place(
-                        int(samples.position[k]),
-                        samples.letters[axis],
-                        float(samples.time_s[k][begin]),
-                        Value(float(longest), None, "samples"),
-                    )
-                )
+                places.append(samples.place(k, axis, longest, unit="samples", at=begin))
     if not places:
         return None
-    longest_place = max(places, key=lambda place: place.value.value if place.value else 0.0)
-    positions = tuple(sorted({place.position for place in places}))
-    run = longest_place.value.value if longest_place.value else 0.0
+    axes, positions = axes_and_positions(places)
+    run = max(place.value.value for place in places if place.value)
     where = positions_text(positions, len(samples))
     return WithinFinding(
         kind="stuck",
         effect=None,
-        axes=tuple(sorted({place.axis for place in places})),
+        axes=axes,
         positions=positions,
         parameters={"longest": Value(run, None, "samples")},
         p_value=least_p,

@@ -5,6 +5,7 @@ What the second pass reports: findings inside the dwells, and where they stand.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -77,6 +78,21 @@ class Samples:
     def elapsed_s(self, dwell: int) -> Floats:
         """Time since the first sample of a dwell (n,)."""
         return np.asarray(self.time_s[dwell] - self.time_s[dwell][0], dtype=np.float64)
+
+    def place(
+        self,
+        dwell: int,
+        axis: int,
+        value: float,
+        u: float | None = None,
+        unit: str = "mg",
+        at: int | None = None,
+        shift: float | None = None,
+    ) -> Place:
+        """A place by the number of its dwell, of its axis and of its sample `at`."""
+        time = None if at is None else float(self.time_s[dwell][at])
+        size = Value(float(value), u, unit)
+        return Place(int(self.position[dwell]), self.letters[axis], time, size, shift)
 
     def with_values(self, values: list[Floats]) -> Samples:
         """The same dwells with other samples."""
@@ -185,9 +201,10 @@ class View:
     ----------
     x, y : (n,) float
         Points.
-    model_x, model_y : (m,) float
-        What the finding says of them.
-    x_label, y_label, caption, model_label : str
+    x_label, y_label, caption : str
+    model : (n,) float or None
+        Fitted course at the points.
+    model_label : str
     y_log : bool
     points : bool
         True where y are single points rather than a course.
@@ -195,11 +212,10 @@ class View:
 
     x: Floats
     y: Floats
-    model_x: Floats
-    model_y: Floats
     x_label: str
     y_label: str
     caption: str
+    model: Floats | None = None
     model_label: str = "fitted"
     y_log: bool = False
     points: bool = False
@@ -250,6 +266,19 @@ class WithinFinding(JsonRecord):
 def corrected(p_value: float, tests: float) -> float:
     """p-value times the tests of its search and the number of searches, at most 1."""
     return min(1.0, float(p_value) * max(tests, 1.0) * SEARCHES)
+
+
+def axes_and_positions(places: Sequence[Place]) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Axes and positions of places, each once, in order."""
+    return tuple(sorted({p.axis for p in places})), tuple(sorted({p.position for p in places}))
+
+
+def neighbour_means(most: int, *columns: Floats) -> list[Floats]:
+    """Columns (n,), each as at most `most` means of neighbours."""
+    n = len(columns[0])
+    cuts = np.unique(np.linspace(0, n, min(n, most), endpoint=False).astype(np.intp))
+    counts = np.diff(np.append(cuts, n))
+    return [np.add.reduceat(np.asarray(rows, dtype=np.float64), cuts) / counts for rows in columns]
 
 
 def positions_text(positions: tuple[int, ...], dwells: int, most: int = 12) -> str:

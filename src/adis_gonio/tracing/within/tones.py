@@ -268,11 +268,10 @@ def _view(density: Density, period: float, axis: int, letter: str, frequency: fl
     return View(
         x,
         y,
-        x,
-        model,
         "frequency / Hz",
         f"density of {letter} / mg/√Hz",
         f"Spectrum of {letter} inside the dwells, with a line at {format_number(frequency, 4)} Hz.",
+        model,
         model_label="noise",
         y_log=True,
     )

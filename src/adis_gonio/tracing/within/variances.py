@@ -271,18 +271,9 @@ def _varying(
         spread = np.sqrt(2 / own.dof)
         far = np.abs(np.log(ratio)) > stats.norm.isf(FOUND_WITHIN / (2 * d)) * spread
         unusual |= far
+        size, u = np.sqrt(own.variance), np.sqrt(own.variance / (2 * own.dof))
         places += [
-            Place(
-                int(samples.position[dwells[k]]),
-                samples.letters[axis],
-                None,
-                Value(
-                    float(np.sqrt(own.variance[k])),
-                    float(np.sqrt(own.variance[k] / (2 * own.dof[k]))),
-                    "mg",
-                ),
-            )
-            for k in np.flatnonzero(far).tolist()
+            samples.place(int(dwells[k]), axis, size[k], float(u[k])) for k in np.flatnonzero(far).tolist()
         ]
     if not unusual.any():
         unusual[:] = True
@@ -369,8 +360,6 @@ def _view(samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes
     return View(
         time / 60,
         np.sqrt(own.variance),
-        np.zeros(0),
-        np.zeros(0),
         "time / min",
         f"scatter of {letter} / mg",
         f"Standard deviation of the samples of {letter} in each dwell.",
