@@ -236,16 +236,12 @@ def _fitted(
         within += weight * covariance[: fixed.shape[1], : fixed.shape[1]]
         cut = fixed.shape[1]
         for term in terms:
-            width = _width(selection.fit, term)
+            width = term.columns(selection.fit.ideal, selection.fit.data.conditions).shape[-1]
             members.append((float(weight), term, solved[cut : cut + width]))
             cut += width
     mean = np.sum([w * m for w, m in means], axis=0)
     between = np.sum([w * np.outer(m - mean, m - mean) for w, m in means], axis=0)
     return members, within + between / selection.inflation, used
-
-
-def _width(fit: Fit, term: NamelessTerm) -> int:
-    return int(term.columns(fit.ideal, fit.data.conditions).shape[-1])
 
 
 def _ridge(

@@ -27,6 +27,7 @@ from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.effects.lag import lagged
+from adis_gonio.tracing.named_candidates import choices_of_axes
 from adis_gonio.tracing.thresholds import limits
 
 Shape = Callable[[Floats], Floats]
@@ -111,8 +112,7 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
     weight = {m.family: 1.0 if m.family in COMMON else limits.family_weight for m in made}
     total = sum(weight[family] for family in sorted(weight))
     placed: dict[tuple[str, bool], list[tuple[Basis, Where, tuple[int, ...]]]] = {}
-    sizes = range(1, data.axes + 1)
-    subsets = [subset for size in sizes for subset in itertools.combinations(range(data.axes), size)]
+    subsets = choices_of_axes(range(data.axes))
     for m in made:
         members = placed.setdefault((m.family, m.basis.approximates), [])
         for where in m.places:

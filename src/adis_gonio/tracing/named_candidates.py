@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,12 @@ from adis_gonio.model.effects import AXES, Effect, Enters, catalogue
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.effects.stage import LEAST_CYCLES, of_one_phase
 from adis_gonio.tracing.thresholds import limits
+
+
+def choices_of_axes(axes: Sequence[Any], most: int | None = None) -> list[tuple[Any, ...]]:
+    """Subsets of up to `most` axes (by default any number), the smallest first."""
+    sizes = range(1, (len(axes) if most is None else most) + 1)
+    return [chosen for size in sizes for chosen in itertools.combinations(axes, size)]
 
 
 def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
@@ -60,11 +67,7 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
     letters = AXES[: data.axes]
     subsets: list[tuple[str, ...]] = [()]
     if kind.by_axis:
-        subsets = [
-            subset
-            for size in range(1, (1 if kind.one_axis else len(letters)) + 1)
-            for subset in itertools.combinations(letters, size)
-        ]
+        subsets = choices_of_axes(letters, most=1 if kind.one_axis else None)
     choices = kind.choices()
     if (
         "dwell" in choices

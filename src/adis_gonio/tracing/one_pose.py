@@ -60,15 +60,11 @@ class _Variant:
     ----------
     columns : tuple of int
         Numbers of its columns in the design.
-    names, units : tuple of str
-        Of its amplitudes, without the axis.
     shape : float or None
         Time constant in s.
     """
 
     columns: tuple[int, ...]
-    names: tuple[str, ...]
-    units: tuple[str, ...]
     shape: float | None = None
 
 
@@ -221,8 +217,7 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
             if (np.ptp(block, axis=0) > 0).all():
                 first = len(columns)
                 columns.extend(block.T)
-                numbers = tuple(range(first, first + block.shape[1]))
-                kept.append(_Variant(numbers, *_labels(made, block.shape[1]), shape))
+                kept.append(_Variant(tuple(range(first, len(columns))), shape))
         if kept:
             candidates.append(_Candidate(made, tuple(kept)))
 
@@ -469,7 +464,8 @@ def _finding(problem: _Problem, model: Model, which: int, tried: int, explains: 
         columns = _columns(model, choice)
         values = _coefficients(problem, columns, axis) / problem.size
         spread = _spread(problem, columns, axis)
-        for k, name, unit in zip(variant.columns, variant.names, variant.units, strict=True):
+        names, units = _labels(made, len(variant.columns))
+        for k, name, unit in zip(variant.columns, names, units, strict=True):
             parameters[f"{name}_{AXES[axis]}"] = Value(float(values[k]), float(spread[k]), unit)
         if variant.shape is not None:
             parameters[f"tau_{AXES[axis]}"] = Value(variant.shape, None, "s")

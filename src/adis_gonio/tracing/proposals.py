@@ -375,7 +375,8 @@ def _greedy(
     if len(hypotheses) < 2:
         return places, out
     weights = np.array([h.weight for h in hypotheses])
-    set_of = _nothing(data, hypotheses)
+    sizes, rows = [len(h.shift) for h in hypotheses], data.equations_each
+    set_of = _Predicted([np.zeros((0, rows)) for _ in sizes], [np.zeros((0, rows, p)) for p in sizes])
     for count, place in enumerate(before):
         there = _predict(data, inflation, hypotheses, [place], before[:count])
         set_of = there.after(set_of)
@@ -430,12 +431,6 @@ def _worth(weights: Floats, apart: Floats, conditions: bool, least: float) -> tu
         return None
     one, two = np.unravel_index(int(likely.argmax()), likely.shape)
     return (int(one), int(two)) if weights[one] >= weights[two] else (int(two), int(one))
-
-
-def _nothing(data: Readings, hypotheses: list[Hypothesis]) -> _Predicted:
-    rows = data.equations_each
-    sizes = [len(h.shift) for h in hypotheses]
-    return _Predicted([np.zeros((0, rows)) for _ in sizes], [np.zeros((0, rows, p)) for p in sizes])
 
 
 def _information(weights: Floats, given: _Predicted, options: _Predicted | None) -> Floats:

@@ -117,7 +117,7 @@ def select(
         apart = _bias_apart(problem, base, about)
         if apart is not None:
             # A constant that is far larger than what is left beside it is no part of a function's form.
-            terms = [term for term in terms if not _with_constant(term)]
+            terms = [t for t in terms if not (isinstance(t, NamelessTerm) and t.basis.with_constant)]
             if not about.terms and max_terms:
                 # Its square, b²/2G, may be many times the noise: candidates are judged about the fit
                 # that has it, or they would be chosen for what the linear problem leaves of it.
@@ -143,10 +143,6 @@ def select(
     if p < limits.adequate:
         inflation = max(inflation, fit.chi2 / fit.dof)  # uncertainties by what the final model leaves
     return Selection(problem, found, verdict, base, fit, inflation, p >= limits.adequate)
-
-
-def _with_constant(term: Term) -> bool:
-    return isinstance(term, NamelessTerm) and term.basis.with_constant
 
 
 def _begun(base: Fit, terms: Sequence[Term]) -> Fit:

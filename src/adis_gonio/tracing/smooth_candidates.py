@@ -23,6 +23,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import AXES, Conditions
+from adis_gonio.tracing.named_candidates import choices_of_axes
 from adis_gonio.tracing.thresholds import limits
 
 LENGTHS = (0.1, 0.18, 0.32, 0.56, 1.0)
@@ -57,10 +58,8 @@ class Process:
 
 def processes(data: Readings) -> list[Process]:
     """All processes of a session: where they enter × covariate × length × amplitude."""
-    reading_u = _reading_u(data)
-    subsets = [
-        s for size in range(1, data.axes + 1) for s in itertools.combinations(range(data.axes), size)
-    ]
+    reading_u = float(np.sqrt(data.variance_of_mean.mean()))
+    subsets = choices_of_axes(range(data.axes))
     made: list[NamelessTerm] = []
     for basis, placed in _bases(data):
         for where in placed:
@@ -123,10 +122,6 @@ def evidence(
         grown = 1 + prior * values
         scores[k] = 0.5 * float((prior * scores2 / inflation / grown - np.log(grown)).sum()) - process.price
     return scores
-
-
-def _reading_u(data: Readings) -> float:
-    return float(np.sqrt(data.variance_of_mean.mean()))
 
 
 def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:

@@ -504,20 +504,16 @@ def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) ->
     """The trace with what is said of positions, and how they are put right before anything else."""
     if not positions.findings:
         return result
-    said = list(positions.sentences)
-    said += [_traced_without(found) for found in _gross(data, positions)]
+    corrected = [
+        f"traced as the part stood: {found.error_deg[0]:+.2f}° from position {found.position} on, whose"
+        " uncertainty is not in these figures"
+        for found in _gross(data, positions)
+    ]
     return replace(
         result,
         position_findings=positions.findings,
-        notes=(*result.notes, *said),
+        notes=(*result.notes, *positions.sentences, *corrected),
         advice=(*_first(positions), *result.advice),
-    )
-
-
-def _traced_without(found: PositionFinding) -> str:
-    return (
-        f"traced as the part stood: {found.error_deg[0]:+.2f}° from position {found.position} on, whose"
-        " uncertainty is not in these figures"
     )
 
 

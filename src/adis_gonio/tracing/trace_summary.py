@@ -173,7 +173,10 @@ def inside_only(result: TraceResult) -> list[Finding]:
 
 def within(result: TraceResult) -> list[str]:
     """What the samples inside the dwells show, with how sure."""
-    return [f"{_capital(finding.sentence)} ({format_p(finding.p_value)})." for finding in result.within]
+    return [
+        f"{finding.sentence[:1].upper()}{finding.sentence[1:]} ({format_p(finding.p_value)})."
+        for finding in result.within
+    ]
 
 
 def headline(result: TraceResult) -> str:
@@ -190,10 +193,6 @@ def _outcome(result: TraceResult) -> str:
     if inside:
         return f"{first} Inside the dwells: {join_words([with_axes(finding) for finding in inside])}."
     return first
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:

@@ -373,7 +373,8 @@ def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[Left]) -> ErrorF
     """Error figures of a fit, with its residuals on the left-out dwells."""
     residual = [part.residual for part in left]
     turned = [part.angle_rad for part in left if part.angle_rad is not None]
-    chi2 = fit.chi2 if fit.data is measured else chi2_of_measured(fit, measured)
+    # χ² against the noise that was measured, whatever noise the fit assumed.
+    chi2 = fit.chi2 if fit.data is measured else replace(fit, data=measured).settled().chi2
     return ErrorFigures(
         residual_rms=rms(fit.misfit, fit.data.by_axis),
         heldout_rms=_heldout(left, fit.data),
@@ -449,11 +450,6 @@ def guarding(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[floa
 def _heldout(parts: Sequence[Left], data: Readings) -> float | None:
     """Root mean square of left-out residuals; None without any."""
     return rms(np.concatenate([part.residual for part in parts]), data.by_axis) if parts else None
-
-
-def chi2_of_measured(fit: Fit, measured: Readings) -> float:
-    """χ² of a fit against the noise that was measured, whatever was assumed in it."""
-    return replace(fit, data=measured).settled().chi2
 
 
 def rms_deg(turned: list[Floats]) -> float | None:

@@ -342,15 +342,12 @@ def _settling(samples: Samples) -> Detectable:
     z, norm = projections(samples, usable, constants[len(constants) // 2])
     energy = float((norm**2).sum())
     tests = (len(constants) + 1) * 2 * samples.axes
-    size = _detectable_size(FOUND_WITHIN / SEARCHES / tests / 2, dwells - 1)
+    # In units of its u: the size that exceeds the two-sided limit with 90 %, in the session's own scatter.
+    p = FOUND_WITHIN / SEARCHES / tests / 2
+    size = float(stats.t.isf(p, dwells - 1) + stats.t.isf(1 - _POWER, dwells - 1))
     slope = (norm[:, None] * z).sum(axis=0) / energy
     scatter = ((z - norm[:, None] * slope)[usable] ** 2).sum(axis=0) / (dwells - 1)
     return Detectable(float(np.sqrt(scatter.max() / energy)) * size, "mg", "settling")
-
-
-def _detectable_size(p: float, dof: int) -> float:
-    """Size in units of its u, which the session's scatter gives, at which 90 % exceed the limit at p."""
-    return float(stats.t.isf(p, dof) + stats.t.isf(1 - _POWER, dof))
 
 
 def _noncentral(p: float, dof: int) -> float:

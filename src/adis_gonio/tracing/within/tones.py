@@ -384,7 +384,9 @@ def density_of(samples: Samples) -> Density | None:
     beside = _beside(pooled, searched, each)
     information = len(dwells) / each / TAPER_LOSS
     tests = samples.axes * (searched.stop - searched.start) / each
-    responses = [own[searched] for own in _responses(counts[dwells], size)]
+    # Filters that are shorter than the longest dwell.
+    filters = [m for m in _FILTERS if 2 ** (m + 1) <= longest]
+    responses = [_expected(m, counts[dwells], size)[searched] for m in filters]
     shape = np.ones((len(frequency), samples.axes))
     lined = np.zeros(samples.axes, dtype=bool)
     for axis in range(samples.axes):
@@ -563,11 +565,6 @@ def _falling(frequency: Floats, knee: float) -> Floats:
     if np.isinf(knee):
         return np.ones_like(frequency)
     return np.asarray((knee**2 + frequency[0] ** 2) / (knee**2 + frequency**2))
-
-
-def _responses(counts: NDArray[np.intp], size: int) -> list[Floats]:
-    """Expected densities of white noise behind each filter that is shorter than the longest dwell."""
-    return [_expected(m, counts, size) for m in _FILTERS if 2 ** (m + 1) <= counts.max()]
 
 
 def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
