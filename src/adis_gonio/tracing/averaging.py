@@ -110,7 +110,7 @@ class Averaged:
 
 
 def average(selection: Selection, candidates: Sequence[Process] | None = None) -> Averaged | None:
-    """Average over what may stand beside the named effects; None where nothing nameless is called for.
+    """Average over what may stand beside the named effects; None if nothing nameless is called for.
 
     Where no formula is adequate a process may be: first all are weighed under the measured noise, and only
     if their average is not adequate either under the noise that the best formula leaves. Under that noise a

@@ -97,7 +97,7 @@ def unknown_of(selection: Selection, averaged: Averaged | None) -> list[Nameless
 
 
 def related(term: Term, unknown: Term) -> bool:
-    """True where a named and a nameless term may be pieces of one cause."""
+    """True if a named and a nameless term may be pieces of one cause."""
     if not term.covariates:
         return False
     if term.dwell is not None:
@@ -251,7 +251,7 @@ class _Place:
         return cls(problem, cause, ours, added / max(float(np.linalg.norm(added)), 1e-300))
 
     def choice(self, model: Model) -> dict[str, float]:
-        """What a model has in this place, with shares that sum to at most 1; empty where it has nothing.
+        """What a model has in this place, with shares that sum to at most 1; empty if it has nothing.
 
         Where it lacks several causes its others stand in the place of each by as much as they add of it.
         """
@@ -280,7 +280,7 @@ class _Place:
 
 
 def _piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
-    """True where a cause may be a piece of what is averaged; a model's own function votes by itself."""
+    """True if a cause may be a piece of what is averaged; a model's own function votes by itself."""
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     return any(
         unknown is averaged.smooth and related(term, unknown)

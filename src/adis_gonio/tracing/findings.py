@@ -55,7 +55,7 @@ from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Rival, Unname
 
 
 def dof_of(selection: Selection) -> float:
-    """Degrees of freedom that show the noise at which uncertainties are stated; inf where it was stated."""
+    """Degrees of freedom that show the noise at which uncertainties are stated; inf if it was stated."""
     data = selection.data
     dof = data.noise_dof if data.noise_known else np.inf
     if not data.noise_known or selection.inflation > 1:
@@ -115,7 +115,7 @@ def finding_of(selection: Selection, name: str, averaged: Averaged | None = None
 
 
 def told_from_zero(finding: Finding) -> bool:
-    """True where a value differs from zero by more than its own uncertainty allows."""
+    """True if a value differs from zero by more than its own uncertainty allows."""
     halves = [(abs(v.value), v.U) for v in finding.parameters.values() if v.u]
     return not halves or any(size > limits.told * (half or 0.0) / NORMAL_95 for size, half in halves)
 

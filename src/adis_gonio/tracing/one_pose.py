@@ -399,7 +399,7 @@ def _best_addition(
 
 
 def _one_way(conditions: Conditions) -> bool:
-    """True where the temperature rises or falls with time, but for noise."""
+    """True if the temperature rises or falls with time, but for noise."""
     from scipy import stats
 
     temperature = conditions.covariate("temperature_c")

@@ -99,7 +99,7 @@ class ImaginedDwell:
 
     @property
     def conditions(self) -> bool:
-        """True where more than a position is wanted."""
+        """True if more than a position is wanted."""
         return self.temperature_c is not None or self.supply_v is not None
 
 
@@ -417,7 +417,7 @@ def _greedy(
 
 
 def _worth(weights: Floats, apart: Floats, conditions: bool, least: float) -> tuple[int, int] | None:
-    """The pair that a dwell parts, the more probable one first; None where it parts none enough."""
+    """The pair that a dwell parts, the more probable one first; None if it parts none enough."""
     both = np.maximum(apart, apart.T)
     likely = np.sqrt(np.outer(weights, weights)) * (both >= least**2)
     if conditions:

@@ -209,7 +209,7 @@ def _inflated(
 
 
 def _bias_apart(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
-    """The fit with a bias, to be made where it is wanted; None where none explains nearly all."""
+    """The fit with a bias, to be made where it is wanted; None if none explains nearly all."""
     constants = _mostly_bias(problem)
     if constants is not None:
         return lambda: fit_model(problem, [constants], about)

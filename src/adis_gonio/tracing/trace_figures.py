@@ -42,7 +42,7 @@ class Panel:
     x : (n,) float
     before, after : (n,) float
     u : (n,) float
-        Standard uncertainty of a point; NaN where it is not known.
+        Standard uncertainty of a point; NaN if it is not known.
     check_x, check_after : (m,) float
         Dwells that took no part.
     """
@@ -145,7 +145,7 @@ def _covariate(data: Readings, term: Term, axis: int) -> str:
 
 
 def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
-    """Covariate (n,) in the unit of a figure; None where it was not recorded."""
+    """Covariate (n,) in the unit of a figure; None if it was not recorded."""
     if name.startswith("reading_"):
         axis = AXES.index(name[-1])
         return data.mean[:, axis] / data.model.full

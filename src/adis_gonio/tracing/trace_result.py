@@ -47,7 +47,7 @@ class ErrorFigures(JsonRecord):
     angle_rms_deg : float or None
         Angle from the reading by the calibrated goniometer minus declared angle, over these dwells.
     chi2_per_dof : float or None
-        None where the noise of a reading is not known or no degree of freedom is left.
+        None if the noise of a reading is not known or no degree of freedom is left.
     heldout_by_axis : mapping of str to float or None
         The held-out error axis by axis, where one pose is traced sample by sample, or axes have nothing in
         common (gyros).
@@ -275,13 +275,13 @@ class TraceResult(ParameterTable):
         are worth while.
     fits : tuple of Fit
         The base model, then the model after each step, fitted; no part of the JSON, nor of a comparison.
-        Empty where one pose is traced sample by sample.
+        Empty if one pose is traced sample by sample.
     inflation : float
         Factor on the noise variance at which uncertainties are stated.
     stopped : Stopped or None
         What the time limit left out, where it ended the trace.
     provenance : Provenance or None
-        Where the readings come from; None where no session was given.
+        Where the readings come from; None if no session was given.
     overrides : mapping
         What was stated otherwise than in the session's file, old and new (`session.overrides`).
     position_findings : tuple of PositionFinding
@@ -361,14 +361,14 @@ class TraceResult(ParameterTable):
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of the noise at which uncertainties are stated; inf where unlimited."""
+        """Degrees of freedom of the noise at which uncertainties are stated; inf if unlimited."""
         return next((value.dof for value in self.base.values() if value.u is not None), math.inf)
 
     @property
     def reference_temperature_c(self) -> float | None:
         """Temperature at which the parameters hold.
 
-        25 °C where an effect of the temperature is in the model, else the mean of the dwells; None where it
+        25 °C where an effect of the temperature is in the model, else the mean of the dwells; None if it
         was not recorded.
         """
         if any("temperature" in c for fit in self.fits[-1:] for term in fit.terms for c in term.covariates):

@@ -250,7 +250,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
 
 
 def exact(result: TraceResult) -> bool:
-    """True where an effect leaves nothing at all, as a model does that passes through every reading."""
+    """True if an effect leaves nothing at all, as a model does that passes through every reading."""
     return bool(result.steps) and result.after.residual_rms < 1e-9 * result.before.residual_rms
 
 

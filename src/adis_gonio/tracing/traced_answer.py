@@ -172,7 +172,7 @@ def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
 def _reason(
     trace: TraceResult, found: dict[str, DwellPrediction], scores: dict[str, Score], best: str
 ) -> str | None:
-    """Why the traced model is the answer; None where it is not."""
+    """Why the traced model is the answer; None if it is not."""
     if trace.stopped is not None and not trace.stopped.checked:
         return None
     if surely_worse(found[TRACED], found[best]):
@@ -227,7 +227,7 @@ def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[s
 
 
 def _covariance(fit: Fit) -> Floats | None:
-    """Covariance of all parameters of a fit; None where an average stands for some of them."""
+    """Covariance of all parameters of a fit; None if an average stands for some of them."""
     covariance = fit.covariance
     return covariance if len(covariance) == len(fit.values.parameters) else None
 

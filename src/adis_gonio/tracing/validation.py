@@ -175,7 +175,7 @@ def determined(
 
 
 def _poses_repeat(data: Readings, blocks: list[NDArray[np.bool_]]) -> bool:
-    """True where every dwell left out has a neighbour: 2.5 steps of angle, in space 45° away."""
+    """True if every dwell left out has a neighbour: 2.5 steps of angle, in space 45° away."""
     if not data.planar:
         unit = data.model.pose(data.mean, data.conditions)
         if unit is None:
@@ -406,7 +406,7 @@ def _parameters(fit: Fit) -> int:
 
 
 def leaves_too_few(fit: Fit) -> bool:
-    """True where no dwell can be left out of the selection: few, or the others do not fix the model."""
+    """True if no dwell can be left out of the selection: few, or the others do not fix the model."""
     rows = (len(fit.data) - 1) * fit.data.equations_each
     return len(fit.data) < limits.least_choice or rows < _parameters(fit)
 

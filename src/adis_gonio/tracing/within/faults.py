@@ -241,7 +241,7 @@ def _tail(lengths: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def saturation(session: Session, data: Readings) -> WithinFinding | None:
-    """Limits of the range that samples have reached; None where there are none."""
+    """Limits of the range that samples have reached; None if there are none."""
     if data.converter is None or not data.converter.limits:
         return None
     limits = data.converter.limits
@@ -277,7 +277,7 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
 
 
 def quantization(session: Session, samples: Samples, reach: int) -> WithinFinding | None:
-    """A step of the converter that noise does not hide; None where it does.
+    """A step of the converter that noise does not hide; None if it does.
 
     Parameters
     ----------

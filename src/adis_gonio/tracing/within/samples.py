@@ -70,7 +70,7 @@ class Samples:
 
     @property
     def period_s(self) -> float:
-        """Median time between samples; nan where all times are alike."""
+        """Median time between samples; nan if all times are alike."""
         steps = np.concatenate([np.diff(time) for time in self.time_s])
         steps = steps[steps > 0]
         return float(np.median(steps)) if steps.size else float("nan")
@@ -111,7 +111,7 @@ class Samples:
 
 
 def samples_of(session: Session, data: Readings) -> Samples | None:
-    """Samples in mg of the dwells that have at least two; None where there are none.
+    """Samples in mg of the dwells that have at least two; None if there are none.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class Place(JsonRecord):
     value : Value or None
         Size there (height of a step, samples of a run, …).
     shift_mg : float or None
-        By how much it moves the dwell's mean; None where that is not known.
+        By how much it moves the dwell's mean; None if that is not known.
     """
 
     position: int
@@ -207,7 +207,7 @@ class View:
     model_label : str
     y_log : bool
     points : bool
-        True where y are single points rather than a course.
+        True if y are single points rather than a course.
     """
 
     x: Floats
@@ -241,9 +241,9 @@ class WithinFinding(JsonRecord):
         Multiplied by the number of tests of its search and of `SEARCHES`, at most 1.
     sentence : str
     places : tuple of Place
-        Single dwells and axes; empty where all of `positions` share the parameters.
+        Single dwells and axes; empty if all of `positions` share the parameters.
     advice : str
-        What to do about it; empty where nothing has to be done.
+        What to do about it; empty if nothing has to be done.
     aliases_hz : tuple of float or None
         Other frequencies that the samples show as this line; None if this is no tone.
     view : View or None

@@ -103,7 +103,7 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
 
 
 def stands(finding: WithinFinding) -> bool:
-    """True where a finding inside dwells recorded as such counts among `found`; see the module."""
+    """True if a finding inside dwells recorded as such counts among `found`; see the module."""
     return (
         finding.effect is not None
         and probability(finding.p_value) >= limits.certain

@@ -61,7 +61,7 @@ class _Peak:
     at: int
     p_value: float
     dwell: int | None
-    """Row of the density of the one dwell that shows it; None where all together do."""
+    """Row of the density of the one dwell that shows it; None if all together do."""
 
 
 def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | None]:
@@ -110,7 +110,7 @@ def _highest(density: Density) -> _Peak | None:
 
 
 def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:
-    """Fit a line at a peak and take it away; None where nothing of it is left on the samples' own times."""
+    """Fit a line at a peak and take it away; None if nothing of it is left on the samples' own times."""
     period = samples.period_s
     dwells = density.dwells
     times = [samples.elapsed_s(int(k)) for k in dwells]
@@ -361,7 +361,7 @@ class Density:
 
 
 def density_of(samples: Samples) -> Density | None:
-    """Density of the dwells that have `LEAST_SAMPLES`; None where there are none."""
+    """Density of the dwells that have `LEAST_SAMPLES`; None if there are none."""
     counts = samples.counts
     dwells = np.flatnonzero(counts >= LEAST_SAMPLES)
     if not dwells.size:

@@ -93,7 +93,7 @@ def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
 
 
 def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
-    """Change of the scatter between dwells; None where there is none, or fewer than three dwells."""
+    """Change of the scatter between dwells; None if there is none, or fewer than three dwells."""
     if density is None or len(density.dwells) < LEAST_DWELLS:
         return None
     dwells = density.dwells
@@ -178,7 +178,7 @@ def _best_cut(levels: list[Levels]) -> int | None:
 
 
 def _explained(own: Levels, cut: int) -> bool:
-    """True where one change at `cut` (within a dwell beside it, or between) leaves dwells alike."""
+    """True if one change at `cut` (within a dwell beside it, or between) leaves dwells alike."""
     at = np.arange(len(own.variance))
     parts = [own.rows(at < cut - 1), own.rows(at > cut)]
     p = [part.alike() for part in parts if len(part.variance) > 1]
