@@ -109,8 +109,7 @@ def _kinds(covariates: Sequence[str]) -> set[bool]:
 
 
 def _replacements(selection: Selection) -> list[tuple[str, ...]]:
-    """Return groups of names and their replacements in probable models and in models of equal
-    predictions."""
+    """Return groups of names with their replacements in probable or equivalent models."""
     verdict = selection.verdict
     best = verdict.best
     top = verdict.weights[best]

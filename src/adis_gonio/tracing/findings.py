@@ -308,8 +308,7 @@ def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Fi
 
 
 def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
-    """Return the unnamed part with the share of its steps, or at most with the share that no step
-    explains."""
+    """Return the unnamed part with the share of its steps, or at most the share that no step explains."""
     if unnamed is None:
         return None
     known = catalogue()
