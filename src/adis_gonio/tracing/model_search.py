@@ -209,8 +209,7 @@ class _Beam:
         return fresh
 
     def _next_level(self, fresh: dict[Model, float], size: int) -> list[Model]:
-        """Return the models to open at this size: the best of those that may still approach the best
-        score."""
+        """Return the best models of this size that may still approach the best score."""
         if not fresh:
             return []
         wide = self._widest(fresh, 2 * self.width if size == 1 else self.width)
