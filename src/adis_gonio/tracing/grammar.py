@@ -1,15 +1,15 @@
-"""The grammar of nameless terms: where a cause enters × what it depends on.
+"""The grammar of unnamed terms: a place where a cause enters × a function of covariates.
 
-Where: a bias of an axis, a gain of an axis, its misalignment against the others, the true angle. What: a
-power, modulus or sign of the reading; a harmonic of the stage; temperature, time, supply, approach, the
-previous position, the temperature's rate, products of two; by a line, a power, a step, a knee, an
-exponential, a lag, an oscillation, a bump; and smooth functions (polynomials of growing degree), which
-stand for everything that no formula names. What takes the place of the reading is a fact of the measurement
-(`Measurement.driven_by`): of a gyro force and rotation.
+Places: the bias of an axis, its gain, its misalignment against the other axes, the true angle. Functions:
+a power, modulus or sign of the reading; a harmonic of the stage; of temperature, time, supply, approach,
+previous position, rate of the temperature, or a product of two, a line, a power, a step, a knee, an
+exponential, a lag, an oscillation or a bump. Smooth functions (polynomials of increasing degree) cover
+dependences without a formula. The measurement decides which covariates replace the reading
+(`Measurement.driven_by`): for a gyro force and rotation.
 
-Covariates are used in normal form: centred on the middle of what the session saw and scaled to ±1, except
-where a zero means something (25 °C, 5 V, the session's start). A function whose zero means nothing also
-stands with a constant beside it, so that its constant is not taken for a bias.
+Covariates are normalised: centred on the middle of the session's range and scaled to ±1, unless their zero
+has a meaning (25 °C, 5 V, start of the session). A function with an arbitrary zero is also a candidate with
+an added constant, so that its constant is not mistaken for a bias.
 """
 
 from __future__ import annotations
@@ -36,38 +36,38 @@ Columns = Callable[[Conditions], Floats]
 """Function of the conditions of n dwells, (n,) or (n, q)."""
 
 COMMON = ("reading", "force", "rotation", "angle", "time", "temperature")
-"""Covariates of full weight; supply, approach, memory and products are less likely causes."""
+"""Covariates of full weight; supply, approach, memory and products are less probable causes."""
 
 EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "misalignment", "angle")
 
 
 def line_shape(u: Floats) -> Floats:
-    """U."""
+    """Identity."""
     return u
 
 
 def power_shape(exponent: int) -> Shape:
-    """Power of u."""
+    """u to the power of a whole number."""
     return lambda u: np.asarray(np.prod([u] * exponent, axis=0))
 
 
 def step_shape(place: float) -> Shape:
-    """0 up to a place, 1 beyond."""
+    """Step: 0 up to a place, 1 beyond it."""
     return lambda u: np.where(u > place, 1.0, 0.0)
 
 
 def knee_shape(place: float, sign: float) -> Shape:
-    """0 on one side of a place, a line on the other."""
+    """Knee: 0 on one side of a place, a line on the other."""
     return lambda u: np.maximum(sign * (u - place), 0)
 
 
 def growth_shape(rate: float) -> Shape:
-    """exp(rate u), at most 1 inside."""
+    """exp(rate u), scaled to at most 1."""
     return lambda u: np.exp(rate * u - abs(rate))
 
 
 def approach_shape(time_constant: float, sign: float) -> Shape:
-    """Exponential from (sign −1) or towards (sign 1) an end; in lengths of the session."""
+    """Exponential from (sign −1) or towards (sign 1) an end, with the session's length as unit."""
     return lambda u: np.exp((sign * (u + 1) / 2 - (sign > 0)) / time_constant)
 
 
@@ -77,7 +77,7 @@ def bump_shape(place: float, width: float) -> Shape:
 
 
 def ring_bump(centre_rad: float, width_rad: float) -> Shape:
-    """Bell on the circle."""
+    """Bell on the circle (von Mises)."""
     return lambda t: np.exp((np.cos(t - centre_rad) - 1) / width_rad**2)
 
 
@@ -99,7 +99,7 @@ def harmonics(orders: Sequence[int]) -> Shape:
 
 @dataclass(frozen=True)
 class _Made:
-    """Basis functions with their place in the prior."""
+    """Basis functions of one family of the prior, with the places where they may enter."""
 
     family: str
     basis: Basis
@@ -107,7 +107,7 @@ class _Made:
 
 
 def nameless_terms(data: Readings) -> list[NamelessTerm]:
-    """All nameless candidates of a session with their price."""
+    """Return all unnamed candidates of a session with their prices."""
     made = list(_bases(data))
     weight = {m.family: 1.0 if m.family in COMMON else limits.family_weight for m in made}
     total = sum(weight[family] for family in sorted(weight))
@@ -121,12 +121,13 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
             elif data.planar and m.basis.common is not None:
                 members.append((m.basis, where, ()))
     terms = []
+    # Families share the prior by weight, then formulas against smooth functions, then evenly.
     for (family, smooth), members in placed.items():
         both = placed.get((family, not smooth))
         part = (limits.smooth_weight if smooth else 1 - limits.smooth_weight) if both else 1.0
         for basis, where, subset in members:
             if data.model.constant and basis.with_constant:
-                continue  # the base model has the constant; the form without it keeps its own share
+                continue  # the base model contains the constant; the form without it keeps its share
             share = limits.nameless_share * weight[family] / total * part / len(members)
             axes = f"[{''.join(AXES[k] for k in subset)}]" if subset else ""
             label, cost = f"{where}{axes}~{basis.form}", -math.log(share)
@@ -166,7 +167,7 @@ def _formula(
     smooth: bool = False,
     constant: bool = False,
 ) -> _Made:
-    """Columns of the conditions, with a constant before them if `constant`."""
+    """Make columns of the conditions, preceded by a constant column if `constant`."""
 
     def matrix(conditions: Conditions) -> Floats:
         rows = columns(conditions)
@@ -186,9 +187,9 @@ def _both(
     covariates: tuple[str, ...] = (),
     smooth: bool = False,
 ) -> Iterator[_Made]:
-    """A formula as it stands, and with a constant beside it where a constant is not in the base model.
+    """Iterate over a formula as it is and, unless it is named somewhere, with a constant on the bias.
 
-    `named` are the places where the catalogue has this formula already.
+    `named` lists the places where the catalogue already contains this formula.
     """
     places = tuple(place for place in EVERYWHERE if place not in named)
     yield _formula(family, form, columns, places, covariates=covariates, smooth=smooth)
@@ -201,7 +202,7 @@ def _both(
 def _of_own(
     family: str, form: str, function: Shape, *, smooth: bool = False, constant: bool = False
 ) -> _Made:
-    """Function of the axis's own reading, or of the rate about it."""
+    """Make a function of the axis's own reading, or of the rate about the axis."""
 
     def columns(driven: Floats, axis: int) -> Floats:
         rows = function(driven[:, axis])
@@ -211,7 +212,7 @@ def _of_own(
 
 
 def _of_others(form: str, function: Callable[[Floats, Floats], Floats]) -> _Made:
-    """Function of the axis's own reading and each other one."""
+    """Make a function of the axis's own reading and each other reading."""
 
     def columns(ideal: Floats, axis: int) -> Floats:
         others = [k for k in range(ideal.shape[1]) if k != axis]
@@ -254,7 +255,7 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
         "a a_p³": lambda a, p: a * p**3,
     }
     yield from (_of_others(form, pair) for form, pair in cross.items())
-    # Up to the third degree every power has a name.
+    # All powers up to the third degree are named effects.
     for degree in (4, 5, 6):
         form = f"a smooth function of the reading (degree {degree})"
         yield _of_own("reading", form, legendre(range(2, degree + 1)), smooth=True)
@@ -263,7 +264,7 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
 
 
 def _of_force(data: Readings) -> Iterator[_Made]:
-    """Functions of what the accelerometers read; the components and their squares have names."""
+    """Functions of the accelerometer readings; components and their squares are named effects."""
     if data.conditions.force_g is None:
         return
 
@@ -303,7 +304,7 @@ def _of_force(data: Readings) -> Iterator[_Made]:
 
 
 def _powers(moving: Sequence[int], degree: int) -> list[tuple[int, ...]]:
-    """Products of up to `degree` components; z² is left out where 1 g has it: x² + y² + z²."""
+    """Products of up to `degree` components; without z² if x² + y² + z² = 1 g makes it redundant."""
     made = [
         parts
         for count in range(1, degree + 1)
@@ -321,7 +322,7 @@ def _monomials(powers: Sequence[tuple[int, ...]]) -> Columns:
 
 
 def _of_rotation(data: Readings) -> Iterator[_Made]:
-    """Functions of the rate about the axis itself; the line and the modulus have names."""
+    """Functions of the rate about the axis itself; the line and the modulus are named effects."""
     if data.conditions.rate_dps is None or not np.abs(data.conditions.rate_dps).max() > 0:
         return
     curves: dict[str, Shape] = {
@@ -339,7 +340,7 @@ _OF_COVARIATE: dict[str, Callable[[Readings], Iterator[_Made]]] = {
     "force": _of_force,
     "rotation": _of_rotation,
 }
-"""Functions of what a measurement is driven by (`Measurement.driven_by`)."""
+"""Functions of the covariates that drive a measurement (`Measurement.driven_by`)."""
 
 
 def _of_angle() -> Iterator[_Made]:
@@ -348,7 +349,7 @@ def _of_angle() -> Iterator[_Made]:
     ) -> _Made:
         return _formula("angle", form, lambda c: function(c.covariate("angle_rad")), places, smooth=smooth)
 
-    # One cycle of an axis is gain and misalignment; cycles of the angle have names.
+    # One cycle on an axis is gain and misalignment; cycles of the angle are named effects.
     for k in range(2, 7):
         yield of_angle(f"sin {k}θ, cos {k}θ", harmonics((k,)))
         yield of_angle(f"sin {k}θ", multiple(np.sin, k))
@@ -367,7 +368,7 @@ def _of_angle() -> Iterator[_Made]:
     for centre, width in itertools.product(range(0, 360, 15), (8.0, 25.0)):
         bell = ring_bump(float(np.deg2rad(centre)), float(np.deg2rad(width)))
         yield of_angle(f"a bump at θ = {centre}° of width {width:g}°", bell, ("bias", "angle"))
-    # Two harmonics have names: of the stage, and as products of readings on an axis.
+    # Two harmonics are named effects: of the stage, and as products of readings on an axis.
     for top in (3, 4, 5, 6):
         form = f"a smooth function of the angle (harmonics to {top})"
         yield of_angle(form, harmonics(range(2, top + 1)), ("bias",), smooth=True)
@@ -380,9 +381,9 @@ def _scaled(values: Floats) -> tuple[float, float]:
 
 
 def _knots(values: Floats, count: int) -> list[float]:
-    """Places between the values seen, at even quantiles, with two dwells on either side.
+    """Places between the observed values, at even quantiles, with at least two dwells on either side.
 
-    What parts off one dwell is an outlier, which has a name.
+    A step that separates a single dwell is an outlier, which is a named effect.
     """
     seen = np.unique(values)
     between = (seen[1:] + seen[:-1]) / 2
@@ -392,7 +393,7 @@ def _knots(values: Floats, count: int) -> list[float]:
 
 @dataclass(frozen=True)
 class _Course:
-    """Shapes along one covariate, with the words of its formulas."""
+    """Shapes along one covariate, and the symbols in its formulas."""
 
     family: str
     letter: str
@@ -403,7 +404,7 @@ class _Course:
     half: float
 
     def inside(self, function: Shape) -> Columns:
-        """Function of the covariate in normal form."""
+        """Apply a function to the covariate in normal form."""
         return lambda c: function((self.get(c) - self.middle) / self.half)
 
     def steps_and_knees(self, knots: Sequence[float]) -> Iterator[_Made]:
@@ -427,7 +428,7 @@ class _Course:
                 yield from _both(self.family, form, self.inside(shape))
 
     def waves(self, count: int) -> Iterator[_Made]:
-        """Oscillations."""
+        """Oscillations of geometrically spaced period."""
         for cycles in np.geomspace(0.5, 0.5 * 2 ** ((count - 1) / 1.5), count).tolist():
 
             def columns(c: Conditions, cycles: float = cycles) -> Floats:
@@ -438,11 +439,11 @@ class _Course:
             yield _formula(self.family, form, columns)
 
     def polynomials(self, levels: int) -> Iterator[_Made]:
-        """Smooth functions of growing degree, as far as so many different values determine them."""
+        """Smooth functions of increasing degree, limited by the number of different values."""
         for degree in (2, 3, 4, 5, 6, 8):
             if degree < levels:
                 form = f"a smooth function of {self.family} (degree {degree})"
-                # On a bias the powers of the temperature up to the third have a name.
+                # On a bias, powers of the temperature up to the third are named effects.
                 named = ("bias",) if self.family == "temperature" and degree <= 3 else ()
                 columns = self.inside(legendre(range(1, degree + 1)))
                 yield from _both(self.family, form, columns, named, smooth=True)
@@ -496,7 +497,7 @@ def _of_time(data: Readings) -> Iterator[_Made]:
 
 
 def _of_rate(data: Readings) -> Iterator[_Made]:
-    """Rate of the temperature, and temperatures that lag, at the gains and the angle as well."""
+    """Rate of the temperature, and lagging temperatures, also on gains and the angle."""
     history = data.conditions.temperature_history
     if history is None or len(history[0]) < 2:
         return
@@ -566,7 +567,7 @@ def _of_memory(data: Readings) -> Iterator[_Made]:
 
 @dataclass(frozen=True)
 class _Factor:
-    """A covariate of a product: its name, letter, values and the zero that means something."""
+    """A covariate in a product: its name, symbol, values and meaningful zero."""
 
     name: str
     letter: str
@@ -575,7 +576,7 @@ class _Factor:
 
 
 def _factors(conditions: Conditions) -> Iterator[_Factor]:
-    """Covariates that may stand in a product."""
+    """Covariates that may be part of a product."""
     yield _Factor("time", "t", lambda c: c.time_s)
     if conditions.temperature_c is not None:
         yield _Factor("temperature", "(T − 25 °C)", lambda c: c.covariate("temperature_c"), REFERENCE_C)
@@ -589,7 +590,7 @@ def _factors(conditions: Conditions) -> Iterator[_Factor]:
 
 def _products(data: Readings) -> Iterator[_Made]:
     conditions = data.conditions
-    # One that hardly moves is a constant with noise, and a product with it the other factor.
+    # A covariate that hardly changes is a constant with noise: its product is the other covariate.
     least = {"temperature": limits.least_range_c, "supply": limits.least_range_v}
     moving = [f for f in _factors(conditions) if np.ptp(f.get(conditions)) > least.get(f.name, 0.0)]
     for one, two in itertools.combinations(moving, 2):
@@ -597,7 +598,7 @@ def _products(data: Readings) -> Iterator[_Made]:
 
 
 def _product(one: _Factor, two: _Factor, conditions: Conditions) -> Iterator[_Made]:
-    """Forms of two covariates together: their product, surfaces over both."""
+    """Forms of two covariates together: their product, and surfaces over both."""
     one_middle, one_half = _scaled(one.get(conditions))
     two_middle, two_half = _scaled(two.get(conditions))
     names = (one.name, two.name)
@@ -606,7 +607,7 @@ def _product(one: _Factor, two: _Factor, conditions: Conditions) -> Iterator[_Ma
         return np.asarray((one.get(c) - one.zero) / one_half * (two.get(c) - two.zero) / two_half)
 
     def of(function: Callable[[Floats, Floats], Floats]) -> Columns:
-        """Function of both covariates in normal form."""
+        """Apply a function to both covariates in normal form."""
         return lambda c: function(
             (one.get(c) - one_middle) / one_half, (two.get(c) - two_middle) / two_half
         )
