@@ -47,7 +47,7 @@ def line_shape(u: Floats) -> Floats:
 
 
 def power_shape(exponent: int) -> Shape:
-    """u to the power of a whole number."""
+    """Power of u with a whole exponent."""
     return lambda u: np.asarray(np.prod([u] * exponent, axis=0))
 
 

@@ -202,8 +202,7 @@ class Products:
         self._of: dict[int, Floats] = {}
 
     def beside(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
-        """Return χ² of the model's residual, and the columns' products (P,), (k, P) with residual and
-        basis."""
+        """Return the residual's χ², and products (P,), (k, P) of the columns with residual and basis."""
         problem = self._problem
         if not len(model):
             return problem.chi2, self._target, np.zeros((0, len(self._target)))

@@ -3,7 +3,8 @@
 A Gaussian process with kernel k is a linear term with one column for each feature of its kernel,
 φ(u)·φ(u′) = k(u, u′), and a normal prior on the amplitudes (Rasmussen and Williams, Gaussian Processes for
 Machine Learning, 2006, sections 2.1 and 5.4). Evidence chooses its length and amplitude, so it bends only
-as much as the readings require. Outside their range it returns to the mean, while a polynomial diverges.
+as much as the readings require. Outside their range it returns to a straight line, while a polynomial
+diverges.
 """
 
 from __future__ import annotations
@@ -111,12 +112,14 @@ def evidence(
         term = process.term
         key = (id(term.basis), term.where, term.axes)
         if key not in spectra:
+            # Processes that differ in amplitude only share the spectrum of their whitened features.
             white = fit.white(fit.candidate(term))
             white = white - beside @ (beside.T @ white)
             values, vectors = np.linalg.eigh(white.T @ white)
             spectra[key] = np.maximum(values, 0.0), (vectors.T @ (white.T @ target)) ** 2
         values, scores2 = spectra[key]
         assert term.shrinkage is not None
+        # ½ Σ (s²/(1 + s²λ) · score² − ln(1 + s²λ)) over the eigenvalues λ.
         prior = term.shrinkage**2 / inflation
         grown = 1 + prior * values
         scores[k] = 0.5 * float((prior * scores2 / inflation / grown - np.log(grown)).sum()) - process.price
