@@ -1,7 +1,7 @@
 """The tuned numbers of the trace, each with its origin, in one table.
 
-They are the fields of `limits`. `python scripts/trace_ablation.py` switches off each number that is a rule, on
-blind sessions, and prints the changes. docs/thresholds.md contains this table and those figures.
+They are the fields of `limits`. `python scripts/trace_ablation.py` switches off each number that is a
+rule, on blind sessions, and prints the changes. docs/thresholds.md contains this table and those figures.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from typing import Any, Literal
 from adis_gonio.base.levels import CREDIBLE_SET, INADEQUATE
 
 Origin = Literal["level", "derived", "physical", "measured", "chosen", "effort"]
-"""A level is a promise (1 %, 95 %). Derived: follows from mathematics. Physical: a limit of parts or benches.
-Measured: by a script. Chosen: by judgement. Effort: a larger value finds the same, but slower."""
+"""A level is a promise (1 %, 95 %). Derived: follows from mathematics. Physical: a limit of parts or
+benches. Measured: by a script. Chosen: by judgement. Effort: a larger value finds the same, but
+slower."""
 
 
 def number(value: float, origin: Origin, why: str, off: float | None = None) -> Any:

@@ -1,13 +1,14 @@
-"""What happens in single dwells: a step at a moment, a slope, a transient.
+"""Events in single dwells: a step, a slope, a transient.
 
-At each of several scales (from a few samples to half a dwell) means of neighbouring stretches are
-subtracted (Haar's wavelet at every place). For stationary noise of any spectrum, 1/f noise among them, such
-differences of one scale are of one normal distribution, and their own scatter over all places and dwells is
-the measure for the largest: no model of the noise is needed. Where a scale has many independent places the
-scatter is taken from the median absolute deviation; at the longest scales, which a dwell holds once or
-twice, from the other dwells but those that are far off themselves: few degrees of freedom, little power.
+At each of several scales (from a few samples to half a dwell) the means of neighbouring stretches are
+subtracted (Haar wavelet at every position). For stationary noise of any spectrum, 1/f noise included, the
+differences of one scale have one normal distribution. Their scatter over all positions and dwells therefore
+judges the largest difference, and no model of the noise is needed. If a scale has many independent
+positions, the scatter is the median absolute deviation. At the longest scales, with one or two
+differences per dwell, it comes from the other dwells without outliers, with few degrees of freedom and
+little power.
 
-A dwell that stands out is then described by the form that leaves least: a step, a line, an exponential.
+A significant dwell is described by the form with the smallest residual: a step, a line or an exponential.
 """
 
 from __future__ import annotations
@@ -37,15 +38,15 @@ from adis_gonio.tracing.within.samples import (
 _SHORTEST = 8
 _LEAST_SAMPLES = 6
 _MANY = 300
-"""Independent places from which the median absolute deviation is the scale."""
+"""Independent places above which the median absolute deviation is used as scale."""
 _RARE, _FEW = 1e-3, 0.15
 _LEAST_DWELLS = 6
 _EFFICIENCY = 0.37
-"""Of the median absolute deviation, against a standard deviation."""
+"""Efficiency of the median absolute deviation relative to the standard deviation."""
 _LIVELY = 0.6
 _TAUS = 8
 _CLEAR = 4.0
-"""Standard uncertainties by which a form has to stand out to describe a dwell."""
+"""Standard uncertainties that a form must reach to describe a dwell."""
 _POINTS = 300
 
 
@@ -54,7 +55,7 @@ class _Scale:
     """Differences of neighbouring means over stretches of one length (or one share of the dwell)."""
 
     differences: list[Floats]
-    """Of each dwell (m, axes), in units of what white noise of the dwell's scatter would give."""
+    """For each dwell (m, axes), in units of their value for white noise of the dwell's scatter."""
     places: list[Floats]
     """First sample of the later stretch (m,)."""
     independent: Floats
@@ -66,31 +67,31 @@ _Form = Literal["step", "drift", "settling", "disturbance"]
 
 @dataclass(frozen=True)
 class _Look:
-    """What the scales showed: where each dwell and axis differs most, and the noise at every scale."""
+    """Largest difference of each dwell and axis over all scales, and the noise of each scale."""
 
     place: Floats
     stretch: Floats
     difference_mg: Floats
     """All (d, axes): first sample of the later stretch, length of the stretches, their difference."""
     noise: list[tuple[Floats, Floats]]
-    """Of each scale: length of the stretches (d,), standard deviation (d, axes) in units of `unit`."""
+    """For each scale: length of the stretches (d,), standard deviation (d, axes) in units of `unit`."""
     unit: Floats
 
     def u_mg(self, dwell: int, axis: int, stretch: float) -> float:
-        """Standard uncertainty of a difference of two means over stretches of some length."""
+        """Standard uncertainty of a difference of two means over stretches of this length."""
         best = min(self.noise, key=lambda one: abs(np.log(max(one[0][dwell], 1e-9) / stretch)))
         return float(best[1][dwell, axis] * np.sqrt(2 / max(best[0][dwell], 1.0)) * self.unit[dwell, axis])
 
 
 def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFinding]:
-    """Steps, slopes and transients of single dwells.
+    """Find steps, slopes and transients of single dwells.
 
     Parameters
     ----------
     samples : Samples
-        Without what all dwells share.
+        Samples without the courses that all dwells share.
     unlike : list of int
-        Axes whose scatter differs between dwells: there each dwell is measured by its own.
+        Axes whose scatter differs between dwells; there each dwell is scaled by its own scatter.
     reach : int
         Samples over which neighbours are correlated.
     """
@@ -101,7 +102,7 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     tests = sum(sum(len(own) for own in scale.differences) for scale in scales) * samples.axes
     p = np.ones((len(samples), samples.axes))
     look = _Look(np.zeros_like(p), np.ones_like(p), np.zeros_like(p), [], unit)
-    # Noise below the converter's step: a mean may be off by half of one.
+    # If the noise is below the converter's step, a mean may be wrong by half a step.
     spread = np.array([rows.std(axis=0) for rows in samples.values])
     coarse = np.where(spread < _LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
     for scale in scales:
@@ -159,7 +160,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
 
 
 def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Lower the p-values (d, axes) by those of one scale."""
+    """Lower the p-values (d, axes) where those of this scale are smaller."""
     noise = np.zeros_like(p)
     look.noise.append((np.array([float(own[0]) if len(own) else 0.0 for own in scale.places]), noise))
     every = np.concatenate(scale.differences)
@@ -195,10 +196,10 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
 
 
 def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Mean squares and weights with those dwells weighted 0 that are far above most of the others.
+    """Return mean squares and weights, with weight 0 for dwells far above most of the others.
 
-    A coarse converter leaves many dwells without any difference, so that the upper quartile is the measure;
-    where more than a few are far, none is.
+    With a coarse converter many dwells have no difference at all, so the upper quartile is the reference.
+    If more than a few dwells are far above it, none is excluded.
     """
     use = weight > 0
     if use.sum() < _LEAST_DWELLS:
@@ -212,31 +213,31 @@ def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
 
 
 def _independent(nominal: Floats, squares: Floats) -> Floats:
-    """Independent places of each dwell (d,): no more than the scatter of the dwells' mean squares allows.
+    """Return independent places of each dwell (d,), limited by the scatter of the dwells' mean squares.
 
-    A filter longer than the stretches makes neighbouring places alike. The median absolute deviation of the
-    mean squares is used, so that the few dwells that are looked for do not count.
+    A filter longer than the stretches correlates neighbouring places. The median absolute deviation of the
+    mean squares is used, so that a few unusual dwells do not matter.
     """
     use = np.isfinite(squares) & (nominal > 0)
     if use.sum() < _LEAST_DWELLS:
         return nominal
     logs = np.log(np.maximum(squares[use], 1e-300))
     spread = float(deviation(logs))
-    # The logarithm of a mean of ν squares has the variance 2/ν.
+    # The logarithm of a mean of ν squares has variance 2/ν.
     each = max(2 / max(spread, 1e-6) ** 2, 1.0)
     return np.where(use, np.minimum(nominal, each), 0.0)
 
 
 def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, Place, Floats]:
-    """The form that describes a dwell best, and its course (n,) about the dwell's mean.
+    """Return the form that describes a dwell best, and its course (n,) about the dwell's mean.
 
-    A form that does not stand out of the noise of its own scale describes nothing: what was seen is then a
-    disturbance of the length at which it was seen.
+    If the form is not significant in the noise of its scale, the event is a disturbance of the length at
+    which it was found.
     """
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     elapsed = samples.elapsed_s(k)
     n = len(rows)
-    # A step: the sum of squares falls by n1 n2/n times the squared difference of the means.
+    # Step: the sum of squares falls by n1 n2/n times the squared difference of the means.
     total = np.cumsum(rows)[:-1]
     first = np.arange(1, n)
     gain = total**2 * n / (first * (n - first))
@@ -254,7 +255,7 @@ def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, 
     energy = max(float(line @ line), 1e-300)
     slope = float(line @ rows) / energy
     length = max(float(elapsed[-1]), 1e-12)
-    # Half-means of a line are half its span apart.
+    # The means of the two halves of a line differ by half of its span.
     u = 2 * look.u_mg(k, axis, n / 2) / length
     place = samples.place(k, axis, slope, u, "mg/s", shift=slope * length / 2)
     fitted["drift"] = slope**2 * energy, slope * line, place
@@ -336,7 +337,7 @@ def _finding(
 
 
 def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> View:
-    """Course of one dwell in at most `_POINTS` means of neighbours."""
+    """Course of one dwell as at most `_POINTS` means of neighbours."""
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     time = samples.elapsed_s(k)
     x, y, shown = neighbour_means(_POINTS, time, rows, model)
