@@ -13,7 +13,7 @@ from adis_gonio.calibrate import Calibration
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.registers import ACCEL_OUT
 from adis_gonio.device.sensor.settings import Configuration
-from adis_gonio.live.angle import (
+from adis_gonio.live.live_angle import (
     AngleMeter,
     LiveAngle,
     LiveSource,

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import BusTimeoutError, CannotOpenError
-from adis_gonio.bench.judge import Judge, PriorKnowledge
-from adis_gonio.bench.knowledge import LiveView
+from adis_gonio.bench.guards import Judge, PriorKnowledge
 from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.session_state import LiveView
 from adis_gonio.calibrate import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import Configuration
-from adis_gonio.live.angle import LiveBlocks, LiveSource, calibration_for, live_angles, open_live
-from adis_gonio.live.smoothed import SmoothedMeter, sensing_of
+from adis_gonio.live.live_angle import LiveBlocks, LiveSource, calibration_for, live_angles, open_live
+from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings

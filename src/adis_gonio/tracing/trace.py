@@ -30,7 +30,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.noise import state_noise
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
-from adis_gonio.fitting.slips.of_session import in_context, positions_of
+from adis_gonio.fitting.slips.session_positions import in_context, positions_of
 from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of

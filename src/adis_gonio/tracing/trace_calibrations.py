@@ -31,13 +31,14 @@ from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.calibrations import as_written, assumed_parameters, known_provenance
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
-from adis_gonio.fitting.gyros.calibrations import (
+from adis_gonio.fitting.gyros.gyro_fit import (
     GyroEstimates,
     estimates_of_gyro_fit,
+    fit_gyro,
     gyro_as_written,
     make_gyro_calibration,
+    stated_parameters,
 )
-from adis_gonio.fitting.gyros.fit import fit_gyro, stated_parameters
 from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.measurement import BaseParameter
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
@@ -405,8 +406,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     if made is not None:
         return made
     from adis_gonio.fitting import fit
-    from adis_gonio.record.loading import load_session
-    from adis_gonio.record.overrides import as_it_is
+    from adis_gonio.record.loading import as_it_is, load_session
 
     if ends_in(path, *_FOR_OTHERS):
         raise DataError(_made_for_others(path))

@@ -21,7 +21,7 @@ from adis_gonio.base.tables import Entries, ParameterTable, lines_of
 from adis_gonio.base.values import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO
-from adis_gonio.fitting.slips.finding import PositionFinding, listed
+from adis_gonio.fitting.slips.position_diagnosis import PositionFinding, listed
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.effects.environment import REFERENCE_C
 from adis_gonio.record.provenance import Provenance
@@ -344,7 +344,7 @@ class TraceResult(ParameterTable):
             A write of offsets to the sensor was interrupted.
         """
         if self.part == GYRO:
-            from adis_gonio.fitting.gyros.calibrations import gyro_calibration_as_it_is
+            from adis_gonio.fitting.gyros.gyro_fit import gyro_calibration_as_it_is
             from adis_gonio.tracing.trace_calibrations import estimates_of_gyro_trace
 
             return gyro_calibration_as_it_is(estimates_of_gyro_trace(self), self.provenance)

@@ -16,8 +16,8 @@ import click
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.interrupt import Interrupt
-from adis_gonio.live.angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
-from adis_gonio.live.smoothing import LAG_S
+from adis_gonio.live.angle_smoother import LAG_S
+from adis_gonio.live.live_angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
 
 INTERRUPTED = 130
 NOTES = {

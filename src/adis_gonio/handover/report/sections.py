@@ -32,7 +32,7 @@ from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
-from adis_gonio.fitting.slips.finding import Angle
+from adis_gonio.fitting.slips.position_diagnosis import Angle
 from adis_gonio.fitting.tables import freedom, share
 from adis_gonio.model.records import Session
 from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
