@@ -11,7 +11,7 @@ import pytest
 
 import adis_gonio
 from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError
-from adis_gonio.record.export import export_csv
+from adis_gonio.record.samples_writer import export_csv
 from calibration.sessions import planar_session
 
 

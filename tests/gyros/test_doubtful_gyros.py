@@ -14,7 +14,7 @@ from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.gyros.gyro_fit import estimates_of_gyro_fit
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.record.export import write_csv
+from adis_gonio.record.samples_writer import write_csv
 from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.trace_result import ErrorFigures, Step, TraceResult
 

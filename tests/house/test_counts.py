@@ -14,7 +14,6 @@ ALWAYS_MANY = {
     "tracing/within/second_pass.py",  # limits of the program
     "device/sensor/driver.py",
     "record/plans.py",
-    "record/samples_csv.py",
     "tracing/one_pose.py",
 }
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import BusTimeoutError, CannotOpenError
-from adis_gonio.bench.judge import Judge, PriorKnowledge
-from adis_gonio.bench.knowledge import LiveView
+from adis_gonio.bench.guards import Judge, PriorKnowledge
 from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.session_state import LiveView
 from adis_gonio.calibrate import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor import open_sensor

@@ -14,7 +14,7 @@ from adis_gonio.faces.cli import main
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.slips.session_positions import angles_of, failure_message, positions_of
-from adis_gonio.record.overrides import AngleChange, Overrides
+from adis_gonio.record.loading import AngleChange, Overrides
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.trace import as_the_angles_leave, as_the_part_stood
 from fakes import planar_session as planar

@@ -53,7 +53,7 @@ def path(recorded, tmp_path):
 def known(monkeypatch):
     """What the session knows of its gyros; a test may put other estimates there."""
     held = {"estimates": known_gyros(part())}
-    for module in ("tracing.calibrations", "bench.writeback.parts"):
+    for module in ("tracing.calibrations", "bench.writeback.offset_checks"):
         monkeypatch.setattr(
             f"adis_gonio.{module}.gyro_estimates_of", lambda session, traced=False: held["estimates"]
         )

@@ -87,8 +87,7 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
     trace, evidence : bool
         As in `Options`.
     """
-    from adis_gonio.record.loading import load_session
-    from adis_gonio.record.overrides import as_it_is
+    from adis_gonio.record.loading import as_it_is, load_session
 
     path = Path(path)
     known: dict[str, Any] = {"path": str(path), "software": f"adis-gonio {__version__}"}

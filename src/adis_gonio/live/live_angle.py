@@ -24,8 +24,7 @@ from adis_gonio.live.smoothed_meter import Smoothed, SmoothedMeter, corrected_an
 from adis_gonio.record.blocks import Block, session_columns
 from adis_gonio.record.settings import Settings
 from adis_gonio.record.source import ChipSource, Measuring, SampleStream, open_source
-from adis_gonio.record.stillness import limits_from_noise
-from adis_gonio.record.watch import window_samples
+from adis_gonio.record.stillness import limits_from_noise, window_samples
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration

@@ -13,7 +13,7 @@ from adis_gonio.faces.cli.show import check_page, console, print_json, working, 
 
 if TYPE_CHECKING:
     from adis_gonio.fitting.allan.allan_result import Part
-    from adis_gonio.record.overrides import Overrides
+    from adis_gonio.record.loading import Overrides
 
 _ENDINGS = (".html", ".htm", ".svg")
 

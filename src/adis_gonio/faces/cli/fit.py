@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.fitting.monte_carlo import MonteCarlo
     from adis_gonio.model.records import Session
-    from adis_gonio.record.overrides import Overrides
+    from adis_gonio.record.loading import Overrides
 
 
 @click.command("fit")

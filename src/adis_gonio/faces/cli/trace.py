@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from adis_gonio.model.records import Session
-    from adis_gonio.record.overrides import Overrides
+    from adis_gonio.record.loading import Overrides
     from adis_gonio.tracing.trace_result import TraceResult
 
 

@@ -7,9 +7,19 @@ import math
 import numpy as np
 
 from adis_gonio.base.errors import ChipError
-from adis_gonio.bench.bringup.bench import BringupBench, BringupStep, Floats, SideEffect, not_measured
-from adis_gonio.bench.bringup.noise import GYRO_FLOOR_DPS
-from adis_gonio.bench.bringup.result import Answer, Findings, Measured, Outcome, StepResult
+from adis_gonio.bench.bringup.bringup_step import (
+    Answer,
+    BringupBench,
+    BringupStep,
+    Findings,
+    Floats,
+    Measured,
+    Outcome,
+    SideEffect,
+    StepResult,
+    not_measured,
+)
+from adis_gonio.bench.bringup.noise_steps import GYRO_FLOOR_DPS
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT, registers
 from adis_gonio.device.sensor.settings import Alarm, sens_avg_word

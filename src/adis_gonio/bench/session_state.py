@@ -1,8 +1,9 @@
-"""What a session knows of its part: the noise, where it is, which way it turns, what the dwells give."""
+"""What a session has done and knows: its ledger, the noise, where the part is, what the dwells give."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -10,19 +11,121 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import AdisGonioError, UsageError
-from adis_gonio.bench.bench import SessionBench
-from adis_gonio.bench.events import DwellProgress, NoiseMeasured, Running, Vector, Watching, Withdrawn
-from adis_gonio.bench.judge import Judge
-from adis_gonio.bench.ledger import Ledger
-from adis_gonio.bench.recording import Recording
+from adis_gonio.bench.events import NoiseMeasured, Problem, Running, Vector, Watching, Withdrawn
+from adis_gonio.bench.guards import Judge
+from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
+from adis_gonio.record.archive import Archive
+from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.blocks import Block, join, session_columns
 from adis_gonio.record.expectation import PriorKnowledge
 from adis_gonio.record.plans import Plan, Position
-from adis_gonio.record.rows import Header
-from adis_gonio.record.stillness import StillnessLimits, limits_from_noise
-from adis_gonio.record.watch import SETTLINGS_PER_WINDOW, StillnessWatch
+from adis_gonio.record.stillness import (
+    SETTLINGS_PER_WINDOW,
+    StillnessLimits,
+    StillnessWatch,
+    limits_from_noise,
+)
+
+
+class Ledger:
+    """Begins where the archive ends.
+
+    Parameters
+    ----------
+    archive : Archive
+    now : callable
+        The sensor's time in s, of records.
+
+    Attributes
+    ----------
+    plan : Plan
+    recorded_s : float or None
+        Length of what was recorded, where that is not what the settings say.
+        As it was extended.
+    done : dict
+        Number of the attempt that counts, by place.
+    skipped, faulty : set of int
+        Places left out, and places whose dwell has a fault that nobody accepted.
+    last_place : int or None
+        That of the newest dwell.
+    taken : int
+        Dwells of this run.
+    """
+
+    def __init__(self, archive: Archive, now: Callable[[], float]) -> None:
+        self.archive = archive
+        self.header = archive.header()
+        self.plan = archive.plan()
+        self.recorded_s: float | None = None
+        self.done = {attempt.place: attempt.number for attempt in archive.dwells()}
+        self.skipped = archive.skipped()
+        self.faulty = {attempt.place for attempt in archive.faulty()}
+        self.last_place = self._newest()
+        self.taken = 0
+        self._scanning: dict[str, Any] = archive.last("scanning") or {}
+        self._now = now
+
+    def note(self, kind: str, value: Any) -> None:
+        """Write a record, where there is something to write."""
+        if value is not None:
+            self.archive.add_record(kind, value, self._now())
+
+    def problem(self, problem: Problem) -> Problem:
+        """Write a problem down before it is told."""
+        self.note("problem", problem.as_dict())
+        return problem
+
+    def scanning(self, now: dict[str, Any]) -> None:
+        """Write down how scans are got, where that is new."""
+        if now != self._scanning:
+            self._scanning = now
+            self.note("scanning", now)
+
+    @property
+    def open_places(self) -> list[int]:
+        """Places that are neither done nor skipped, in order."""
+        return [k for k in range(len(self.plan)) if k not in self.done and k not in self.skipped]
+
+    @property
+    def next_place(self) -> int | None:
+        """The first of them."""
+        return next(iter(self.open_places), None)
+
+    def skip(self, place: int) -> None:
+        """Leave a place out."""
+        self.note("skipped", place)
+        self.skipped.add(place)
+
+    def count(self, place: int, number: int) -> None:
+        """An attempt is the dwell of its place."""
+        self.done[place] = number
+        self.taken += 1
+        self.skipped.discard(place)
+        self.last_place = place
+
+    def withdraw(self, place: int) -> Withdrawn:
+        """Take a dwell out of the session: it stays in the archive, marked."""
+        number = self.done.pop(place)
+        self.note("withdrawn", number)
+        self.faulty.discard(place)
+        self.last_place = self._newest()
+        return Withdrawn(place, self.plan.positions[place], number)
+
+    def keep_faulty(self, places: list[int]) -> None:
+        """Keep dwells with a fault in them as they are, and ask no more about them."""
+        self.note("kept", [self.done[place] for place in places])
+        self.faulty.difference_update(places)
+
+    def extend(self, plan: Plan) -> None:
+        """Go on with a longer plan."""
+        self.note("plan", plan.as_dict())
+        self.plan = plan
+
+    def _newest(self) -> int | None:
+        return max(self.done, key=self.done.__getitem__, default=None)
+
 
 PARTS = 8
 """Parts of a dwell whose means tell how well its mean is known; 7 degrees of freedom a dwell and axis."""
@@ -111,6 +214,10 @@ class LiveView:
         Where the part is asked to be.
     judge : Judge or None
         Who knows the angle by gravity; None before the noise is known.
+    temperature_c : float or None
+        Of the newest scan; None if it is not in the scans.
+    lost : int
+        Scans lost since the session was opened.
     smoother : SmoothedMeter or None
         Takes the shaking out of the angle while the part turns, by its gyros; without a lag.
     """
@@ -120,16 +227,16 @@ class LiveView:
         self.target: Position | None = None
         self.judge: Judge | None = None
         self.smoother: SmoothedMeter | None = None
-        self._temperature_c: float | None = None
-        self._lost = 0
+        self.temperature_c: float | None = None
+        self.lost = 0
         self._seen_s = 0.0
 
     def see(self, block: Block) -> None:
         """Take scans."""
-        self._lost += block.lost
+        self.lost += block.lost
         columns = session_columns(block)
         if "temp_c" in columns and len(block):
-            self._temperature_c = float(columns["temp_c"][-1])
+            self.temperature_c = float(columns["temp_c"][-1])
         if self.smoother is not None and len(block):
             self.smoother.feed(block)
             self._seen_s = float(block.time_s[-1])
@@ -175,40 +282,9 @@ class LiveView:
             target_deg,
             self.limit_mg,
             waits_for,
-            self._temperature_c,
-            self._lost,
+            self.temperature_c,
+            self.lost,
             tolerance_deg,
-        )
-
-    def dwell(
-        self, recording: Recording, accel_mg: Floats, spread_mg: Floats, length_s: float
-    ) -> Watching | DwellProgress:
-        """The event of a look while a dwell is waited for, or under way."""
-        if recording.begun:
-            return self._progress(recording, accel_mg, spread_mg, length_s)
-        state: Literal["settling", "moving"] = "settling" if recording.is_still else "moving"
-        waits_for = "the part to settle" if recording.is_still else f"rest: {recording.why_moving}"
-        return self.watching(state, accel_mg, spread_mg, recording.position.angle_deg, waits_for)
-
-    def _progress(
-        self, recording: Recording, accel_mg: Floats, spread_mg: Floats, length_s: float
-    ) -> DwellProgress:
-        """The event of a look within a dwell."""
-        target_deg = recording.position.angle_deg
-        angle_deg, _ = self.angle_deg(accel_mg, target_deg)
-        return DwellProgress(
-            recording.place,
-            recording.elapsed_s,
-            length_s,
-            recording.samples,
-            recording.lost,
-            vector(accel_mg),
-            vector(spread_mg),
-            angle_deg,
-            target_deg,
-            self.limit_mg,
-            "the dwell to end",
-            self._temperature_c,
         )
 
 
@@ -328,6 +404,3 @@ class Knowledge:
     def running(self) -> Running | None:
         """What the dwells give so far; None where they do not allow a fit, or the last one still serves."""
         return self._running.result(self._ledger.plan, reverse=self.reversed)
-
-
-__all__ = ["Knowledge"]

@@ -8,15 +8,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from adis_gonio.bench.bringup.bench import (
+from adis_gonio.bench.bringup.bringup_step import (
     LONGEST_S,
     BringupBench,
     BringupStep,
+    Curve,
+    Findings,
     Floats,
+    Measured,
+    Outcome,
     SideEffect,
+    StepResult,
     not_measured,
 )
-from adis_gonio.bench.bringup.result import Curve, Findings, Measured, Outcome, StepResult
 from adis_gonio.device.sensor.bartlett import bartlett, response, rounding, white_gain
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, registers

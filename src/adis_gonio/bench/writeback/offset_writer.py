@@ -20,21 +20,28 @@ from pathlib import Path
 from typing import Any
 
 from adis_gonio.base.errors import AdisGonioError, ChipError, SessionError, UsageError, VerifyError
-from adis_gonio.bench.bench import SessionBench
-from adis_gonio.bench.writeback.checks import PRECISE_S, Agreement, AutonullFound, compared
-from adis_gonio.bench.writeback.parts import Gyros, part_of
-from adis_gonio.bench.writeback.plan import UNITS, WritePlan, recorded_offsets
-from adis_gonio.bench.writeback.rest import Rest
+from adis_gonio.bench.session_bench import SessionBench
+from adis_gonio.bench.writeback.offset_checks import (
+    PRECISE_S,
+    Agreement,
+    AutonullFound,
+    Gyros,
+    Rest,
+    compared,
+    measure,
+    part_of,
+)
+from adis_gonio.bench.writeback.offset_plan import UNITS, WritePlan, recorded_offsets
 from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.device.sensor.undo import Undo
 from adis_gonio.model.records import Session
-from adis_gonio.record.archive import Archive, read_session
+from adis_gonio.record.archive import Archive, ArchiveView
+from adis_gonio.record.blocks import SUPPLY_LIMITS_V
 from adis_gonio.record.database import is_archive
-from adis_gonio.record.faults import SUPPLY_LIMITS_V
 from adis_gonio.record.plans import Position
+from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings
-from adis_gonio.record.view import ArchiveView
 from adis_gonio.record.write_journal import (
     AFTER,
     KIND,
@@ -525,7 +532,8 @@ class OffsetWriter:
 
     def _measure(self, what: str) -> Rest:
         self._tell(f"{what}: {self.settings.dwell_s:g} s")
-        rest = self._part.measure(self.sensor, self.settings.dwell_s, self.settings.patience_s)
+        own = self.settings
+        rest = measure(self.sensor, own.dwell_s, own.patience_s, gyros=own.gyros)
         self._require_supply(rest.supply_v)
         return rest
 

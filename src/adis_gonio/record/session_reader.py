@@ -1,35 +1,175 @@
-"""A session file as a `Session` for the fits."""
+"""A session file as a `Session` for the fits, with the turns between its dwells or its free turn.
+
+Turns between dwells are read when somebody asks for them: a fit without gyros costs nothing more.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor.registers import changed_settings
 from adis_gonio.model.records import METADATA, Dwell, Session
-from adis_gonio.record.blocks import GENERIC, Block, die_temperatures, join, session_columns, session_series
-from adis_gonio.record.faults import WITHOUT_NEWS, Alarms, alarms_of
+from adis_gonio.model.turns import Turn
+from adis_gonio.record.archive import ArchiveView
+from adis_gonio.record.archive_tables import Header, JsonDict, StoredAttempt
+from adis_gonio.record.blocks import (
+    GENERIC,
+    WITHOUT_NEWS,
+    Alarms,
+    Block,
+    alarms_of,
+    die_temperatures,
+    join,
+    session_columns,
+    session_series,
+)
 from adis_gonio.record.plans import Plan
-from adis_gonio.record.rows import Header, JsonDict, StoredAttempt
-from adis_gonio.record.turns import FREE_TURN, ArchivedTurns, recording_of
-from adis_gonio.record.view import ArchiveView
+
+FREE_TURN = "free-turn"
+"""Name of the plan."""
+GOES_ON = "the turn goes on"
+"""Reason of an attempt that is a piece of a free turn, but not the last piece."""
+TURNED = "turned"
+"""Reason of an attempt that is a whole turn and no dwell; its scans precede the next dwell."""
+
+
+@dataclass(frozen=True)
+class ArchivedTurns:
+    """Reads the turns between the dwells of a session file.
+
+    Attributes
+    ----------
+    path : Path
+    attempts : tuple of int
+        Numbers of the attempts that were the session's dwells when it was read, in order.
+    """
+
+    path: Path
+    attempts: tuple[int, ...]
+
+    def __call__(self) -> tuple[Turn, ...]:
+        """Turns, one less than dwells; empty if the file is missing or was replaced.
+
+        Raises
+        ------
+        DataError
+            See `ArchiveView`.
+        """
+        if not self.path.is_file():
+            return ()
+        with ArchiveView(self.path) as view, view.snapshot():
+            stored = view.attempts()
+            plan = view.plan()
+            of_number = {attempt.number: attempt for attempt in stored}
+            if not set(self.attempts) <= set(of_number):
+                return ()
+            dwells = [of_number[number] for number in self.attempts]
+            made = []
+            for k, (before, after) in enumerate(pairwise(dwells)):
+                blocks = list(_between(view, stored, before, after))
+                declared = plan.positions[after.place].turned_deg if after.place < len(plan) else None
+                # The turn is declared only if the part came from the position before in the plan.
+                declared = declared if after.place == before.place + 1 else None
+                made.append(_turn(k, blocks, after, declared))
+        return tuple(made)
+
+
+def _between(
+    view: ArchiveView, stored: Sequence[StoredAttempt], before: StoredAttempt, after: StoredAttempt
+) -> Iterator[Block]:
+    """Scans from the end of a dwell to the beginning of the next dwell, in order.
+
+    Attempts in between (interrupted or repeated dwells) are included with all their scans. Attempts of
+    another run than the second dwell's are left out, since their stream is another one; this makes a gap.
+    Whole turns begin and end at a mark: only the last one counts.
+    """
+    between = [a for a in stored if before.number < a.number < after.number and a.run == after.run]
+    whole = [k for k, attempt in enumerate(between) if attempt.reason == TURNED]
+    if whole:
+        for attempt in between[whole[-1] :]:
+            yield from view.blocks(attempt)
+        yield from _part(view, after, last=False)
+        return
+    if before.run == after.run:
+        yield from _part(view, before, last=True)
+    for attempt in between:
+        yield from view.blocks(attempt)
+    yield from _part(view, after, last=False)
+
+
+def _part(view: ArchiveView, attempt: StoredAttempt, *, last: bool) -> Iterator[Block]:
+    yield from view.blocks(attempt, "after" if last else "before")
+
+
+def _turn(number: int, blocks: list[Block], after: StoredAttempt, turned_deg: float | None) -> Turn:
+    blocks = [block for block in blocks if len(block)]
+    if not blocks:
+        return Turn(number, number + 1, np.empty(0), np.empty((0, 3)), turned_deg=turned_deg)
+    scans = join(blocks)
+    return Turn(
+        number,
+        number + 1,
+        scans.time_s + after.offset_s,
+        turned_deg=turned_deg,
+        temperatures_c=die_temperatures(scans),
+        **session_series(session_columns(scans)),
+    )
+
+
+def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
+    """Recording of the last complete free turn and an empty text.
+
+    If no turn is complete: the longest recording and the reason why it was broken off; None if there is no
+    recording.
+    """
+    chains: list[list[StoredAttempt]] = [[]]
+    for attempt in view.attempts():
+        if chains[-1] and chains[-1][-1].run != attempt.run:
+            chains.append([])
+        chains[-1].append(attempt)
+        if attempt.reason != GOES_ON:
+            chains.append([])
+    taken = view.withdrawn()
+    chains = [chain for chain in chains if chain and chain[-1].number not in taken]
+    whole = [chain for chain in chains if chain[-1].outcome == "complete"]
+    best = (
+        whole[-1]
+        if whole
+        else max(chains, key=lambda c: c[-1].ended_bus_s - c[0].started_bus_s, default=None)
+    )
+    if best is None:
+        return None, "nothing was recorded"
+    reason = "" if whole else best[-1].reason.replace(GOES_ON, "the program ended")
+    blocks = [(attempt, block) for attempt in best for block in view.blocks(attempt) if len(block)]
+    return (_joined(blocks) if blocks else None), reason
+
+
+def _joined(blocks: Sequence[tuple[StoredAttempt, Block]]) -> Dwell:
+    columns = [session_columns(block) for _, block in blocks]
+    whole = {name: np.concatenate([c[name] for c in columns]) for name in columns[0]}
+    time_s = np.concatenate([block.time_s + attempt.offset_s for attempt, block in blocks])
+    return Dwell(0, time_s, **session_series(whole))
 
 
 def read_session(path: str | Path) -> Session:
     """Read a session file: its complete dwells, in the order in which they were recorded.
 
     A session may be read while another program records it. Samples are in LSB (of a generic sensor in mg)
-    and °/s, times in seconds since the session began. `facts` holds `configuration`, `registers` (before,
+    and °/s, times in seconds since the session began. `facts` has `configuration`, `registers` (before,
     configured, after), `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans,
-    STATUS and alarms of each), `reversed` (True where the stage's angles were taken with the other sign),
-    `doubts` (why the result cannot be right: what was kept against a guard), `remarks` (the operator's),
-    `scanning` (how scans were got), `problems`, `advised` (what an advisor asked for, round by round),
-    `turned` (the gyros' integrals between dwells, as the bench had them),
-    `offset_writes` (what `adis_gonio.bench.writeback` has written to the sensor since, step by step),
-    `complete`, and for simulated sessions alone `truth`, which no fit may use.
+    STATUS and alarms of each), `reversed` (True if the stage's angles were taken with the opposite sign),
+    `doubts` (guards that were overruled), `remarks` (of the operator), `scanning` (how scans were read),
+    `problems`, `advised` (requests of an advisor, round by round), `turned` (the gyros' integrals between
+    dwells, as computed on the bench), `offset_writes` (steps of `adis_gonio.bench.writeback` since then),
+    `complete`, and for simulated sessions `truth`, which no fit may use.
 
     Raises
     ------
@@ -37,7 +177,7 @@ def read_session(path: str | Path) -> Session:
         The file is missing, of another kind, damaged, truncated or newer than this program, or has no
         complete dwell.
     SessionError
-        It cannot be read here, or holds no session yet.
+        It cannot be read here, or has no session yet.
     """
     with ArchiveView(path) as view, view.snapshot():
         header, plan, stored = view.header(), view.plan(), view.dwells()
@@ -68,7 +208,7 @@ def read_session(path: str | Path) -> Session:
 
 
 def _free_turn(path: str | Path, view: ArchiveView) -> Session:
-    """One continuous turn; what a broken one has is taken, and said."""
+    """Session of one continuous turn; if it was broken off, a note gives the reason."""
     recording, reason = recording_of(view)
     if recording is None:
         raise DataError(f"{path}: holds no turn yet; resume the session")
@@ -131,7 +271,7 @@ def _session(
 
 
 def _of_writes(facts: JsonDict) -> tuple[str, ...]:
-    """What a write-back to the sensor means for the results; nothing where there was none."""
+    """Remarks on a later write-back to the sensor; empty if there was none."""
     recorded = facts["registers"]["configured"]
     if not facts["offset_writes"] or not recorded:
         return ()
@@ -168,7 +308,7 @@ def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
 
 
 def _changed_registers(view: ArchiveView) -> list[JsonDict]:
-    """Return the doubt about a session whose registers were not the same at its end as at its beginning."""
+    """Return a doubt if the registers at the end of a session differ from those at its beginning."""
     then, now = view.last("registers-configured"), view.last("registers-after")
     changed = changed_settings(then or {}, now or {})
     if not changed:

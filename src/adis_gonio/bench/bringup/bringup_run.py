@@ -10,21 +10,26 @@ from typing import Any
 
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.version import __version__
-from adis_gonio.bench.bringup.bench import (
+from adis_gonio.bench.bringup.bringup_step import (
+    QUESTIONS,
     AlarmBudget,
+    Answer,
+    Bringup,
     BringupBench,
     BringupStep,
     ClockCeiling,
+    Outcome,
+    Row,
     SideEffect,
+    StepResult,
+    Verdict,
     not_measured,
     writable,
 )
-from adis_gonio.bench.bringup.health import Health, WhichPart
-from adis_gonio.bench.bringup.link import BitErrors, Link, Timing
-from adis_gonio.bench.bringup.noise import FilterSteps, Noise
-from adis_gonio.bench.bringup.result import QUESTIONS, Answer, Bringup, Outcome, Row, StepResult, Verdict
-from adis_gonio.bench.bringup.updates import DataReady, Rate, SamplePeriods
-from adis_gonio.bench.bringup.writes import FlashCount, Offset, SelfTests, StatusBits
+from adis_gonio.bench.bringup.link_steps import BitErrors, Health, Link, Timing, WhichPart
+from adis_gonio.bench.bringup.noise_steps import FilterSteps, Noise
+from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
+from adis_gonio.bench.bringup.write_steps import FlashCount, Offset, SelfTests, StatusBits
 from adis_gonio.device.bus import SpiBus
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.frames import NORMAL

@@ -9,16 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.errors import BusTimeoutError, UsageError
-from adis_gonio.bench.bringup.bench import (
+from adis_gonio.bench.bringup.bringup_step import (
     BOARD_CLOCK_U,
     HOST_CLOCK_U,
+    Answer,
     BringupBench,
     BringupStep,
+    Curve,
+    Findings,
     Floats,
+    Measured,
+    Outcome,
     SideEffect,
+    StepResult,
     not_measured,
 )
-from adis_gonio.bench.bringup.result import Answer, Curve, Findings, Measured, Outcome, StepResult
 from adis_gonio.device.bus import Capability, Words
 from adis_gonio.device.sensor.frames import read_frames, timing_for, write_frames
 from adis_gonio.device.sensor.registers import BY_NAME, ND

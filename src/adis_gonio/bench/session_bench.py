@@ -12,12 +12,12 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.sensor.driver import Adis16354
+from adis_gonio.record.archive import ArchiveView
+from adis_gonio.record.archive_tables import JsonDict, Move, Record, StoredAttempt
 from adis_gonio.record.plans import Plan, Position
-from adis_gonio.record.rows import JsonDict, Move, Record, StoredAttempt
 from adis_gonio.record.settings import LEAST_SAMPLES, Settings
 from adis_gonio.record.source import Measuring, SampleSource, SampleStream, as_source
-from adis_gonio.record.view import ArchiveView
-from adis_gonio.record.watch import window_samples
+from adis_gonio.record.stillness import window_samples
 
 CHECKPOINT_S = 1e-3
 """Silence that ends in a checkpoint, so that no frame's timing reaches over the point of resuming."""

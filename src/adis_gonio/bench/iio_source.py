@@ -22,10 +22,16 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.bench.iio.channels import BufferLayout, wanted
-from adis_gonio.bench.iio.device import TIMESTAMP, IioDevice
-from adis_gonio.bench.iio.local import LocalDevice, local_accelerometers
-from adis_gonio.bench.iio.network import PORT, NetworkDevice
+from adis_gonio.bench.iio_devices import (
+    PORT,
+    TIMESTAMP,
+    BufferLayout,
+    IioDevice,
+    LocalDevice,
+    NetworkDevice,
+    local_accelerometers,
+    wanted,
+)
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.record.blocks import GENERIC, ValueBlock
 from adis_gonio.record.settings import Settings

@@ -1,17 +1,32 @@
-"""The head of a file: its leading lines, its header row, and which column is which."""
+"""The head of a samples file: its text, its number format, and which column is which.
+
+Text is UTF-8, with or without a byte order mark, or UTF-16, as Excel's "Unicode text" has it. A byte that
+is no UTF-8 is read as Windows-1252, in which older programs write the degree sign and the superscript two;
+digits are the same in both encodings.
+
+Cells are separated by the delimiter that makes most names of the header known. In a file separated by
+commas a fraction has a point, as the format requires. In other files the numbers have to prove the decimal
+mark: `0,5` or `1234,5` can only have a decimal comma and `1.2345` only a decimal point, while `1,234` may
+have either. A file without proof is refused, and so is a file that proves both.
+"""
 
 from __future__ import annotations
 
+import codecs
+import csv
 import difflib
-from collections.abc import Mapping, Sequence
+import gzip
+import re
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, cast
 
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.model.gravity import checked_gravity_mps2
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.record.samples.columns import (
+from adis_gonio.record.samples_columns import (
     AXES,
     COLUMNS,
     GYROS,
@@ -21,22 +36,292 @@ from adis_gonio.record.samples.columns import (
     split_unit,
     with_formulas,
 )
-from adis_gonio.record.samples.text import DELIMITERS, SPACE, Dialect, chunks_of, header_cells
+
+CHUNK = 1 << 20
+"""Bytes that are read at a time; their text takes some twenty times as much memory."""
+
+_FOREIGN = {
+    b"PK\x03\x04": "an Excel or LibreOffice workbook (or a zip): save the sheet as CSV",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook: save the sheet as CSV",
+    b"PAR1": "a Parquet file: write it as CSV",
+    b"\x89HDF": "an HDF5 file: write it as CSV",
+    b"%PDF": "a PDF file: take the file that it was printed from",
+}
+_HTML = re.compile(
+    rb"(?>\xef\xbb\xbf|\s|<!--.*?-->|<\?xml.*?\?>)*+<(?:!doctype\s+html|html|head|body)\b",
+    re.IGNORECASE | re.DOTALL,
+)
+"""The first tag of a page, after comments and an XML declaration."""
+LONGEST_LINE = 1 << 16
+"""Limit of characters in a line; rows have hundreds. A file without line ends would fill the memory."""
+MOST_GROWTH, SMALL = 200, 1 << 24
+"""Unpacked bytes for each byte of a gzip file, and unpacked bytes that are always allowed.
+
+Samples pack to a tenth or a thirtieth of their size, equal rows to a thousandth.
+"""
+_REPLACEMENT = "�"
+
+
+def _as_windows_1252(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeDecodeError):
+        raise error
+    rest = error.object[error.start : error.end]
+    return rest.decode("cp1252", errors="replace"), error.end
+
+
+codecs.register_error("adis_gonio.windows-1252", _as_windows_1252)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Neighbouring lines.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first line, counted from 1.
+    lines : list of str
+        Without their ends.
+    share : float
+        Part of the file that has been read, 0 to 1.
+    last : bool
+    cut : bool
+        True in the last chunk if its last line has no line end.
+    """
+
+    first: int
+    lines: list[str]
+    share: float
+    last: bool = False
+    cut: bool = False
+
+
+def chunks_of(path: Path) -> Iterator[Chunk]:
+    """Lines of a file, chunk by chunk.
+
+    Raises
+    ------
+    DataError
+        Not readable, damaged gzip, empty, binary or another kind of file.
+    """
+    first, carry = 1, ""
+    for text, share in _texts(path):
+        # A carriage return at the end may be the first half of a line end.
+        text = carry + text
+        held = len(text) - len(text.rstrip("\r"))
+        *lines, carry = _plain_ends(text[: len(text) - held]).split("\n")
+        carry += "\r" * held
+        _refuse_long(path, first, [*lines, carry])
+        if lines:
+            yield Chunk(first, lines, share)
+            first += len(lines)
+    *lines, rest = _plain_ends(carry).split("\n")
+    _refuse_long(path, first, [*lines, rest])
+    yield Chunk(first, [*lines, rest] if rest else lines, 1.0, last=True, cut=bool(rest))
+
+
+def _refuse_long(path: Path, first: int, lines: list[str]) -> None:
+    if max(map(len, lines)) > LONGEST_LINE:
+        row = first + next(k for k, line in enumerate(lines) if len(line) > LONGEST_LINE)
+        raise DataError(
+            f"{path.name}, row {row}: has more than {LONGEST_LINE} characters; not a samples CSV"
+        )
+
+
+def _plain_ends(text: str) -> str:
+    if "\r" not in text:
+        return text
+    # Text that was opened twice for translation ends its lines with two carriage returns.
+    return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _texts(path: Path) -> Iterator[tuple[str, float]]:
+    try:
+        with path.open("rb") as raw:
+            size = max(path.stat().st_size, 1)
+            zipped = raw.read(2) == b"\x1f\x8b"
+            raw.seek(0)
+            yield from _decoded(
+                path, cast("IO[bytes]", gzip.GzipFile(fileobj=raw)) if zipped else raw, raw, size
+            )
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise DataError(f"{path.name}: damaged or truncated gzip file ({error}); copy it again") from error
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _decoded(path: Path, file: IO[bytes], raw: IO[bytes], size: int) -> Iterator[tuple[str, float]]:
+    data = file.read(CHUNK)
+    for magic, kind in _FOREIGN.items():
+        if data.startswith(magic):
+            raise DataError(f"{path.name}: not a samples CSV: it is {kind}")
+    if _HTML.match(data):
+        raise DataError(
+            f"{path.name}: not a samples CSV: it is an HTML page; download the file itself, not the page "
+            "that shows it"
+        )
+    decoder = codecs.getincrementaldecoder(_encoding(data))("adis_gonio.windows-1252")
+    blank, unpacked = True, 0
+    while data:
+        unpacked += len(data)
+        if unpacked > MOST_GROWTH * raw.tell() + SMALL:
+            raise DataError(
+                f"{path.name}: not a samples CSV: it unpacks to more than {MOST_GROWTH} times its size, as "
+                "equal rows do; unpack it first if these are samples"
+            )
+        text = decoder.decode(data)
+        _refuse_binary(path, text)
+        blank = blank and not text.strip()
+        yield text, min(raw.tell() / size, 1.0)
+        data = file.read(CHUNK)
+    yield decoder.decode(b"", final=True), 1.0
+    if blank:
+        raise DataError(f"{path.name}: the file is empty")
+
+
+def _encoding(head: bytes) -> str:
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    # ASCII as UTF-16 without a mark: every second byte is zero.
+    for place, name in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if len(head) >= 4 and not any(head[place:200:2]) and all(head[1 - place : 200 : 2]):
+            return name
+    return "utf-8-sig"
+
+
+def _refuse_binary(path: Path, text: str) -> None:
+    if "\x00" in text or _REPLACEMENT in text:
+        raise DataError(
+            f"{path.name}: not a samples CSV: it holds binary data; give a .csv, a .csv.gz or a file "
+            "written by calibrate or simulate"
+        )
+
+
+# -- cells and numbers ----------------------------------------------------------------------------
+
+SPACE = " "
+"""Delimiter that means any run of white space."""
+DELIMITERS = ("\t", ";", ",", SPACE)
+_IN_WORDS = {"\t": "tab", ";": "semicolon", ",": "comma", SPACE: "space"}
+
+# Possessive (++): digits are never tried again in another split, which takes hours in a cell of thousands.
+_NUMBER = r"[+-]?(?:\d++{0}?\d*+|{0}\d+)(?:[eE][+-]?\d+)?"
+_GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{1}\d{{3}})+(?:{0}\d*)?"
+_FORMS = {
+    mark: (
+        re.compile(_NUMBER.format(re.escape(mark))),
+        re.compile(_GROUPED.format(re.escape(mark), re.escape(other))),
+    )
+    for mark, other in ((".", ","), (",", "."))
+}
+_UNDECIDED = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+_TOKENS = re.compile(r"\s+(?![\[(])")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a file writes its rows.
+
+    Attributes
+    ----------
+    delimiter : str
+        One of `DELIMITERS`.
+    decimal : str
+        Point or comma.
+    grouped : bool
+        True if the decimal mark is proved, so that the other mark may separate thousands.
+    """
+
+    delimiter: str = ","
+    decimal: str = "."
+    grouped: bool = False
+
+    def cells(self, line: str) -> list[str]:
+        """Cells of one line, without quotes.
+
+        Raises
+        ------
+        ValueError
+            A quote that does not end.
+        """
+        if self.delimiter == SPACE:
+            return line.split()
+        if '"' not in line:
+            return line.split(self.delimiter)
+        try:
+            return next(csv.reader([line], delimiter=self.delimiter, strict=True, skipinitialspace=True))
+        except (csv.Error, StopIteration):
+            raise ValueError("a quotation mark does not end, or stands within a cell") from None
+
+    def number(self, cell: str) -> float:
+        """Number of a cell.
+
+        Raises
+        ------
+        ValueError
+            The cell has no number in this dialect.
+        """
+        text = cell.strip().replace("−", "-")
+        plain, grouped = _FORMS[self.decimal]
+        if self.grouped and grouped.fullmatch(text):
+            text = text.replace("," if self.decimal == "." else ".", "")
+        elif not plain.fullmatch(text) and text.lower().lstrip("+-") not in ("nan", "inf", "infinity"):
+            raise ValueError(text)
+        return float(text.replace(",", "."))
+
+    @property
+    def delimiter_in_words(self) -> str:
+        """Name of the delimiter."""
+        return _IN_WORDS.get(self.delimiter, f"'{self.delimiter}'")
+
+    def with_decimal(self, mark: str, *, proved: bool) -> Dialect:
+        """Dialect with the given decimal mark."""
+        return replace(self, decimal=mark, grouped=proved)
+
+
+def header_cells(line: str, delimiter: str) -> list[str]:
+    """Cells of a header; if white space is the delimiter, a unit in brackets stays with its name."""
+    if delimiter == SPACE:
+        return [cell.strip('"') for cell in _TOKENS.split(line.strip())]
+    try:
+        cells = [cell.strip() for cell in Dialect(delimiter).cells(line)]
+    except ValueError:
+        cells = [cell.strip().strip('"') for cell in line.split(delimiter)]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def proved_mark(cells: Iterable[str]) -> str:
+    """Decimal mark that a cell proves; empty if no cell proves one."""
+    for cell in cells:
+        text = cell.strip()
+        if ("." not in text and "," not in text) or _UNDECIDED.fullmatch(text):
+            continue
+        for mark, other in ((".", ","), (",", ".")):
+            plain, grouped = _FORMS[mark]
+            if mark in text and plain.fullmatch(text):
+                return mark
+            # Two equal marks can only separate thousands.
+            if (mark in text or text.count(other) > 1) and grouped.fullmatch(text):
+                return mark
+    return ""
+
 
 _SEPARATORS = ("\t", ";", ",", "|", ":", "^", "~")
-"""What Excel's first line `sep=…` may state."""
+"""Delimiters that Excel's first line `sep=…` may state."""
 _EXPECTED = "time_s,position,angle_deg,ax,ay"
 MOST_HEAD_LINES = 10_000
 MOST_HEAD_CHARACTERS = 10_000_000
-"""Before the first row."""
+"""Limits of the part before the first row."""
 MOST_COLUMNS = 1000
 _PREAMBLE_LINES = 200
-"""Lines in which a header is looked for, behind what a logger prints when it starts."""
+"""Lines in which a header is searched; a logger may print other text when it starts."""
 
 
 @dataclass(frozen=True)
 class Head:
-    """What stands before the rows.
+    """The part of a file before its rows.
 
     Attributes
     ----------
@@ -46,13 +331,13 @@ class Head:
     width : int
         Cells of the header.
     dialect : Dialect
-        Its decimal mark is still to be decided where `keys` does not state it.
+        Its decimal mark is still unknown unless `keys` states it.
     columns : dict of str to CsvColumn
-        Those that are read, by the format's names.
+        Columns to read, by the format's names.
     keys : dict of str to object
         Values that the leading lines state.
     notes : tuple of str
-        What has to be said of the leading lines and of the header.
+        Remarks on the leading lines and the header.
     """
 
     path: Path
@@ -64,12 +349,12 @@ class Head:
     notes: tuple[str, ...]
 
     def settings(self, *, unit_told: bool) -> dict[str, Any]:
-        """Fields of the `Session`; units of the header go with those of the keys.
+        """Fields of the `Session`, from the keys and the units in the header.
 
         Raises
         ------
         DataError
-            Header and key state different units, and the user has not told the right one.
+            Header and key state different units, and the user has not given the unit.
         """
         values = {name: value for name, value in self.keys.items() if name != "decimal"}
         for key, axes, table in (("accel_unit", AXES, "accelerations"), ("gyro_unit", GYROS, "rates")):
@@ -92,14 +377,14 @@ def head_of(path: Path, wanted: Mapping[str, str]) -> Head:
     ----------
     path : Path
     wanted : mapping of str to str
-        Column of the format → column of the header, as told by the user.
+        Column of the format → column of the header, from the user.
 
     Raises
     ------
     DataError
-        No header, a column that is missing, stands there twice or has a unit that is not known.
+        The header is missing, or a column is missing, occurs twice or has an unknown unit.
     UsageError
-        `wanted` names a column that is not there.
+        `wanted` names a column that does not exist.
     """
     top = _leading(path, wanted)
     delimiter, cells = _split(top.text, top.separator, wanted)
@@ -136,7 +421,7 @@ class _Top:
     line, text : int, str
         Number and text of the header; 0 and empty without any line.
     separator : str or None
-        What `sep=` states.
+        Delimiter stated by `sep=`.
     """
 
     comments: list[tuple[int, str]] = field(default_factory=list)
@@ -146,7 +431,7 @@ class _Top:
     separator: str | None = None
 
     def without_header(self) -> _Top:
-        """Take the first line for the header, which was not found, with the comments above it."""
+        """Take the first line as the header if none was found, with the comments above it."""
         if self.skipped:
             self.line, self.text = self.skipped[0]
             self.comments = [comment for comment in self.comments if comment[0] < self.line]
@@ -157,9 +442,9 @@ class _Top:
 def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
     """Read down to the header.
 
-    The header is the first line without `#` that names a time and two accelerations, if one of the first
-    does: a logger prints text when it starts, and a log may begin in the middle of a row. Else it is the
-    first line, for an error that shows it.
+    The header is the first line without `#` that names a time and two accelerations, within the first
+    lines: a logger prints text when it starts, and a log may begin in the middle of a row. If there is
+    none, the first line is taken, so that the error shows it.
     """
     top, characters = _Top(), 0
     for chunk in chunks_of(path):
@@ -194,7 +479,7 @@ def _names_samples(line: str, separator: str | None, wanted: Mapping[str, str]) 
 
 
 def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
-    """Delimiter and cells of a header: those that make most names known."""
+    """Delimiter and cells of a header, for the delimiter by which most names are recognised."""
     if separator is not None:
         return separator, header_cells(line, separator)
     named = {text.strip().lower() for text in wanted.values()}
@@ -212,12 +497,12 @@ def _read_keys(
 ) -> tuple[dict[str, Any], list[str]]:
     """Values and notes of the leading lines with `#`.
 
-    A spreadsheet writes these lines as rows too, in the dialect and with the number of columns of the rows.
+    A spreadsheet writes these lines like rows, in the file's dialect and with as many columns.
 
     Raises
     ------
     DataError
-        A key that stands there twice, or an unknown value of one.
+        A key occurs twice or has an unknown value.
     """
     values: dict[str, Any] = {}
     notes: list[str] = []
@@ -248,7 +533,7 @@ def _read_keys(
 
 
 def _bare(line: str, dialect: Dialect, columns: int) -> str:
-    """A line without its `#`, and without what a spreadsheet has added to it."""
+    """A line without its `#` and without quotes and delimiters that a spreadsheet has added."""
     if line.startswith('"'):
         try:
             line = dialect.cells(line)[0]
@@ -263,7 +548,7 @@ def _bare(line: str, dialect: Dialect, columns: int) -> str:
 
 @dataclass(frozen=True)
 class _Assignment:
-    """Cells of a header on their way to columns."""
+    """Assignment of the cells of a header to columns."""
 
     path: Path
     line: int
@@ -289,7 +574,7 @@ class _Assignment:
         return chosen, [*self._ignored(found), *_renamed(chosen), *notes]
 
     def _told(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
-        """A column that the user names."""
+        """Column that the user has named."""
         known = recognised(mine)
         if known is None:
             raise UsageError(f"columns: '{mine}' is no column of the format; known: {', '.join(COLUMNS)}")
@@ -326,7 +611,7 @@ class _Assignment:
         return found
 
     def _with_units(self, found: Mapping[str, CsvColumn]) -> tuple[dict[str, CsvColumn], list[str]]:
-        """Columns with the format's spelling of their units; what is optional and unknown is left out."""
+        """Columns with the format's spelling of units; optional ones of unknown unit are left out."""
         chosen: dict[str, CsvColumn] = {}
         notes = []
         for name, column in found.items():
@@ -387,7 +672,7 @@ class _Assignment:
 
 
 def _likely(name: str, spare: Sequence[str]) -> str:
-    """The unknown column that ends as an axis does, or begins as a time does; dots where there is none."""
+    """Unknown column that ends like the axis or begins like a time; dots if there is none."""
     for cell in spare:
         text = split_unit(cell)[0].lower()
         if text.endswith(name[1]) if name in AXES else text.startswith(("t", "z")):
@@ -408,7 +693,7 @@ def _numeric(cell: str) -> bool:
 
 
 def _renamed(chosen: Mapping[str, CsvColumn]) -> list[str]:
-    """What stands for what, where the file has names of its own."""
+    """Remark on columns whose names differ from the format's."""
     own = [column for column in chosen.values() if column.text.strip().lower() != column.name]
     if not own:
         return []
