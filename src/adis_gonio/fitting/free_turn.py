@@ -36,6 +36,8 @@ from adis_gonio.model.records import MG_PER_MPS2, Session
 from adis_gonio.model.sweeps import Sweeps
 from adis_gonio.record.provenance import provenance_of
 
+__all__ = ["METHOD", "FreeTurnResult", "fit_free_turn"]
+
 LEAST_S = 10.0
 """A shorter recording contains no slow turn."""
 FASTEST_DPS = 90.0

@@ -45,6 +45,8 @@ from adis_gonio.live.motion_model import (
     smooth_lagged,
 )
 
+__all__ = ["LAG_S", "AngleSmoother", "GyroKnowledge", "Sensing", "SmoothedAngle", "SmoothedTurn", "smooth"]
+
 SPAN_S = 1.0
 REST_DPS = 1.0
 """Largest variation of a gyro over the span, in steps, at which its zero is learnt."""

@@ -61,6 +61,8 @@ from adis_gonio.record.provenance import provenance_of
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
 
+__all__ = ["RateIntervals", "gyro_readings_of", "rate_intervals"]
+
 LEAST_FORCE_G = 0.02
 """Smallest range of a force component that counts: below it, its share cannot be separated from the zero
 rate."""
