@@ -634,8 +634,8 @@ def _drifting(data: Readings, model: _Model, parameters: dict[str, Value]) -> li
         )
         if changes:
             warnings.append(
-                f"in this order of poses force cannot be separated from a {word}: {'; '.join(changes)}; "
-                "repeat poses in another order"
+                f"in this order of poses force cannot be fully separated from a {word}:"
+                f" {'; '.join(changes)}; repeat poses in another order"
             )
     return warnings
 
