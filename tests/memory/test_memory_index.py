@@ -13,8 +13,8 @@ from recorded import recorded
 from adis_gonio.base.errors import DataError
 from adis_gonio.fleet import Store, record_of, run, scan, summarise
 from adis_gonio.fleet.store import NAME
-from adis_gonio.record.export import export_csv
 from adis_gonio.record.loading import load_session
+from adis_gonio.record.samples_writer import export_csv
 
 
 @pytest.fixture(scope="module")

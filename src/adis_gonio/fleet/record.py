@@ -1,6 +1,6 @@
 """One session's result: the record that the store keeps, and its flat row.
 
-The numbers are those of the one answer (`adis_gonio.tracing.answer`), as `fit` and the report show them.
+The numbers are those of the answer (`adis_gonio.tracing.traced_answer`), as in `fit` and the report.
 """
 
 from __future__ import annotations

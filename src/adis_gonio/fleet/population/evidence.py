@@ -27,9 +27,9 @@ from adis_gonio.model.effects import AXES, effect
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
-from adis_gonio.tracing.outcome.result import TraceResult
-from adis_gonio.tracing.selection.design import orthonormal
+from adis_gonio.tracing.linear_problem import orthonormal
 from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.trace_result import TraceResult
 
 FORMAT = "adis-gonio population evidence 1"
 _STEP = 2.0**-15

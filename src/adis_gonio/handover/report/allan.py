@@ -7,7 +7,7 @@ from dataclasses import replace
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import format_number, format_unit
 from adis_gonio.fitting.allan import AllanResult, AxisNoise, fit_allan
-from adis_gonio.fitting.allan import words as said
+from adis_gonio.fitting.allan import allan_result as said
 from adis_gonio.model.records import Session
 from adis_gonio.page.parts import Figure, Section, Table
 from adis_gonio.page.render import render

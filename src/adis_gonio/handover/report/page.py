@@ -12,11 +12,10 @@ from adis_gonio.handover.report import sections as make
 from adis_gonio.model.records import Session
 from adis_gonio.page.parts import Section
 from adis_gonio.page.render import render
-from adis_gonio.tracing import summary as words
-from adis_gonio.tracing.answer import answer_with_trace
-from adis_gonio.tracing.one_pose.views import series_views
-from adis_gonio.tracing.outcome.figures import Views, views_of
-from adis_gonio.tracing.outcome.result import TraceResult
+from adis_gonio.tracing import trace_summary as words
+from adis_gonio.tracing.trace_figures import Views, series_views, views_of
+from adis_gonio.tracing.trace_result import TraceResult
+from adis_gonio.tracing.traced_answer import answer_with_trace
 
 
 def views(session: Session, result: TraceResult) -> Views:
