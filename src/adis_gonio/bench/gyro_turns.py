@@ -34,7 +34,7 @@ ALL_THERMOMETERS = (*DEFAULT_SCAN, "YTEMP_OUT", "ZTEMP_OUT")
 """What a scan holds so that each gyro has the temperature of its own die."""
 
 TURNS = 5
-"""Each way: ten turns about an axis. More take so long that the zero rate wanders (docs/gyro_turns.md)."""
+"""Each way: ten turns about an axis. More take so long that the zero rate wanders (docs/gyros.md)."""
 MOST_TURNS = 20
 """A gain of 1 % off is a fifth of a turn: more could not be counted."""
 REST_S = 1.0
