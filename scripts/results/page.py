@@ -227,12 +227,9 @@ def links(found: Document) -> str:
             for way in ("alone", "sheet", "calibrated"):
                 u = at[way][kind]["u"]
                 row.append("–" if u is None else f"{factor * u:.2g}{unit}")
-        share = [
-            at[way][kind]["coverage"]
-            for way in ("sheet", "calibrated")
-            for kind in ("scale", "skew", "bias")
-        ]
-        rows.append((*row, f"{100 * min(share):.1f} to {percent(max(share))}"))
+        ways = [at[way][kind] for way in ("sheet", "calibrated") for kind in ("scale", "skew", "bias")]
+        share = [one["coverage"] for one in ways if one["coverage"] is not None]
+        rows.append((*row, f"{100 * min(share):.1f} to {percent(max(share))}" if share else "–"))
     head = (
         "poses",
         *(f"{kind}, {way}" for kind in ("gain", "skew") for way in ("gravity", "data sheet", "calibrated")),
@@ -288,8 +285,7 @@ def slips(found: Document) -> str:
             "angles comes first. The *oracle* knows how the sessions were drawn.",
             table(head, rows),
             f"Of {good[0] + good[1]} sessions without a fault, {accused} had a position called wrong. "
-            "Slips above "
-            f"{found['slips_from_deg']:.2f}° are found in 99 %.",
+            f"Slips above {found['slips_from_deg'] or math.nan:.2f}° are found in 99 %.",
             "![Slips by size and fixture](slips-sizes.svg)",
         )
     )
@@ -319,6 +315,9 @@ def smoother(found: Document) -> str:
     )
 
 
+CASES_SHOWN = ("white and flicker", "white and walk", "all three", "simulator, filter M = 2")
+
+
 def allan(found: Document) -> str:
     """Noise at rest: coverage, false claims, errors of slopes."""
     names = {"quantization": "quantization", "white": "N", "flicker": "F", "walk": "K"}
@@ -329,7 +328,7 @@ def allan(found: Document) -> str:
                 continue
             if figures["truth"] is None:
                 false.append(figures["claimed"])
-            elif kind != "quantization":
+            elif kind != "quantization" and case in CASES_SHOWN:
                 slopes = "–" if figures["peer_rms"] is None else percent(figures["peer_rms"], 0)
                 error = "–" if figures["rms"] is None else percent(figures["rms"])
                 shares = percent(figures["claimed"], 0), percent(figures["coverage"])
