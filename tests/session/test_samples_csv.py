@@ -172,7 +172,7 @@ def test_space_needs_az_and_a_generic_sensor_a_unit(tmp_path):
 def test_unknown_columns_are_ignored_by_name_and_doubled_ones_refused(tmp_path):
     session = load_session(write(tmp_path, HEADER + ",colour", "0,0,0,1,2,red"))
     assert session.notes == ("columns that were ignored: colour",)
-    assert "'ax' stands there twice" in refused(write(tmp_path, HEADER + ",ax", "0,0,0,1,2,3"))
+    assert "'ax' occurs twice" in refused(write(tmp_path, HEADER + ",ax", "0,0,0,1,2,3"))
 
 
 def test_files_of_another_kind_are_refused(tmp_path):

@@ -134,7 +134,7 @@ def explained(path: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         raise _explain(path, error) from error
     except UnicodeDecodeError as error:
-        raise damaged(path, "text that is none") from error
+        raise damaged(path, "text that is not UTF-8") from error
 
 
 def damaged(path: Path, what: str) -> DataError:
@@ -223,7 +223,7 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if not tables and not application:
         raise SessionError(
-            f"{path}: holds no session yet, it was interrupted at its very beginning; begin anew"
+            f"{path}: has no session yet, it was interrupted at its beginning; begin a new session"
         )
     if application != APPLICATION_ID:
         raise DataError(f"{path}: is an SQLite file, but no session file")

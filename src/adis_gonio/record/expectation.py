@@ -157,7 +157,7 @@ def _angle_row(psi: float) -> Floats:
 
 
 def _norm_row(psi: float) -> Floats:
-    """∂ ln |U| by the same."""
+    """∂ ln |U| by these parameters."""
     c, s = math.cos(psi), math.sin(psi)
     return np.array([0.0, c * c, s * s, s * c, c, s])
 

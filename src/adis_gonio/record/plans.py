@@ -5,7 +5,7 @@
 | `two-position` | 0°, 90° | the seed paper's; determines ΔK and Δφ, but no bias |
 | `four-position` | 0°, 90°, 180°, 270° | opposite positions cancel a bias |
 | `mmpm` | nine, every 40° | all six planar parameters with the most information that nine can give |
-| `tumble` | n up and the same n back (12) | the way back shows backlash, hysteresis and drift |
+| `tumble` | n up and n back (12) | the way back shows backlash, hysteresis and drift |
 | `poses` | n free attitudes in space (14) | bias, scale and skew of all three axes; needs no stage |
 
 Why steps of 40° for nine positions: readings of a turn are a first-order trigonometric regression, for

@@ -201,7 +201,7 @@ def recognised(text: str) -> tuple[str, str, bool] | None:
 # -- keys -----------------------------------------------------------------------------------------
 
 _LARGEST = 1e6
-"""Of gravity in m/s², an uncertainty in degrees or mg; a session file has the same bounds."""
+"""Limit of gravity in m/s² and of uncertainties in degrees or mg, as in a session file."""
 _LEAST_SIGMA_DEG = 1e-9
 
 

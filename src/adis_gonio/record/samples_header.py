@@ -192,7 +192,7 @@ def _encoding(head: bytes) -> str:
 def _refuse_binary(path: Path, text: str) -> None:
     if "\x00" in text or _REPLACEMENT in text:
         raise DataError(
-            f"{path.name}: not a samples CSV: it holds binary data; give a .csv, a .csv.gz or a file "
+            f"{path.name}: not a samples CSV: it has binary data; give a .csv, a .csv.gz or a file "
             "written by calibrate or simulate"
         )
 
@@ -251,7 +251,7 @@ class Dialect:
         try:
             return next(csv.reader([line], delimiter=self.delimiter, strict=True, skipinitialspace=True))
         except (csv.Error, StopIteration):
-            raise ValueError("a quotation mark does not end, or stands within a cell") from None
+            raise ValueError("a quotation mark does not end, or is within a cell") from None
 
     def number(self, cell: str) -> float:
         """Number of a cell.
@@ -516,7 +516,7 @@ def _read_keys(
         elif name not in KEYS:
             notes.append(f"key '{name}' in row {number} is not known and was ignored")
         elif name in values:
-            raise DataError(f"{file}, row {number}: key '{name}' stands there twice")
+            raise DataError(f"{file}, row {number}: key '{name}' occurs twice")
         elif text:
             try:
                 values[name] = KEYS[name].read(text)
@@ -528,7 +528,7 @@ def _read_keys(
     try:
         checked_gravity_mps2(values.get("gravity_mps2", STANDARD_GRAVITY_MPS2))
     except UsageError as error:
-        notes.append(f"gravity_mps2 is taken as it stands, but {str(error).split(';')[0]}")
+        notes.append(f"gravity_mps2 is used as stated, but {str(error).split(';')[0]}")
     return values, notes
 
 
@@ -568,7 +568,7 @@ class _Assignment:
         if gyros and len(gyros) < 3:
             missing = next(name for name in GYROS if name not in chosen)
             if any(chosen[name].plain for name in gyros):
-                raise self._fail(f"column '{missing}' is missing beside '{gyros[0]}'")
+                raise self._fail(f"column '{missing}' is missing, but there is '{gyros[0]}'")
             notes.append(f"rates about {', '.join(gyros)} alone were ignored: '{missing}' is missing")
             chosen = {name: column for name, column in chosen.items() if name not in GYROS}
         return chosen, [*self._ignored(found), *_renamed(chosen), *notes]
@@ -601,7 +601,7 @@ class _Assignment:
             other = found.get(column.name)
             if other is not None and other.plain == column.plain:
                 if column.plain:
-                    raise self._fail(f"column '{cell}' stands there twice")
+                    raise self._fail(f"column '{cell}' occurs twice")
                 raise self._fail(
                     f"both '{other.text}' and '{cell}' may be {column.name}; say which: "
                     f"--columns {column.name}={cell}"
@@ -650,7 +650,7 @@ class _Assignment:
         cells = [cell for cell in self.cells if cell]
         if cells and all(_numeric(cell) for cell in cells):
             return self._fail(
-                f"no header row: the first row holds numbers; put a row such as '{_EXPECTED}' above it"
+                f"no header row: the first row has numbers; put a row such as '{_EXPECTED}' above it"
             )
         shown = ", ".join(f"'{cell[:40]}'" for cell in cells[:12])
         example = ",".join(f"{n}={c[:40]}" for n, c in zip(("time", "ax", "ay"), cells, strict=False))
@@ -693,7 +693,7 @@ def _numeric(cell: str) -> bool:
 
 
 def _renamed(chosen: Mapping[str, CsvColumn]) -> list[str]:
-    """Remark on columns whose names differ from the format's."""
+    """Remark on columns with other names than the format's."""
     own = [column for column in chosen.values() if column.text.strip().lower() != column.name]
     if not own:
         return []

@@ -75,7 +75,7 @@ class Piece:
 
 
 Reading = Callable[[], Iterable[Piece]]
-"""Reads a recording from its beginning; called once a pass, each time with the same samples."""
+"""Reads a recording from its beginning; called once for each pass, and always gives equal samples."""
 
 
 def segment_with_notes(

@@ -211,7 +211,7 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
     """Session of one continuous turn; if it was broken off, a note gives the reason."""
     recording, reason = recording_of(view)
     if recording is None:
-        raise DataError(f"{path}: holds no turn yet; resume the session")
+        raise DataError(f"{path}: has no turn yet; resume the session")
     lost = sum(block.lost for a in view.attempts() for block in view.blocks(a))
     facts = _facts(view) | {
         "advised": [],
@@ -321,10 +321,10 @@ def _changed_registers(view: ArchiveView) -> list[JsonDict]:
             ", the data line (MISO) was stuck; check the line, then measure again"
         )
         return [{"attempt": None, "kind": "registers", "message": message}]
-    told = ", ".join(f"{name} {before} → {after}" for name, (before, after) in changed.items())
+    listed = ", ".join(f"{name} {before} → {after}" for name, (before, after) in changed.items())
     message = (
-        f"the sensor's settings changed while the session was recorded ({told}): it restarted, or somebody"
-        " wrote to it, and dwells from before and after do not agree"
+        f"the sensor's settings changed while the session was recorded ({listed}): it restarted, or"
+        " somebody wrote to it, and dwells from before and after do not agree"
     )
     return [{"attempt": None, "kind": "registers", "message": message}]
 

@@ -31,7 +31,7 @@ KIND = "offsets"
 """Kind of the archive's records that are the journal."""
 
 INTERRUPTED = (
-    "a write of offsets was interrupted, so what the sensor holds is not known; run `adis-gonio write` "
+    "a write of offsets was interrupted, so the state of the sensor is unknown; run `adis-gonio write` "
     "with --status, then finish it or --undo"
 )
 
