@@ -1,7 +1,7 @@
-"""Guards: what cannot be right on the bench, and where the part is by gravity, gyros and declared angles.
+"""Guards: errors on the bench, and the position of the part by gravity, gyros and declared angles.
 
-Each judgement gives a `Guard`, a question with its numbers, or None. Limits are those of the sensor's own
-noise, of the part's data sheet and of the fixture (`expectation`), so that a sane part is not questioned.
+Each judgement gives a `Guard`, a question with its numbers, or None. The limits follow from the sensor's
+noise, the part's data sheet and the fixture (`expectation`), so that a good part is not questioned.
 `Judge` compares declared angles, gravity and the integral of the gyros by `adis_gonio.fitting.slips`, so
 that a recorded session has the same likelihood.
 """
@@ -44,13 +44,12 @@ GUARD_KINDS: tuple[str, ...] = get_args(GuardKind)
 TILT_LIMIT_DEG = math.degrees(math.acos(1 - GAIN_LIMIT))
 """Tilt of the rotation axis out of the horizontal that costs as much reading as a gain may be off."""
 NOT_MOVED_SHARE = 0.1
-"""In space: a pose a tenth of the way to the one asked for shows nothing new."""
+"""In space: a pose after less than this share of the requested turn counts as not moved."""
 OTHER_WAY_UP_DEG = 120.0
-"""In space: nearer than this to the opposite of what was asked is meant the other way up (the attitudes
-between, 60° to 120°, are free to choose)."""
+"""In space: an attitude farther than this from the requested one counts as upside down."""
 STEP_WINDOW_S = 1.0
 TEMPERATURE_STEP_C = 1.0
-"""Change within a second: ten times the fastest self-heating that CHIP tells of (5 °C in one minute)."""
+"""Change within a second: ten times the fastest self-heating by CHIP (5 °C in one minute)."""
 SUPPLY_STEP_V = 0.05
 """Change within a second: a tenth of the specified range of 4.75 to 5.25 V."""
 
@@ -68,7 +67,7 @@ class Guard:
     answers, default
         As in `events.GuardRaised`.
     spoils : bool
-        True where a result that holds this dwell as it is cannot be right.
+        True if a result with this dwell, unchanged, would be wrong.
     """
 
     kind: GuardKind
@@ -80,12 +79,12 @@ class Guard:
 
     @property
     def contradicts(self) -> bool:
-        """True where either the part's place or a dwell before is wrong."""
+        """True if either the position of the part or an earlier dwell is wrong."""
         return self.kind in ("not_moved", "reversed", "wrong_axis", "wrong_angle")
 
 
 def insistent(guard: Guard, times: int) -> Guard:
-    """The same guard when it stops at one place for the n-th time: perhaps what was before is wrong."""
+    """Add a hint to a guard that stops at one position repeatedly: an earlier dwell may be wrong."""
     if times < 2 or not guard.contradicts:
         return guard
     hint = (
@@ -97,20 +96,20 @@ def insistent(guard: Guard, times: int) -> Guard:
 
 @dataclass(frozen=True)
 class Reading:
-    """What is known when the part has come to rest at a position in the plane.
+    """Angles of the part when it has come to rest at a position in the plane.
 
     Attributes
     ----------
     asked_deg, here_deg : float
-        Turn that was asked for since the dwell before, and the angle asked for.
+        Requested turn since the dwell before, and requested angle.
     gravity_deg : float
         Turn by gravity since the dwell before, within ±180°.
     off, off_reversed : Off
-        From the angle asked for, if the stage counts as the session has it, or the other way.
+        Deviations from the requested angle, with the sense of the session and with the opposite sense.
     turn : GyroIntegral or None
-        By the gyros.
+        Turn by the gyros.
     sense : int
-        -1 in a session that is taken as reversed.
+        -1 in a reversed session.
     """
 
     asked_deg: float
@@ -123,7 +122,7 @@ class Reading:
 
 
 def judge_turn(reading: Reading) -> Guard | None:
-    """Whether the part was turned as asked, in the plane."""
+    """Check that the part was turned as requested in the plane; None if it was."""
     if reading.off.allowed:
         return None
     values = {
@@ -169,7 +168,7 @@ def _reversed(reading: Reading, values: dict[str, float], seen: str) -> Guard:
 
 
 def _other_axis(turn: GyroIntegral) -> str | None:
-    """The axis that was turned about most, where it is not z and more than the gyros' uncertainty."""
+    """Axis of the largest turn, if it is not z and the turn exceeds the gyros' uncertainty."""
     size = np.abs(turn.angle_deg)
     most = int(np.argmax(size))
     if most == 2 or size[most] <= math.degrees(SHIFT_MG / 1000.0) + K * turn.u_deg:
@@ -178,7 +177,7 @@ def _other_axis(turn: GyroIntegral) -> str | None:
 
 
 def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | None:
-    """Whether the axis of rotation, the part's Z, lies horizontal."""
+    """Check that the axis of rotation, the part's Z, is horizontal."""
     z = float(accel_mg[2])
     limit = gravity_mg * math.sin(math.radians(TILT_LIMIT_DEG)) + K * bias_mg
     if abs(z) <= limit:
@@ -194,7 +193,7 @@ def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | 
 
 
 def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
-    """Whether the part stands as drawn at the first position; any start angle serves, so it may stay."""
+    """Check that the part is placed as drawn at the first position; any start angle is allowed."""
     x, y = float(accel_mg[0]), float(accel_mg[1])
     angle = -sense * math.degrees(math.atan2(y, x))
     off = wrap_degrees(angle - asked_deg)
@@ -210,9 +209,10 @@ def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
 def judge_pose(
     accel_mg: Floats, asked: Floats | None, before_mg: Floats | None, before_asked: Floats | None
 ) -> Guard | None:
-    """Whether a free attitude is new, and not the opposite of what was suggested.
+    """Check that a free attitude is new, and not the opposite of the suggested one.
 
-    What spoils comes first: a part that nobody has moved is often the other way up as well, which may stay.
+    A part that was not moved is checked first, since this spoils the result: it is often also upside down,
+    which is allowed.
     """
     if before_mg is not None:
         turned = angle_between_deg(accel_mg, before_mg)
@@ -245,7 +245,7 @@ def angle_between_deg(a: Sequence[float] | Floats, b: Sequence[float] | Floats) 
 
 
 def judge_shift(accel_mg: Floats, before_mg: Floats, limit_mg: Floats) -> Guard | None:
-    """Whether the part rests where it did before a dwell was disturbed."""
+    """Check that the part rests in the place in which it was before a dwell was disturbed."""
     shift = np.abs(accel_mg - before_mg)
     limit = np.maximum(limit_mg, SHIFT_MG)
     k = int(np.argmax(shift / limit))
@@ -258,13 +258,13 @@ def judge_shift(accel_mg: Floats, before_mg: Floats, limit_mg: Floats) -> Guard 
 
 
 def drift_guard(why: str, values: dict[str, float] | None = None) -> Guard:
-    """The part moves on, or rests elsewhere, after a dwell began."""
+    """Guard of a part that has moved after a dwell began."""
     message = f"{why}: the part or the stage has moved on; clamp it and take the position again"
     return Guard("drift", message, values or {})
 
 
 def shock_guard(why: str, times: int) -> Guard:
-    """A dwell was disturbed again and again."""
+    """Guard of a dwell that was disturbed repeatedly."""
     return Guard(
         "shock",
         f"{counted(times, 'dwell')} in a row were disturbed: {why}; find what shakes the part",
@@ -273,12 +273,12 @@ def shock_guard(why: str, times: int) -> Guard:
 
 
 def stuck_guard(why: str) -> Guard:
-    """An axis does not change."""
+    """Guard of an axis that does not change."""
     return Guard("stuck", why, answers=("retake", "skip"), spoils=True)
 
 
 def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
-    """What happened within a complete dwell: faults by its own words, and steps of its surroundings."""
+    """Guards of a complete dwell: its faults, and steps of its temperature and supply."""
     guards = []
     kinds: dict[str, GuardKind] = {"supply": "supply", "alarm": "over_range"}
     found = [problem for problem in problems if problem.kind in kinds]
@@ -310,20 +310,20 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
 
 
 def greatest_step(time_s: Floats, values: Floats) -> float:
-    """Greatest change within a second, by means of half a second; a shorter dwell is taken in quarters."""
+    """Largest change within a second, by means over half a second or over quarters of a shorter dwell."""
     width_s = min(STEP_WINDOW_S / 2, float(time_s[-1] - time_s[0]) / 4)
     if width_s <= 0:
         return 0.0
     slot = ((time_s - time_s[0]) / width_s).astype(int)
     means = np.array([values[slot == k].mean() for k in np.unique(slot) if (slot == k).sum() > 1])
-    # From a window to the one after next: a step falls within the one between, at worst.
+    # Compare each window with the window after the next: a step may lie within the window between them.
     return float(np.abs(means[2:] - means[:-2]).max()) if len(means) > 2 else 0.0
 
 
 SCALE_ERROR = 0.01
 """Relative error of a gyro's gain (an estimate, D: the sheets at hand have none)."""
 INSTABILITY_DPS = 0.015
-"""What a gyro's bias does between dwells (the simulator's default, D)."""
+"""Change of a gyro's bias between dwells (the simulator's default, D)."""
 G_SENSITIVITY_DPS = 0.05 * math.sqrt(2)
 """Gyro g-sensitivity, 0.05 °/s/g (CHIP, B), times the change of gravity's part at a quarter turn."""
 GYRO_NOISE_DPS = 0.6
@@ -341,7 +341,7 @@ class GyroIntegral:
     u_deg : float
         Standard uncertainty of each.
     zero_u_deg : float
-        The part of it that noise and the zero have, without the gain.
+        Part of it from noise and the zero rate, without the gain.
     """
 
     angle_deg: Floats
@@ -350,12 +350,12 @@ class GyroIntegral:
 
 
 class Turning:
-    """Follows the part from one dwell to the next.
+    """Integrates the gyros from one dwell to the next.
 
     Parameters
     ----------
     longest_gap_s : float
-        Time without samples after which nobody knows how the part was turned.
+        Longest time without samples; after a longer gap the turn is unknown.
     """
 
     def __init__(self, longest_gap_s: float) -> None:
@@ -370,7 +370,7 @@ class Turning:
         self._broken = False
 
     def rest(self, dwell: Block) -> None:
-        """A dwell has ended: its mean is the gyros' zero, and the next turn begins."""
+        """Begin the next turn: the mean of the ended dwell is the gyros' zero rate."""
         rates = _rates(dwell)
         self._broken = rates is None or not len(dwell)
         if rates is None or not len(dwell):
@@ -380,7 +380,7 @@ class Turning:
         self._angle, self._travel, self._length_s = np.zeros(3), 0.0, 0.0
 
     def see(self, block: Block) -> None:
-        """Follow the part through the next samples; those that a dwell holds already are passed over."""
+        """Integrate the next samples; samples of the ended dwell are skipped."""
         rates = _rates(block)
         if self._bias is None or rates is None or not len(block):
             return
@@ -393,14 +393,14 @@ class Turning:
         self._broken |= bool(steps_s.max() > self._longest_gap_s)
         means = (turning[1:] + turning[:-1]) / 2
         self._angle = self._angle + (means * steps_s[:, None]).sum(axis=0)
-        # Blocks of samples, so that noise does not add up as travel.
+        # The travel is summed over blocks, so that noise does not add to it.
         self._travel += float(np.abs((means * steps_s[:, None]).sum(axis=0)).max())
         self._length_s += float(time_s[-1] - time_s[0])
         self._period_s = float(np.median(steps_s))
         self._last_s, self._last = float(time_s[-1]), turning[-1]
 
     def turn(self) -> GyroIntegral | None:
-        """The turn so far; None where it was not watched throughout."""
+        """Turn so far; None if it was not followed without a gap."""
         if self._bias is None or self._broken or not self._length_s:
             return None
         wander = math.hypot(INSTABILITY_DPS, G_SENSITIVITY_DPS) * self._length_s
@@ -418,17 +418,18 @@ def _rates(block: Block) -> Floats | None:
 
 @dataclass(frozen=True)
 class Stand:
-    """Where the part stood, or stands now.
+    """Position of the part in a dwell, or its present position.
 
     Attributes
     ----------
     angle_deg : float or None
-        As the stage counts; None of a dwell that was doubted and kept.
+        Declared angle in the sense of the stage; None for a dwell that was doubted and kept.
     mean_mg : (2 or more,) float
+        Mean reading.
     turn : GyroIntegral or None
-        By the gyros, since the stand before; None where nobody watched it from there.
+        Turn by the gyros since the position before; None if it was not followed from there.
     approach : int
-        Direction from which it was reached, as the stage counts; 0 unknown.
+        Direction from which it was reached, in the sense of the stage; 0 if unknown.
     """
 
     angle_deg: float | None
@@ -438,7 +439,7 @@ class Stand:
 
 
 def diagnosed(stands: Sequence[Stand], spread: PriorKnowledge, sense: int) -> Diagnosis:
-    """What the three angles say of all stands; the last one is where the part is now."""
+    """Diagnosis of all positions by their three angles; the last one is the present position."""
     stands = stands[-LARGEST:]
     n = len(stands)
     reading = math.hypot(spread.reading_mg, UNMODELLED_MG)
@@ -476,7 +477,7 @@ def diagnosed(stands: Sequence[Stand], spread: PriorKnowledge, sense: int) -> Di
 def with_three_angles(
     guard: Guard | None, found: Diagnosis, stands: Sequence[Stand], sense: int
 ) -> Guard | None:
-    """The guard with what all three angles say; a guard of their own where the present place is accused."""
+    """Add the diagnosis to a guard, or make a guard if only the diagnosis questions the position."""
     here = min(len(stands), LARGEST) - 1
     last = next((one for one in found.findings if here in (one.position, *one.others)), None)
     if last is None:
@@ -515,7 +516,7 @@ def _told(found: PositionFinding, here: int, angles_deg: Sequence[float | None],
 
 @dataclass(frozen=True)
 class _Taken:
-    """A dwell: where it was asked, its mean (3,) in mg, and whether it was doubted and kept."""
+    """A dwell: its position, its mean (3,) in mg, and whether it was doubted and kept."""
 
     place: int
     position: Position
@@ -523,22 +524,22 @@ class _Taken:
     doubted: bool
     turn: GyroIntegral | None = None
     since: int | None = None
-    """Place of the dwell from which `turn` was watched."""
+    """Place of the dwell from which `turn` was followed."""
 
 
 class Judge:
-    """Judges where the part is, position by position.
+    """Judges the position of the part, dwell by dwell.
 
     Parameters
     ----------
     planar : bool
-        False where attitudes are free.
+        False if attitudes are free.
     spread : PriorKnowledge
-        What may be off in a sane part; a fixture of infinite uncertainty is not judged.
+        Tolerances of a good part; its fixture has a finite uncertainty.
     sense : {1, -1}
-        -1 in a session that is taken as reversed.
+        -1 in a reversed session.
     longest_gap_s : float
-        As `Turning`.
+        See `Turning`.
     """
 
     def __init__(self, spread: PriorKnowledge, *, planar: bool, sense: int, longest_gap_s: float) -> None:
@@ -552,7 +553,7 @@ class Judge:
         self._rebuild()
 
     def settled(self, position: Position, accel_mg: Floats) -> Guard | None:
-        """What cannot be right where the part has come to rest; None where all can be."""
+        """Guard against the position in which the part has come to rest; None if it is plausible."""
         if not self._planar or position.angle_deg is None:
             return self._pose(position, accel_mg)
         level = judge_level(accel_mg, self._spread.gravity_mg, self._spread.bias_mg)
@@ -578,7 +579,7 @@ class Judge:
         return with_three_angles(guard, diagnosed(stands, self._spread, self.sense), stands, self.sense)
 
     def turned(self, place: int, position: Position, accel_mg: Floats) -> TurnMeasured | None:
-        """The turn since the dwell before; None before the first."""
+        """Turn since the dwell before; None before the first dwell."""
         if not self._taken:
             return None
         before, turn = self._taken[-1], self.turning.turn()
@@ -591,7 +592,7 @@ class Judge:
         return TurnMeasured(place, self._asked_deg(position), by_gyro, u_deg, gravity)
 
     def done(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
-        """Learn from a complete dwell; one that was doubted and kept teaches nothing but where it was."""
+        """Learn from a complete dwell; of a doubted dwell only the position is used."""
         mean = np.asarray(scans.accel_mg.mean(axis=0))
         self._taken.append(_Taken(place, position, mean, doubted, *self._turned))
         self._turned = (None, None)
@@ -599,16 +600,16 @@ class Judge:
         self.turning.rest(scans)
 
     def last_turn(self) -> tuple[int, GyroIntegral] | None:
-        """Turn into the newest dwell, and the place from which it was watched; None where nobody did."""
+        """Turn before the newest dwell, and the place at which it began; None if it was not followed."""
         last = self._taken[-1] if self._taken else None
         return None if last is None or last.turn is None or last.since is None else (last.since, last.turn)
 
     def forget_turn(self) -> None:
-        """Nobody has watched the part since the last dwell."""
+        """Forget the turn since the last dwell, which was not followed."""
         self.turning = Turning(self._longest_gap_s)
 
     def withdraw(self, place: int) -> None:
-        """Forget the dwell of a place, as far as it taught something; the part is still where it is."""
+        """Forget the dwell of a place; if it is the last one, its position is kept for the next turn."""
         last = self._taken[-1].place == place if self._taken else False
         kept = [entry for entry in self._taken if entry.place != place]
         if last:
@@ -617,12 +618,12 @@ class Judge:
         self._rebuild()
 
     def reverse(self) -> None:
-        """Take the session as turned the other way, and what was measured so far with it."""
+        """Reverse the sense of the whole session, with the dwells so far."""
         self.sense = -self.sense
         self._rebuild()
 
     def angle_deg(self, accel_mg: Floats) -> float | None:
-        """Live angle by gravity as the stage counts, within ±180°; None with free attitudes."""
+        """Live angle by gravity in the sense of the stage, within ±180°; None for free attitudes."""
         return self._expected.angle_deg(accel_mg) if self._planar else None
 
     def tolerance_deg(self, accel_mg: Floats, angle_deg: float) -> float | None:
@@ -635,7 +636,7 @@ class Judge:
         return self._expected.off(accel_mg, angle_deg).limit_deg
 
     def _stands(self, position: Position, accel_mg: Floats) -> list[Stand]:
-        """Where the part stood in all dwells, and stands now."""
+        """Positions of the part in all dwells, and its present position."""
         stands: list[Stand] = []
         before: _Taken | None = None
         for taken in self._taken:
@@ -661,7 +662,7 @@ class Judge:
         self._other.add(taken.mean_mg, angle)
 
     def _asked_deg(self, position: Position) -> float:
-        """Turn from the dwell before to a position, the short way."""
+        """Turn from the dwell before to a position, by the shorter way."""
         before = self._taken[-1].position.angle_deg or 0.0
         asked = wrap_degrees((position.angle_deg or 0.0) - before)
         return 180.0 if asked == -180.0 else asked
