@@ -1,13 +1,13 @@
-"""IIO devices: their channels and sample formats, and the ways to one of this machine or by network.
+"""IIO devices: their channels and sample formats, and access to devices of this machine or by network.
 
-A format is written `[be|le]:[s|u]BITS/STORAGE[Xrepeat]>>SHIFT`; a capital sign says that the number fills
-its storage. value = (raw + offset) * scale, in m/s², rad/s, milli-degree Celsius, millivolt. Source: the
-kernel's Documentation/ABI/testing/sysfs-bus-iio.
+A format is written `[be|le]:[s|u]BITS/STORAGE[Xrepeat]>>SHIFT`; a capital letter means that the number
+fills its storage. value = (raw + offset) * scale, in m/s², rad/s, milli-degree Celsius, millivolt. Source:
+the kernel's Documentation/ABI/testing/sysfs-bus-iio.
 
 A local device has attributes in sysfs and scans in /dev: `in_accel_x_raw`, `in_accel_scale` (shared by a
 kind) or `in_accel_x_scale`, `scan_elements/in_accel_x_en|_index|_type`, `buffer/enable`, `buffer/length`.
-While a buffer is open other channels are disabled; at its end all is set back. A device of another machine
-is read by the text protocol of iiod (libiio 0.x).
+While a buffer is open, other channels are disabled; when it is closed, all attributes are restored. A
+device of another machine is read by the text protocol of iiod (libiio 0.x).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ COLUMNS: dict[str, tuple[str, float]] = {
     "temp_x": ("temp_c", 1e-3),
     "voltage0_supply": ("supply_v", 1e-3),
 }
-"""Column of a session and factor from IIO's unit, by channel; the first temperature there is counts."""
+"""Column of a session and factor from IIO's unit, by channel; the first existing temperature is used."""
 
 ACCELS = ("accel_x", "accel_y", "accel_z")
 
@@ -69,7 +69,7 @@ class SampleFormat:
         Raises
         ------
         CannotOpenError
-            Not a format, or one that this program does not read (repeated or odd-sized samples).
+            The text is not a format, or an unsupported one (repeated or odd-sized samples).
         """
         found = _FORMAT.fullmatch(text.strip())
         if found is None:
@@ -101,11 +101,11 @@ class IioChannel:
     Attributes
     ----------
     id : str
-        Such as `accel_x`; with the label that the kernel appends to a file's name, `voltage0_supply`.
+        Such as `accel_x`, or with the label in the name of the kernel's file, `voltage0_supply`.
     index : int
-        Place in a scan; -1 where it cannot be buffered.
+        Place in a scan; -1 if it cannot be buffered.
     format : SampleFormat or None
-        None where it cannot be buffered.
+        None if it cannot be buffered.
     scale, offset : float
         value = (raw + offset) * scale.
     """
@@ -118,7 +118,7 @@ class IioChannel:
 
     @property
     def column(self) -> str:
-        """Column of a session; empty for a channel that has none."""
+        """Column of a session, or empty."""
         return COLUMNS.get(self.id, ("", 0.0))[0]
 
     def values(self, numbers: np.ndarray) -> Floats:
@@ -129,12 +129,12 @@ class IioChannel:
 
 
 def wanted(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]:
-    """Channels that a session has columns for, one a column, in the order of the columns.
+    """Channels with a column in a session, one for each column, in the order of the columns.
 
     Raises
     ------
     CannotOpenError
-        Not an accelerometer of three axes.
+        The device is not an accelerometer with three axes.
     """
     found = {channel.id: channel for channel in channels}
     missing = [name for name in ACCELS if name not in found]
@@ -152,10 +152,10 @@ def wanted(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]
 
 
 class BufferLayout:
-    """Where the samples of enabled channels stand in a scan.
+    """Positions of the samples of enabled channels in a scan.
 
-    Each stands at a multiple of its own size, in the order of the index; a scan's size is a multiple of its
-    largest sample.
+    Samples are ordered by the index, and each begins at a multiple of its size; the size of a scan is a
+    multiple of its largest sample.
     """
 
     def __init__(self, channels: Sequence[IioChannel]) -> None:
@@ -192,7 +192,7 @@ class BufferLayout:
 
 
 def number_of(attributes: Mapping[str, str], name: str, default: float, where: str) -> float:
-    """Number of an attribute's text, or a default where there is no such attribute."""
+    """Number from the text of an attribute, or a default if there is no such attribute."""
     text = attributes.get(name)
     if text is None:
         return default
@@ -210,16 +210,16 @@ TIMESTAMP = "timestamp"
 
 @dataclass(frozen=True)
 class DeviceFacts:
-    """What a device says of itself when it is opened.
+    """Facts of a device, read when it is opened.
 
     Attributes
     ----------
     id, name : str
         Such as `iio:device0`, `adxl345`.
     channels : tuple of IioChannel
-        Inputs, the timestamp among them where there is one.
+        Inputs, with the timestamp if there is one.
     rate_hz : float or None
-        None where the device does not say.
+        None if the device does not state it.
     """
 
     id: str
@@ -229,7 +229,7 @@ class DeviceFacts:
 
 
 class IioDevice(Protocol):
-    """A device that can be read; every method raises `BusError` where it fails.
+    """A device that can be read; every method raises `BusError` on failure.
 
     Attributes
     ----------
@@ -249,13 +249,13 @@ class IioDevice(Protocol):
         """Begin to buffer scans of these channels."""
 
     def read_buffer(self, size: int, timeout_s: float) -> bytes:
-        """At least one scan where `size` is a scan's, at most so many bytes of whole scans."""
+        """Read at most `size` bytes of whole scans, and at least one scan."""
 
     def close_buffer(self) -> None:
-        """End buffering and set back what was changed for it; may be called twice."""
+        """End buffering and undo its changes; may be called twice."""
 
     def close(self) -> None:
-        """Forget the device; may be called twice."""
+        """Close the device; may be called twice."""
 
 
 SYSFS = Path("sys/bus/iio/devices")
@@ -272,12 +272,12 @@ class LocalDevice:
     name : str
         `iio:device0`, `device0`, or the name in its attribute `name`; empty takes the only accelerometer.
     root : path
-        Where /sys and /dev are; another one than / is for containers and tests.
+        Folder with /sys and /dev; another folder than / is for containers and tests.
 
     Raises
     ------
     CannotOpenError
-        No such device, more than one, or it cannot be read.
+        There is no such device or more than one, or it cannot be read.
     """
 
     def __init__(self, name: str, root: Path = Path("/")) -> None:
@@ -348,7 +348,7 @@ class LocalDevice:
             ) from error
 
     def read_buffer(self, size: int, timeout_s: float) -> bytes:
-        """At most `size` bytes, as many as are there; waits for the first ones."""
+        """Read the available bytes, at most `size`; wait for the first ones."""
         if self._descriptor is None:
             raise ProtocolError(f"{self.where}: no buffer is open")
         ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
@@ -388,7 +388,7 @@ class LocalDevice:
             self._found.append((path, before))
 
     def _text(self, name: str) -> str | None:
-        """Text of an attribute; None where it is missing or says nothing."""
+        """Text of an attribute; None if it is missing or cannot be read."""
         try:
             return (self._folder / name).read_text()
         except OSError:
@@ -466,9 +466,9 @@ class NetworkDevice:
     Raises
     ------
     CannotOpenError
-        No server answers there, it has no such device, or more than one where no name is given.
+        No server answers, it has no such device, or it has several and no name is given.
     ProtocolError, BusTimeoutError
-        The server answers, but not as iiod does.
+        The server does not speak the protocol of iiod.
     """
 
     def __init__(self, host: str, port: int, name: str, timeout_s: float = TIMEOUT_S) -> None:
@@ -494,7 +494,7 @@ class NetworkDevice:
             self.close()
             raise
 
-    # -- what there is ----------------------------------------------------------------------------
+    # -- the device -------------------------------------------------------------------------------
 
     def facts(self) -> DeviceFacts:
         """Read what the device says of itself."""
@@ -559,7 +559,7 @@ class NetworkDevice:
         return number_of({"raw": text}, "raw", 0.0, self.where)
 
     def _id_of(self, channel: str) -> str:
-        """Id in requests; a label is no part of it."""
+        """Id of a channel in requests, without its label."""
         for element in self._element.findall("channel"):
             if channel in (element.get("id"), f"{element.get('id')}_{element.get('name')}"):
                 return element.get("id", "")
@@ -601,7 +601,8 @@ class NetworkDevice:
         """End buffering; may be called twice."""
         if self._buffered:
             self._buffered = False
-            # A break in the middle of an answer leaves bytes behind: only the connection's end is sure.
+            # After an interrupted answer the remaining bytes are lost; then only closing the connection
+            # works.
             with (
                 contextlib.suppress(BusTimeoutError, ProtocolError, BusClosedError),
                 self._within(self._timeout_s),
@@ -668,7 +669,7 @@ class NetworkDevice:
 
     @contextlib.contextmanager
     def _within(self, seconds: float) -> Iterator[None]:
-        """Give an operation one deadline, however many requests and bytes it takes."""
+        """Give an operation one deadline for all its requests and bytes."""
         self._deadline_s = time.monotonic() + seconds
         try:
             yield
@@ -677,7 +678,7 @@ class NetworkDevice:
 
     @contextlib.contextmanager
     def _typed(self) -> Iterator[None]:
-        """Use the socket for the time that the operation has left; errors are of this package."""
+        """Use the socket for the remaining time of the operation; convert its errors."""
         try:
             # A time-out of 0 would mean a socket that does not wait at all.
             self._socket.settimeout(max(self._deadline_s - time.monotonic(), _SHORTEST_WAIT_S))
