@@ -1,4 +1,4 @@
-"""The run: steps in order, harmless first; what is written is undone whatever happens."""
+"""The run of a bring-up: its steps in order, harmless ones first; every write is undone in any case."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ STEPS: tuple[BringupStep, ...] = (
     StatusBits(),
     FlashCount(),
 )
-"""In order: what only reads, then what lends data-ready, then what writes, the flash last."""
+"""Steps in order: those that only read, those that lend data-ready, those that write, the flash last."""
 
 NO_ANSWER = "not measured: {}"
 
 
 @dataclass(frozen=True)
 class Permission:
-    """What may be done to the part.
+    """Permitted changes of the part.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Permission:
     lends : bool
         Data-ready may be enabled while scans run, as a stream does.
     ask : callable
-        Takes a question, returns True for yes.
+        Asks a question; returns True for yes.
     """
 
     writes: bool = False
@@ -89,23 +89,23 @@ def bring_up(
 ) -> Bringup:
     """Check a board step by step.
 
-    A Ctrl-C ends it early: the registers are put back, and the result says `stopped`.
+    A Ctrl-C ends it early: the registers are restored, and the result is marked `stopped`.
 
     Parameters
     ----------
     bus : SpiBus
         An open bus; it stays open.
     variant : str or Variant
-        Which part it should be.
+        Expected part.
     permission : Permission
-        Without one only what reads, and what lends data-ready, is done.
+        By default only steps that read or lend data-ready are run.
     tell : callable
-        Called with each row when it is done.
+        Called with the row of each finished step.
 
     Returns
     -------
     Bringup
-        Faults of the part and of the bridge are in it, not raised.
+        Result with the faults of part and bridge, which are not raised.
     """
     return _Run(bus, variant, permission, tell).all(steps)
 
@@ -235,7 +235,7 @@ def _attempt(bench: BringupBench, step: BringupStep) -> StepResult:
 
 
 def _bridge(bus: ClockCeiling) -> dict[str, Any]:
-    """What the bridge says of itself."""
+    """Facts about the bridge."""
     inner = bus.inner
     said: dict[str, Any] = {"bus": type(inner).__name__, "capabilities": sorted(inner.capabilities)}
     said["unbroken_frames"] = inner.unbroken_frames

@@ -4,11 +4,9 @@
     plan = writer.plan()      # reads and refuses; nothing is written, neither to the sensor nor to the file
     writer.write()            # or writer.undo()
 
-Every step stands in the archive's journal (see `journal`) before or after it is done. Whatever breaks a
-write off (an error, a Ctrl-C, a check that fails) sets back what was there where the sensor still answers,
-and says what it holds.
-
-The journal on the disk: steps into the archive of a session, and the session that holds them.
+Every step is recorded in the archive's journal (see `write_journal`) before or after it is done. If a write
+is interrupted by an error, a Ctrl-C or a failed check, the old numbers are restored if the sensor still
+answers, and a message reports the state of the sensor.
 """
 
 from __future__ import annotations
@@ -56,7 +54,7 @@ from adis_gonio.record.write_journal import (
 
 
 class Logbook:
-    """Writes an operation's steps to the archive; on return a step is on the disk."""
+    """Writes the steps of an operation to the archive; on return a step is on the disk."""
 
     def __init__(self, archive: Archive, operation: Operation, now_s: Callable[[], float]) -> None:
         self._archive, self.operation, self._now_s = archive, operation, now_s
@@ -72,7 +70,7 @@ class Logbook:
         Raises
         ------
         SessionError
-            The file cannot be written, or another program goes on with the session.
+            The file cannot be written, or another program continues the session.
         """
         last = self.steps[-1] if self.steps else None
         if step not in AFTER[last]:
@@ -90,9 +88,9 @@ def load(path: Path) -> Session:
     Raises
     ------
     SessionError
-        Another kind of file (a journal of what is written needs an archive), or not from the chip.
+        The file is no archive, which the journal needs, or the session is not from the chip.
     DataError
-        As `read_session`.
+        See `read_session`.
     """
     if path.is_file() and not is_archive(path):
         raise SessionError(
@@ -108,23 +106,23 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class WriteSettings:
-    """How to write.
+    """Settings of a write-back.
 
     Attributes
     ----------
     save : bool
-        Save to flash once the write is verified.
+        Save to flash when the write is verified.
     angle_deg : float or None
-        Declared angle at which the part stands; a stage that the program moves goes there. None compares
-        the length of gravity only, or where there is such a stage takes the first angle of the session.
+        Declared angle of the part; a stage that the program can move goes there. With None and such a stage
+        the first angle of the session is used; without a stage only the length of gravity is compared.
     dwell_s, patience_s : float
-        Length of the dwells before and after in s, and how long to wait for rest.
+        Length of the dwells before and after in s, and time to wait for rest.
     method : str or None
-        Method of the fit; None the best that the session supports.
+        Method of the fit; None for the best method for the session.
     doubtful : bool
-        Write although the fit is no sound base.
+        Write even if there are doubts about the fit.
     gyros : bool
-        The zero rates of the gyros, in place of the biases of the accelerometers.
+        Write the zero rates of the gyros instead of the biases of the accelerometers.
     """
 
     save: bool = False
@@ -138,23 +136,23 @@ class WriteSettings:
 
 @dataclass(frozen=True)
 class WriteResult:
-    """What was done.
+    """Result of a write-back.
 
     Attributes
     ----------
     standing : HeldOffsets
-        What the sensor holds now.
+        Present state of the sensor.
     endurance_before, endurance_after : int
-        Flash writes.
+        Numbers of flash writes.
     checks : tuple of Agreement
-        All agree.
+        Comparisons, which all agree.
     bias, bias_u : tuple of float
-        Biases (x, y) that the dwell after the write shows by itself, where its angle is known; zero rates
-        (x, y, z) of gyros.
+        Biases (x, y) by the dwell after the write alone, if its angle is known; zero rates (x, y, z) of
+        gyros.
     unit : str
-        Of these: `mg` or `dps`.
+        Unit of the biases: `mg` or `dps`.
     autonull : AutonullFound or None
-        What the chip's own null was, where it was asked for.
+        Comparison of the chip's autonull, if requested.
     """
 
     standing: HeldOffsets
@@ -182,21 +180,21 @@ class WriteResult:
 
 
 class OffsetWriter:
-    """Writes a session's biases (or the zero rates of its gyros) to the sensor that it was recorded from.
+    """Writes the biases (or the zero rates) of a session to the sensor of the session.
 
     Parameters
     ----------
     sensor : Adis16354
         Open; stays open afterwards.
     path : path
-        Session file; it keeps the journal.
+        Session file; the journal is written to it.
     tell : callable
-        Told each step in a line.
+        Called with one line for each step.
 
     Raises
     ------
     DataError, SessionError
-        No session file, one without the registers, or one that began with another sensor.
+        The file is no session file, has no registers, or began with another sensor.
     """
 
     def __init__(
@@ -225,7 +223,7 @@ class OffsetWriter:
 
     @property
     def known(self) -> tuple[Operation, ...]:
-        """Operations in the journal on the registers that are written here."""
+        """Operations in the journal on the registers of this half of the sensor."""
         return operations_of(self.session, self._part.registers)
 
     @property
@@ -234,22 +232,22 @@ class OffsetWriter:
         return operations_of(self.session, self._part.others)
 
     def standing(self) -> HeldOffsets:
-        """What the sensor holds, by its registers, ENDURANCE and the journal."""
+        """State of the sensor by its registers, ENDURANCE and the journal."""
         now, endurance = self._read()
         return standing_of(self.known, now, endurance, self.others)
 
     def plan(self) -> WritePlan:
-        """What is to be written; measures a dwell, writes nothing.
+        """Make a plan and measure a dwell; no register is written.
 
         Raises
         ------
         SessionError
-            The session gives no bias; the registers are not those of the session; the part at rest is not
-            the session's; the fit is no sound base, and `doubtful` is not set.
+            The session gives no bias; the registers have unexplained numbers; the part at rest does not
+            agree with the session; or there are doubts about the fit and `doubtful` is not set.
         ChipError
-            The supply is out of range, or the flash is worn out where it is to be written.
+            The supply is out of range, or the flash is to be written and is worn out.
         FitError
-            The session cannot be fitted, or the part does not stand as in the session.
+            The session cannot be fitted, or the part is not in the session's plane.
         """
         now, endurance = self._read()
         plan = self._part.plan(now)
@@ -285,20 +283,20 @@ class OffsetWriter:
     # -- doing ----------------------------------------------------------------------------------------
 
     def write(self) -> WriteResult:
-        """Carry out the plan: write, read back, verify by a dwell, save where asked.
+        """Carry out the plan: write, read back, verify by a dwell, and save if requested.
 
         Raises
         ------
         UsageError
             `plan` was not called, or is used up.
         VerifyError
-            A register does not hold what was written, or the outputs did not move as planned.
+            A register was read back with another number, or the outputs did not change as planned.
         SessionError, ChipError, BusError, KeyboardInterrupt
-            Something broke it off. The message ends with what the sensor holds then.
+            The write was interrupted. The message ends with the state of the sensor.
         """
         plan, self._plan = self._plan, None
         if plan is None:
-            raise UsageError("make a plan first: plan() checks what is written")
+            raise UsageError("make a plan first: plan() checks the numbers before they are written")
         now, endurance = self._read()
         if {name: now[name] for name in plan.now} != plan.now:
             raise SessionError("the offset registers have changed since the plan was made; plan again")
@@ -333,14 +331,14 @@ class OffsetWriter:
         return self._outcome(endurance, bias)
 
     def undo(self) -> WriteResult:
-        """Set the old offsets back, and save them where the new ones are in flash or `save` is asked for.
+        """Restore the old offsets; save them if the new offsets are in flash or `save` is set.
 
         Raises
         ------
         SessionError
-            The session has written nothing that could be undone, or the registers are somebody else's.
+            There is no write to undo, or the registers have unexplained numbers.
         VerifyError, ChipError, BusError
-            It was broken off: call it again.
+            The undo was interrupted; it can be repeated.
         """
         earlier = to_undo(self.known)
         if earlier is None:
@@ -372,25 +370,26 @@ class OffsetWriter:
         return self._outcome(endurance, ((), ()))
 
     def autonull(self, *, precise: bool = False) -> WriteResult:
-        """Let the chip null its gyros, and keep that where it agrees with the session; else set it back.
+        """Run the chip's autonull of its gyros; undo it if it disagrees with the session.
 
-        The part must be at rest. Its null takes what force adds in this pose for a zero rate, so that it is
-        compared with the session's zero rate here. The part saves it by itself, and with it all registers
-        that have a flash copy; setting back writes the flash once more.
+        The part must be at rest. The autonull includes the effect of force in this pose, and so does the
+        zero rate of the session with which it is compared. The part saves the result to flash
+        automatically, with all registers that have a flash copy; an undo writes the flash once more.
 
         Parameters
         ----------
         precise : bool
-            Over some 30 s, in place of the filter's mean.
+            Average over some 30 s instead of one filtered sample.
 
         Raises
         ------
         UsageError
-            `plan` was not called, is used up, or is one of the accelerometers.
+            `plan` was not called, is used up, or is a plan of the accelerometers.
         VerifyError
-            It disagrees beyond the uncertainty; the message says by how much, and what the sensor holds.
+            The autonull disagrees by more than the uncertainty. The message has the difference and the
+            state of the sensor.
         SessionError, ChipError, BusError, KeyboardInterrupt
-            Something broke it off. The message ends with what the sensor holds then.
+            The autonull was interrupted. The message ends with the state of the sensor.
         """
         plan, self._plan = self._plan, None
         before, part = self._before, self._part
@@ -437,7 +436,7 @@ class OffsetWriter:
         self.sensor.bus.sleep_s(self.sensor.configuration().settling_s)
 
     def _verify(self, plan: WritePlan) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Compare a dwell after the write with the one before and with the session."""
+        """Compare a dwell after the write with the dwell before it and with the session."""
         if self._before is None:
             raise UsageError("make a plan first: plan() takes the dwell before")
         after = self._measure("at rest, after")
@@ -462,7 +461,7 @@ class OffsetWriter:
         return tuple(value.tolist()), tuple(u.tolist())
 
     def _save(self, journal: Logbook, numbers: dict[str, int]) -> None:
-        """Save to flash; the registers are looked at last thing before, and after it."""
+        """Save to flash; the registers are read immediately before and after it."""
         self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         now, endurance = self._read()
         _require(now, numbers, "changed by themselves before they were saved")
@@ -474,8 +473,8 @@ class OffsetWriter:
         self._tell(f"saved to flash: ENDURANCE {endurance} before, {after} after")
 
     def _break_off(self, journal: Logbook, error: BaseException) -> None:
-        """After an error or a Ctrl-C: keep what is in flash, else set the old offsets back; say which."""
-        # Twice suppressed: a second Ctrl-C in the first part must not keep the second from setting back.
+        """After an error or a Ctrl-C keep offsets that are in flash, else restore the old ones."""
+        # Two blocks: a second Ctrl-C in the first block must not prevent the restoring in the second.
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
             self._keep_what_is_saved(journal)
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
@@ -487,7 +486,7 @@ class OffsetWriter:
         self._tell(told)
 
     def _keep_what_is_saved(self, journal: Logbook) -> None:
-        """Bring the journal to its end where flash and registers hold the new offsets already."""
+        """Complete the journal if flash and registers have the new offsets already."""
         if WriteStep.SAVING not in journal.steps:
             return
         self.sensor.bus.sleep_s(FLASH_UPDATE_S)
@@ -515,7 +514,7 @@ class OffsetWriter:
         return WriteResult(standing, endurance, after, tuple(self._checks), *bias, self._part.unit)
 
     def _told(self) -> str:
-        """What the sensor holds now, as far as it still says so."""
+        """Present state of the sensor, if it can be read."""
         try:
             self.session = load(self.path)
             return self.standing().text
@@ -538,7 +537,7 @@ class OffsetWriter:
         return rest
 
     def _read(self) -> tuple[dict[str, int], int]:
-        """Read the offset registers and ENDURANCE; two readings agree, since a supply dip spoils one."""
+        """Read the offset registers and ENDURANCE twice, since a supply dip may falsify one reading."""
         names = self._part.registers
         rows = registers((*names, "ENDURANCE"))
         words = self.sensor.read_checked(rows)
@@ -546,7 +545,7 @@ class OffsetWriter:
         return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
 
     def _beside(self) -> dict[str, int]:
-        """Offsets of the other half of the sensor, which a flash update takes along."""
+        """Offsets of the other half of the sensor, which a flash update saves too."""
         rows = registers(self._part.others)
         words = self.sensor.read_words(rows)
         return {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
@@ -556,7 +555,7 @@ class OffsetWriter:
         return all(now[name] == number for name, number in numbers.items())
 
     def _require_explained(self, now: dict[str, int]) -> None:
-        """Refuse registers that are neither the session's nor what its journal left there."""
+        """Refuse registers with numbers that neither the session nor its journal explains."""
         recorded, known = recorded_offsets(self.session, self._part.registers), self.known
         standing = standing_of(known, now, 0)
         written = set(known[-1].new) if known and standing.registers in ("old", "new", "half") else set()
