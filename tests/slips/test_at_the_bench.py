@@ -62,7 +62,7 @@ def test_an_exchanged_position_is_named_with_the_other():
     some = stands([0.0, 40.0, 160.0, 120.0, 80.0], [0.0, 40.0, 80.0, 120.0, 160.0])
     guard = with_three_angles(None, diagnosed(some, SPREAD, 1), some, 1)
     assert guard.kind == "wrong_angle"
-    assert "stands where 80° was asked for" in guard.message
+    assert "the place of 80°" in guard.message
 
 
 def test_what_was_kept_against_a_guard_is_not_held_against_the_next_position():

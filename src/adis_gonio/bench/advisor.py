@@ -153,7 +153,7 @@ def _ended(result: TraceResult, wanted: list[NextDwell], within: list[NextDwell]
         return f"the limit of further positions is reached ({visited} were added); not all is decided"
     if wanted:
         return (
-            "the positions have shown what they can; what is still open needs something else: "
+            "further positions would not help; the open questions need another measurement: "
             + "; ".join(sentences(wanted))
         )
     if result.adequate:
@@ -164,7 +164,7 @@ def _ended(result: TraceResult, wanted: list[NextDwell], within: list[NextDwell]
             "see what to measure next"
         )
     return (
-        "the advice is exhausted: no further position is expected to show what explains the rest; "
+        "the advice is exhausted: no further position is expected to explain the residual; "
         "see what to measure next"
     )
 

@@ -295,7 +295,7 @@ class DwellRecorder(Recorder):
         if self._questions.auto:
             raise SessionError(
                 f"{recording.position}: {reason}; no dwell was possible;"
-                " find what moves the part and resume the session"
+                " find the cause of the motion and resume the session"
             )
         return None if recording.timed_out else shock_guard(reason, restarts)
 

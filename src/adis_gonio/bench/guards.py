@@ -88,8 +88,8 @@ def insistent(guard: Guard, times: int) -> Guard:
     if times < 2 or not guard.contradicts:
         return guard
     hint = (
-        f"stopped here {times} times: if the part stands right now, a dwell before does not, or the part"
-        " has slipped since; take the position again and undo what was before"
+        f"stopped here {times} times: if the part is right now, an earlier dwell is wrong, or the part has"
+        " slipped since; take the position again and undo the earlier dwell"
     )
     return replace(guard, message=f"{guard.message}; {hint}", values=guard.values | {"times": float(times)})
 
@@ -142,27 +142,27 @@ def judge_turn(reading: Reading) -> Guard | None:
         values |= {"gyro_x_deg": x, "gyro_y_deg": y, "gyro_z_deg": z}
         message = (
             f"turned about {about} (x {x:+.1f}°, y {y:+.1f}°, z {z:+.1f}° by the gyros);"
-            f" {reading.asked_deg:+g}° about z were asked"
+            f" {reading.asked_deg:+g}° about z was requested"
         )
         return Guard("wrong_axis", message, values, spoils=True)
     seen = f"{reading.gravity_deg:+.2f}° by gravity{gyro}"
     if abs(reading.gravity_deg) <= math.degrees(SHIFT_MG / 1000.0):
-        message = f"the part has not moved: {seen}; {reading.asked_deg:+g}° were asked"
+        message = f"the part has not moved: {seen}; {reading.asked_deg:+g}° was requested"
         return Guard("not_moved", message, values, spoils=True)
     if abs(wrap_degrees(reading.gravity_deg + reading.asked_deg)) <= reading.off.limit_deg:
         return _reversed(reading, values, seen)
     message = (
-        f"{reading.off.off_deg:+.2f}° off {reading.here_deg:g}° ({seen}, {reading.asked_deg:+g}° asked);"
-        f" part and fixture explain {reading.off.limit_deg:.2f}° at most"
+        f"{reading.off.off_deg:+.2f}° off {reading.here_deg:g}° ({seen}, {reading.asked_deg:+g}°"
+        f" requested); part and fixture explain {reading.off.limit_deg:.2f}° at most"
     )
     return Guard("wrong_angle", message, values, spoils=True)
 
 
 def _reversed(reading: Reading, values: dict[str, float], seen: str) -> Guard:
-    message = f"turned the wrong way: {seen}; {reading.asked_deg:+g}° were asked"
+    message = f"turned the wrong way: {seen}; {reading.asked_deg:+g}° was requested"
     answers = RETAKE
     if reading.off_reversed is not None and reading.off_reversed.allowed:
-        message += "; if the stage counts the other way, take the whole session as reversed"
+        message += "; if the stage counts the other way, reverse the whole session"
         answers = ("retake", "reverse", "keep", "skip")
     return Guard("reversed", message, values, answers, spoils=True)
 
@@ -200,8 +200,8 @@ def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
     if abs(off) <= 90.0:
         return None
     message = (
-        f"the part is the other way up than drawn: {off:+.0f}° by gravity (x {x:+.0f}, y {y:+.0f} mg);"
-        " any start angle serves, so it may stay if the stage reads what is asked"
+        f"the part is upside down: {off:+.0f}° from the drawing by gravity (x {x:+.0f}, y {y:+.0f} mg);"
+        " any start angle is allowed, so it may stay if the stage shows the requested angle"
     )
     return Guard("upside_down", message, {"off_deg": off, "x_mg": x, "y_mg": y}, default="keep")
 
@@ -220,7 +220,7 @@ def judge_pose(
         if turned <= max(math.degrees(SHIFT_MG / 1000.0), NOT_MOVED_SHARE * wanted):
             message = (
                 f"the part has not moved: {turned:.2f}° since the pose before,"
-                f" about {wanted:.0f}° were asked"
+                f" about {wanted:.0f}° was requested"
             )
             return Guard("not_moved", message, {"gravity_deg": turned, "asked_deg": wanted}, spoils=True)
     if asked is None:
@@ -230,8 +230,8 @@ def judge_pose(
         return None
     x, y, z = (float(value) for value in accel_mg)
     message = (
-        f"the part is the other way up than asked: {off:.0f}° off (x {x:+.0f}, y {y:+.0f},"
-        f" z {z:+.0f} mg; an axis reads + where its arrow points down); any new attitude serves"
+        f"the part is upside down: {off:.0f}° from the requested attitude (x {x:+.0f}, y {y:+.0f},"
+        f" z {z:+.0f} mg; an axis reads + if its arrow points down); any new attitude is allowed"
     )
     values = {"off_deg": off, "x_mg": x, "y_mg": y, "z_mg": z}
     return Guard("upside_down", message, values, default="keep")
@@ -504,14 +504,14 @@ def _told(found: PositionFinding, here: int, angles_deg: Sequence[float | None],
     off = f"{sense * found.error_deg[0]:+.2f}° ± {found.error_deg[1]:.2f}°"
     names = " or ".join(dict.fromkeys(MEANINGS[named.name] for named in found.names))
     if found.finding == "gravity_wrong":
-        return f"the gyro turned as asked and gravity does not fit: {names}"
+        return f"the gyro turned as requested, but gravity does not agree: {names}"
     if found.finding == "swapped":
         other = next((k for k in (found.position, *found.others) if k != here), here)
-        return f"by {by} the part stands where {angles_deg[other]:g}° was asked for, and stood here then"
+        return f"by {by} the part is in the place of {angles_deg[other]:g}°, and was here in that dwell"
     angle = angles_deg[found.position]
     since = "a dwell that was kept" if angle is None else f"{angle:g}°"
     where = "" if found.position == here else f" since {since}"
-    return f"by {by} the part stands {off} from what is asked{where}: {names}"
+    return f"by {by} the part is {off} from the requested angle{where}: {names}"
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ PLANE = (
     "  Positive is counter-clockwise, seen with Z towards you: after +90° X points where Y did.",
 )
 SPACE = (
-    "An axis reads + where its arrow points down, - where it points up, about 0 where it lies level.",
+    "An axis reads + if its arrow points down, - if it points up, about 0 if it is level.",
     "Lying flat with Z up:",
     "",
     "           Z  (reads -1 g)",

@@ -243,7 +243,7 @@ class IioDevice(Protocol):
         """Read what the device says of itself."""
 
     def read_raw(self, channel: str) -> float:
-        """Present raw number of a channel."""
+        """Read the present raw number of a channel."""
 
     def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
         """Begin to buffer scans of these channels."""

@@ -39,9 +39,9 @@ def _summary(found: Bringup) -> Section:
         k for k, row in enumerate(found.rows) if row.result.verdict in (Verdict.FAULT, Verdict.DIFFERS)
     ]
     return Section(
-        "What was found",
+        "Results",
         words=(found.headline, f"Writes: {found.undone}."),
-        tables=(Table(("step", "verdict", "what was found"), rows, strong=tuple(strong)),),
+        tables=(Table(("step", "verdict", "result"), rows, strong=tuple(strong)),),
     )
 
 
@@ -61,7 +61,7 @@ def _answers(found: Bringup) -> Section:
         if answer.outcome is Outcome.CONTRADICTS:
             strong.append(k)
     return Section(
-        "What it says about the register table",
+        "Answers about the register table",
         words=(
             "Rows that a real part can settle, with the table's value, its source and its confidence (A the"
             " sibling's data sheet and code agree, B the sibling's sheet only, C derived, D an estimate).",
@@ -127,14 +127,13 @@ def _limits(found: Bringup) -> Section:
     return Section(
         "Limits and surroundings",
         words=(
-            f"A sound board is accused with a probability below {found.false_alarm:g}: that is shared out"
-            f" over {MOST_TESTS} comparisons, of which {found.comparisons} were made. Each limit is the"
-            " quantile of the figure's distribution on a sound board: normal for means, chi-square for"
-            " variances, exponential for the bins of a spectrum. What is not random on a sound board has"
-            " no limit.",
+            f"A good board is accused with a probability below {found.false_alarm:g}, which is divided"
+            f" among {MOST_TESTS} comparisons; {found.comparisons} of them were made. Each limit is a"
+            " quantile of the figure's distribution on a good board: normal for means, chi-square for"
+            " variances, exponential for the bins of a spectrum. Faults that are not random have no limit.",
             "Values have their standard uncertainty.",
         ),
-        notes=(f"Bridge: {bridge}.", f"Registers as they were found: {held or 'not read'}."),
+        notes=(f"Bridge: {bridge}.", f"Original registers: {held or 'not read'}."),
     )
 
 

@@ -104,7 +104,7 @@ class Link(BringupStep):
             if max(scores) > scores[0]:
                 problem = _READINGS[scores.index(max(scores))][0]
             elif 2 * scores[0] < len(first):
-                problem = "what is read makes no sense in any way: check the wires of DIN, DOUT and CS"
+                problem = "the words make no sense in any reading: check the wires of DIN, DOUT and CS"
         if problem:
             bench.blocked = "the link does not work"
             return found.fault(problem)
@@ -261,9 +261,7 @@ class BitErrors(BringupStep):
             bench.blocked = "words are wrong at the slowest clock"
             text += ", the slowest: shorten the wires, check supply and ground"
         else:
-            text += (
-                f", none up to {clean[-1] / 1e3:g} kHz: shorten the wires; what follows was done no faster"
-            )
+            text += f", none up to {clean[-1] / 1e3:g} kHz: shorten the wires; later steps were no faster"
         if changed:
             text += f"; a read became a write: {', '.join(changed)} changed"
         return found.fault(text)

@@ -280,7 +280,7 @@ class DataReady(BringupStep):
         rest = (
             "edges are missed: the line is weak, or the bridge is busy"
             if edges < expected
-            else "what arrives is not data-ready alone: the input is open or picks up noise"
+            else "other edges arrive too: the input is open or picks up noise"
         )
         return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
 

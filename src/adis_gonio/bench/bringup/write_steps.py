@@ -314,7 +314,7 @@ class FlashCount(BringupStep):
     """ENDURANCE counts a flash update."""
 
     name = "flash count"
-    does = "resets the part, so that the registers hold what the flash holds, and saves that: ENDURANCE + 1"
+    does = "resets the part, so that the registers have the flash's numbers, and saves them: ENDURANCE + 1"
     effect = SideEffect.FLASH
     question = "Reset the part and write the flash once (10 000 writes are its life)?"
     settles = ("flash_count",)

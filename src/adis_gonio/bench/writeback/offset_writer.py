@@ -342,7 +342,7 @@ class OffsetWriter:
         """
         earlier = to_undo(self.known)
         if earlier is None:
-            raise SessionError(f"{self.path}: has written nothing that stands, so there is nothing to undo")
+            raise SessionError(f"{self.path}: has no write that is in force, so there is nothing to undo")
         now, endurance = self._read()
         standing = standing_of(self.known, now, endurance, self.others)
         if standing.registers == "other":
@@ -394,7 +394,7 @@ class OffsetWriter:
         plan, self._plan = self._plan, None
         before, part = self._before, self._part
         if plan is None or before is None or not isinstance(part, Gyros):
-            raise UsageError("make a plan of the gyros first: plan() takes what the null is compared with")
+            raise UsageError("make a plan of the gyros first: plan() measures the dwell for the comparison")
         now, endurance = self._read()
         if endurance + 1 >= FLASH_LIFE:
             raise ChipError(f"ENDURANCE is {endurance}: the flash is made for {FLASH_LIFE} writes")
@@ -415,12 +415,12 @@ class OffsetWriter:
         self.session = load(self.path)
         rate = self.sensor.configuration().sample_rate_hz
         found = compared(part, plan, before, nulled, PRECISE_S * rate if precise else None)
-        self._tell(f"the chip's null is {_listed(nulled)}; {found}")
+        self._tell(f"the chip's autonull gives {_listed(nulled)}; {found}")
         if not found.agrees:
             undone = self.undo()
             raise VerifyError(
-                f"the chip's null is not kept: it is off by {found.by} where u is that of both; "
-                f"{undone.standing.text}"
+                f"the chip's autonull is not kept: it differs from the session by {found.by};"
+                f" {undone.standing.text}"
             )
         return replace(self._outcome(endurance, ((), ())), autonull=found)
 
@@ -431,7 +431,7 @@ class OffsetWriter:
             if axis.new != axis.now:
                 self.sensor.write(axis.register, axis.new)
         if not self._holds(plan.new):
-            raise VerifyError(f"the registers do not hold what was written ({_listed(plan.new)})")
+            raise VerifyError(f"the registers were read back with other numbers than {_listed(plan.new)}")
         self._tell(f"written and read back: {_listed(plan.new)}")
         self.sensor.bus.sleep_s(self.sensor.configuration().settling_s)
 
@@ -445,7 +445,7 @@ class OffsetWriter:
         for check in checks:
             self._tell(str(check))
             if not check.agrees:
-                raise VerifyError(f"{check}: not what was planned")
+                raise VerifyError(f"{check}: not as planned")
         self._checks += checks
         found = self._part.found(done, after)
         if found is None:
@@ -520,7 +520,8 @@ class OffsetWriter:
             return self.standing().text
         except AdisGonioError:
             return (
-                "what the sensor holds cannot be read now: `adis-gonio write` with --status says it later"
+                "the state of the sensor cannot be read now; `adis-gonio write` with --status"
+                " reports it later"
             )
 
     def _angle(self, view: ArchiveView) -> float | None:
