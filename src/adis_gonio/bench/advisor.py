@@ -101,7 +101,7 @@ class TraceAdvisor:
         except FitError as error:
             return Advice((), ended=f"the session cannot be traced: {error}")
         self.result, self.dwells = result, len(session.dwells)
-        summary = where_it_stands(result, len(session.dwells))
+        summary = summarise_trace(result, len(session.dwells))
         decide = [m for m in result.measurements if m.purpose == "decide"]
         wanted = [m for m in decide if m.separation >= LEAST_SEPARATION]
         if not result.tested:
@@ -114,10 +114,10 @@ class TraceAdvisor:
         if within and left > 0:
             chosen = within[: min(AT_ONCE, left)]
             return Advice(tuple(_position(m) for m in chosen), sentences(chosen), "", summary)
-        return Advice((), (), _ended(result, wanted, within, visited), summary)
+        return Advice((), (), _reason_to_end(result, wanted, within, visited), summary)
 
 
-def where_it_stands(result: TraceResult, dwells: int) -> dict[str, Any]:
+def summarise_trace(result: TraceResult, dwells: int) -> dict[str, Any]:
     """Summary of a trace, for comparison before and after further positions."""
     return {
         "dwells": dwells,
@@ -145,7 +145,9 @@ def _position(measurement: NextDwell) -> Position:
     )
 
 
-def _ended(result: TraceResult, wanted: list[NextDwell], within: list[NextDwell], visited: int) -> str:
+def _reason_to_end(
+    result: TraceResult, wanted: list[NextDwell], within: list[NextDwell], visited: int
+) -> str:
     """Reason why no further position is requested."""
     from adis_gonio.tracing.advice import sentences
 
@@ -183,4 +185,4 @@ def _open_names(result: TraceResult) -> str:
     return ", and between ".join(f"{name} and {other}" for name, other in pairs.items())
 
 
-__all__ = ["Advice", "Advisor", "TraceAdvisor", "where_it_stands"]
+__all__ = ["Advice", "Advisor", "TraceAdvisor", "summarise_trace"]

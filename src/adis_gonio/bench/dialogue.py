@@ -205,23 +205,23 @@ class Questions:
     ) -> None:
         self.bench, self.ledger, self.knowledge, self.auto = bench, ledger, knowledge, auto
         self._inbox = inbox
-        self._seen: list[Block] = []
+        self._scanned: list[Block] = []
 
-    def take_seen(self) -> list[Block]:
+    def take_scanned(self) -> list[Block]:
         """Take the scans read during the last question, if turns are recorded.
 
         They are one block, because many short blocks would make the file half as large again.
         """
-        seen, self._seen = self._seen, []
+        seen, self._scanned = self._scanned, []
         return [join(seen)] if seen else []
 
     def _keep(self, block: Block) -> None:
         """Keep scans of the present turn."""
         if not self.bench.settings.turns or not len(block):
             return
-        self._seen.append(block)
-        while float(block.time_s[-1]) - float(self._seen[0].time_s[-1]) > KEPT_S:
-            del self._seen[0]
+        self._scanned.append(block)
+        while float(block.time_s[-1]) - float(self._scanned[0].time_s[-1]) > KEPT_S:
+            del self._scanned[0]
 
     @property
     def stopped(self) -> bool:
@@ -245,7 +245,7 @@ class Questions:
         if self.ledger.last_place is not None and not isinstance(question, GuardRaised):
             answers = answers | {Reply.REPEAT, Reply.UNDO}
         newest: Floats | None = None
-        self._seen = []
+        self._scanned = []
         try:
             while not self.stopped:
                 self._inbox.open(frozenset(answers))
@@ -259,7 +259,7 @@ class Questions:
                     newest = self._look(newest)
                     yield self._watching(newest)
                 newest = None
-                yield from self.heed(place)
+                yield from self.handle_pause(place)
             return Reply.STOP
         finally:
             self._inbox.open(frozenset())
@@ -296,7 +296,7 @@ class Questions:
         self.ledger.note("guard", asked)
         return answer
 
-    def heed(self, place: int | None) -> Iterator[Event]:
+    def handle_pause(self, place: int | None) -> Iterator[Event]:
         """Record the operator's remarks, and pause if this was requested."""
         yield from self.remarks(place)
         if not self._inbox.pausing.is_set():

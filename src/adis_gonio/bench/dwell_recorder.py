@@ -23,8 +23,8 @@ from adis_gonio.bench.events import (
 )
 from adis_gonio.bench.guards import (
     Guard,
+    add_repeat_hint,
     drift_guard,
-    insistent,
     judge_dwell,
     judge_shift,
     shock_guard,
@@ -39,9 +39,9 @@ from adis_gonio.record.blocks import (
     SUPPLY_LIMITS_V,
     WITHOUT_NEWS,
     Block,
-    alarms_of,
     count_alarms,
     cut,
+    find_alarms,
     join,
 )
 from adis_gonio.record.plans import Position
@@ -329,7 +329,7 @@ class DwellRecorder(Recorder):
             bench.settings.dwell_s,
             bench.settle_s,
             bench.period_s,
-            self._questions.take_seen(),
+            self._questions.take_scanned(),
         )
 
     def _record_or_keep(
@@ -472,7 +472,7 @@ class DwellRecorder(Recorder):
         """Ask the operator the question of a guard; True if the dwell continues or is kept."""
         ledger = self._ledger
         self._stops[place] += 1
-        shown = insistent(guard, self._stops[place] if ledger.done else 1)
+        shown = add_repeat_hint(guard, self._stops[place] if ledger.done else 1)
         answer = yield from self._questions.ask_guard(guard, place, shown)
         if answer is Reply.KEEP:
             self._keep(guard)
@@ -505,7 +505,7 @@ class DwellRecorder(Recorder):
         if not self._questions.auto:
             return guard
         self._keep(guard)
-        yield self._told(guard, recording)
+        yield self._tell_problem(guard, recording)
         return None
 
     def _within(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
@@ -515,7 +515,7 @@ class DwellRecorder(Recorder):
         for guard in judge_dwell(scans, found):
             if self._questions.auto:
                 if guard.kind not in told and not (guard.kind == "over_range" and "alarm" in told):
-                    yield self._told(guard, recording)
+                    yield self._tell_problem(guard, recording)
                 continue
             stays = yield from self._ask(guard, place)
             if self._questions.stopped:
@@ -534,7 +534,7 @@ class DwellRecorder(Recorder):
         if guard.spoils:
             self._doubts.append(guard)
 
-    def _told(self, guard: Guard, recording: Recording) -> Problem:
+    def _tell_problem(self, guard: Guard, recording: Recording) -> Problem:
         problem = Problem(guard.kind, f"{recording.position}: {guard.message}", recording.place)
         return self._ledger.problem(problem)
 
@@ -543,7 +543,7 @@ def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
     """Problems of a dwell for the operator; STATUS is None if the sensor has no such register."""
     messages = () if status is None else status.messages
     found = [Problem("status", f"STATUS: {message}", place) for message in messages]
-    alarms = alarms_of(scans)
+    alarms = find_alarms(scans)
     if alarms is not None:
         why = "" if messages else "; it has passed: over-range or the supply, whose bits fall by themselves"
         found.append(Problem("alarm", f"{alarms}{why}", place))

@@ -83,7 +83,7 @@ class Guard:
         return self.kind in ("not_moved", "reversed", "wrong_axis", "wrong_angle")
 
 
-def insistent(guard: Guard, times: int) -> Guard:
+def add_repeat_hint(guard: Guard, times: int) -> Guard:
     """Add a hint to a guard that stops at one position repeatedly: an earlier dwell may be wrong."""
     if times < 2 or not guard.contradicts:
         return guard
@@ -417,7 +417,7 @@ def _rates(block: Block) -> Floats | None:
 
 
 @dataclass(frozen=True)
-class Stand:
+class PartPosition:
     """Position of the part in a dwell, or its present position.
 
     Attributes
@@ -438,16 +438,16 @@ class Stand:
     approach: int = 0
 
 
-def diagnosed(stands: Sequence[Stand], spread: PriorKnowledge, sense: int) -> Diagnosis:
+def diagnose_positions(positions: Sequence[PartPosition], spread: PriorKnowledge, sense: int) -> Diagnosis:
     """Diagnosis of all positions by their three angles; the last one is the present position."""
-    stands = stands[-LARGEST:]
-    n = len(stands)
+    positions = positions[-LARGEST:]
+    n = len(positions)
     reading = math.hypot(spread.reading_mg, UNMODELLED_MG)
     declared = np.array(
-        [np.nan if s.angle_deg is None else sense * math.radians(s.angle_deg) for s in stands]
+        [np.nan if s.angle_deg is None else sense * math.radians(s.angle_deg) for s in positions]
     )
     order = np.arange(n, dtype=float)
-    turns = [stand.turn for stand in stands[1:]]
+    turns = [stand.turn for stand in positions[1:]]
     increments = Increments(
         np.radians([np.nan if turn is None else float(turn.angle_deg[2]) for turn in turns]),
         np.radians([np.nan if turn is None else turn.zero_u_deg for turn in turns]),
@@ -458,13 +458,13 @@ def diagnosed(stands: Sequence[Stand], spread: PriorKnowledge, sense: int) -> Di
         Angles(
             tuple(range(n)),
             declared,
-            np.array([stand.mean_mg[:2] for stand in stands]),
+            np.array([stand.mean_mg[:2] for stand in positions]),
             np.tile(reading**2 * np.eye(2), (n, 1, 1)),
             Conditions(
                 time_s=order,
                 angle_rad=declared,
                 order=order,
-                approach=np.array([float(sense * stand.approach) for stand in stands]),
+                approach=np.array([float(sense * stand.approach) for stand in positions]),
             ),
             spread.gravity_mg,
             math.radians(fixture),
@@ -474,16 +474,16 @@ def diagnosed(stands: Sequence[Stand], spread: PriorKnowledge, sense: int) -> Di
     )
 
 
-def with_three_angles(
-    guard: Guard | None, found: Diagnosis, stands: Sequence[Stand], sense: int
+def add_diagnosis(
+    guard: Guard | None, found: Diagnosis, positions: Sequence[PartPosition], sense: int
 ) -> Guard | None:
     """Add the diagnosis to a guard, or make a guard if only the diagnosis questions the position."""
-    here = min(len(stands), LARGEST) - 1
+    here = min(len(positions), LARGEST) - 1
     last = next((one for one in found.findings if here in (one.position, *one.others)), None)
     if last is None:
         return guard
-    before = [stand.angle_deg for stand in stands[-LARGEST:]]
-    told = _told(last, here, before, sense)
+    before = [stand.angle_deg for stand in positions[-LARGEST:]]
+    told = _diagnosis_text(last, here, before, sense)
     if guard is None:
         return Guard("wrong_angle", told, _values(last, sense), spoils=True)
     if guard.kind != "wrong_angle":
@@ -499,7 +499,9 @@ def _values(found: PositionFinding, sense: int) -> dict[str, float]:
     }
 
 
-def _told(found: PositionFinding, here: int, angles_deg: Sequence[float | None], sense: int) -> str:
+def _diagnosis_text(
+    found: PositionFinding, here: int, angles_deg: Sequence[float | None], sense: int
+) -> str:
     by = "gravity" if found.gyro_deg is None else "gravity and gyro"
     off = f"{sense * found.error_deg[0]:+.2f}° ± {found.error_deg[1]:.2f}°"
     names = " or ".join(dict.fromkeys(MEANINGS[named.name] for named in found.names))
@@ -575,8 +577,10 @@ class Judge:
                 self.sense,
             )
         )
-        stands = self._stands(position, accel_mg)
-        return with_three_angles(guard, diagnosed(stands, self._spread, self.sense), stands, self.sense)
+        positions = self._positions(position, accel_mg)
+        return add_diagnosis(
+            guard, diagnose_positions(positions, self._spread, self.sense), positions, self.sense
+        )
 
     def turned(self, place: int, position: Position, accel_mg: Floats) -> TurnMeasured | None:
         """Turn since the dwell before; None before the first dwell."""
@@ -635,16 +639,16 @@ class Judge:
             return None
         return self._expected.off(accel_mg, angle_deg).limit_deg
 
-    def _stands(self, position: Position, accel_mg: Floats) -> list[Stand]:
+    def _positions(self, position: Position, accel_mg: Floats) -> list[PartPosition]:
         """Positions of the part in all dwells, and its present position."""
-        stands: list[Stand] = []
+        positions: list[PartPosition] = []
         before: _Taken | None = None
         for taken in self._taken:
             angle = None if taken.doubted else taken.position.angle_deg
             watched = taken.turn if before is not None and taken.since == before.place else None
-            stands.append(Stand(angle, taken.mean_mg, watched, taken.position.approach))
+            positions.append(PartPosition(angle, taken.mean_mg, watched, taken.position.approach))
             before = taken
-        return [*stands, Stand(position.angle_deg, accel_mg, self._turned[0], position.approach)]
+        return [*positions, PartPosition(position.angle_deg, accel_mg, self._turned[0], position.approach)]
 
     def _rebuild(self) -> None:
         self._expected = Expectation(self._spread, self.sense)

@@ -128,7 +128,7 @@ class IioChannel:
         return values
 
 
-def wanted(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]:
+def choose_channels(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]:
     """Channels with a column in a session, one for each column, in the order of the columns.
 
     Raises
@@ -191,7 +191,7 @@ class BufferLayout:
         }
 
 
-def number_of(attributes: Mapping[str, str], name: str, default: float, where: str) -> float:
+def parse_number(attributes: Mapping[str, str], name: str, default: float, where: str) -> float:
     """Number from the text of an attribute, or a default if there is no such attribute."""
     text = attributes.get(name)
     if text is None:
@@ -299,7 +299,7 @@ class LocalDevice:
         for file in ("sampling_frequency", "in_accel_sampling_frequency", "in_accel_x_sampling_frequency"):
             if not rate and (text := self._text(file)) is not None:
                 rate["sampling_frequency"] = text
-        hz = number_of(rate, "sampling_frequency", 0.0, self.where)
+        hz = parse_number(rate, "sampling_frequency", 0.0, self.where)
         return DeviceFacts(self._folder.name, _name_of(self._folder), channels, hz or None)
 
     def _channel(self, name: str) -> IioChannel:
@@ -311,13 +311,13 @@ class LocalDevice:
             for text in [self._text(f"in_{name}_{what}") or self._text(f"in_{shared}_{what}")]
             if text is not None
         }
-        scale = number_of(attributes, "scale", 1.0, self.where)
-        offset = number_of(attributes, "offset", 0.0, self.where)
+        scale = parse_number(attributes, "scale", 1.0, self.where)
+        offset = parse_number(attributes, "offset", 0.0, self.where)
         kind_text = self._text(f"scan_elements/in_{name}_type")
         index_text = self._text(f"scan_elements/in_{name}_index")
         if kind_text is None or index_text is None:
             return IioChannel(name, scale=scale, offset=offset)
-        index = number_of({"index": index_text}, "index", -1, self.where)
+        index = parse_number({"index": index_text}, "index", -1, self.where)
         return IioChannel(name, int(index), SampleFormat.parse(kind_text), scale, offset)
 
     def read_raw(self, channel: str) -> float:
@@ -325,7 +325,7 @@ class LocalDevice:
         text = self._text(f"in_{channel}_raw")
         if text is None:
             raise ProtocolError(f"{self.where}: in_{channel}_raw cannot be read")
-        return number_of({"raw": text}, "raw", 0.0, self.where)
+        return parse_number({"raw": text}, "raw", 0.0, self.where)
 
     # -- the buffer -------------------------------------------------------------------------------
 
@@ -513,7 +513,7 @@ class NetworkDevice:
             if element.get("id", "").startswith("accel"):
                 rate = rate or {k: v for k, v in attributes.items() if k == "sampling_frequency"}
             channels.append(self._channel(element, attributes))
-        hz = number_of(rate, "sampling_frequency", 0.0, self.where)
+        hz = parse_number(rate, "sampling_frequency", 0.0, self.where)
         name = self._element.get("name") or self._id
         return DeviceFacts(self._id, name, tuple(channels), hz or None)
 
@@ -521,11 +521,11 @@ class NetworkDevice:
         label = element.get("name")
         name = element.get("id", "") + (f"_{label}" if label else "")
         scan = element.find("scan-element")
-        scale = number_of(attributes, "scale", 1.0, self.where)
-        offset = number_of(attributes, "offset", 0.0, self.where)
+        scale = parse_number(attributes, "scale", 1.0, self.where)
+        offset = parse_number(attributes, "offset", 0.0, self.where)
         if scan is None:
             return IioChannel(name, scale=scale, offset=offset)
-        index = number_of(dict(scan.items()), "index", -1, self.where)
+        index = parse_number(dict(scan.items()), "index", -1, self.where)
         return IioChannel(name, int(index), SampleFormat.parse(scan.get("format", "")), scale, offset)
 
     def _attributes_named(self, element: ET.Element, prefix: str, names: tuple[str, ...]) -> dict[str, str]:
@@ -556,7 +556,7 @@ class NetworkDevice:
         """Present raw number of a channel."""
         with self._within(self._timeout_s):
             text = self._read(f"INPUT {self._id_of(channel)} raw")
-        return number_of({"raw": text}, "raw", 0.0, self.where)
+        return parse_number({"raw": text}, "raw", 0.0, self.where)
 
     def _id_of(self, channel: str) -> str:
         """Id of a channel in requests, without its label."""

@@ -29,8 +29,8 @@ from adis_gonio.bench.iio_devices import (
     IioDevice,
     LocalDevice,
     NetworkDevice,
+    choose_channels,
     local_accelerometers,
-    wanted,
 )
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.record.blocks import GENERIC, ValueBlock
@@ -115,7 +115,7 @@ class IioSource(SampleSource):
         self._device = device
         self._zero_s = time.monotonic()
         facts = device.facts()
-        self.channels = wanted(facts.channels, url)
+        self.channels = choose_channels(facts.channels, url)
         self._time = next((c for c in facts.channels if c.id == TIMESTAMP and c.format), None)
         if poll_hz is None and any(channel.format is None for channel in self.channels):
             raise CannotOpenError(f"{url}: {facts.name} has no buffer for all of its axes: add ?poll=HZ")

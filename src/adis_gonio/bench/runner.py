@@ -91,7 +91,7 @@ class Visiting:
         """Visit places until the plan is done or the operator stops."""
         while not self._questions.stopped:
             place = self._ledger.next_place
-            yield from self._questions.heed(place)
+            yield from self._questions.handle_pause(place)
             if place is None and self._ledger.faulty:
                 answer = yield from self._offer_repetition()
             elif place is None:
@@ -491,7 +491,7 @@ def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] |
     bench, ledger = questions.bench, questions.ledger
     noise: Floats | None = None
     while noise is None and not questions.stopped:
-        yield from questions.heed(None)
+        yield from questions.handle_pause(None)
         noise = yield from _meter_noise(questions)
     bench.close_stream()
     ledger.scanning(bench.scanning)

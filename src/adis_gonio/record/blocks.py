@@ -228,7 +228,7 @@ class Alarms(JsonRecord):
         )
 
 
-def alarms_of(scans: Block) -> Alarms | None:
+def find_alarms(scans: Block) -> Alarms | None:
     """Alarms in the scans of a dwell; None if there are none or the sensor has no bit EA."""
     alarm = scans.alarm
     if alarm is None or not alarm.any():

@@ -74,7 +74,7 @@ def connect(path: Path, *, write: bool) -> sqlite3.Connection:
     _check_file(path)
     connection = _open(path, "rw" if write else "ro")
     try:
-        with explained(path):
+        with translated_errors(path):
             try:
                 _check_content(path, connection)
             except sqlite3.OperationalError:
@@ -111,7 +111,7 @@ def create(path: Path) -> sqlite3.Connection:
         raise SessionError(f"{path}: cannot be made: {error.strerror}") from None
     connection = _open(path, "rw")
     try:
-        with explained(path):
+        with translated_errors(path):
             make_durable(connection)
     except BaseException:
         connection.close()
@@ -127,7 +127,7 @@ def make_durable(connection: sqlite3.Connection) -> None:
 
 
 @contextmanager
-def explained(path: Path) -> Iterator[None]:
+def translated_errors(path: Path) -> Iterator[None]:
     """Turn errors of SQLite into one line that names the file."""
     try:
         yield
@@ -187,7 +187,7 @@ def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
 
 
 def _open(path: Path, mode: str) -> sqlite3.Connection:
-    with explained(path):
+    with translated_errors(path):
         connection = sqlite3.connect(
             f"file:{quote(os.fsencode(path.absolute()))}?mode={mode}",
             uri=True,

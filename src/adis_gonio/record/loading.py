@@ -19,7 +19,7 @@ REVERSE = "reverse"
 """Word in place of degrees: the stage turned the other way to these positions."""
 
 
-def as_it_is(reason: str) -> str:
+def explain_refusal(reason: str) -> str:
     """Reason for refusing a file, for commands without overrides: explain options that it mentions."""
     if not _OPTIONS.search(reason):
         return reason

@@ -181,7 +181,7 @@ def split_unit(text: str) -> tuple[str, str]:
     return text.strip(), ""
 
 
-def recognised(text: str) -> tuple[str, str, bool] | None:
+def recognise_column(text: str) -> tuple[str, str, bool] | None:
     """Column, unit, and whether it is the format's own name, of a header's cell; None if unknown."""
     text = text.strip()
     if text in COLUMNS:

@@ -32,7 +32,7 @@ from adis_gonio.record.samples_columns import (
     GYROS,
     KEYS,
     CsvColumn,
-    recognised,
+    recognise_column,
     split_unit,
     with_formulas,
 )
@@ -96,7 +96,7 @@ class Chunk:
     cut: bool = False
 
 
-def chunks_of(path: Path) -> Iterator[Chunk]:
+def read_chunks(path: Path) -> Iterator[Chunk]:
     """Lines of a file, chunk by chunk.
 
     Raises
@@ -292,7 +292,7 @@ def header_cells(line: str, delimiter: str) -> list[str]:
     return cells
 
 
-def proved_mark(cells: Iterable[str]) -> str:
+def find_decimal_mark(cells: Iterable[str]) -> str:
     """Decimal mark that a cell proves; empty if no cell proves one."""
     for cell in cells:
         text = cell.strip()
@@ -370,7 +370,7 @@ class Head:
         return values
 
 
-def head_of(path: Path, wanted: Mapping[str, str]) -> Head:
+def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
     """Head of a file.
 
     Parameters
@@ -388,11 +388,11 @@ def head_of(path: Path, wanted: Mapping[str, str]) -> Head:
     """
     top = _leading(path, wanted)
     delimiter, cells = _split(top.text, top.separator, wanted)
-    if not any(map(recognised, cells)) and not wanted and top.comments:
+    if not any(map(recognise_column, cells)) and not wanted and top.comments:
         # A header behind a comment sign, as numpy.savetxt writes it.
         line, under = top.comments[-1]
         other, names_there = _split(under.lstrip("# "), top.separator, wanted)
-        if sum(recognised(cell) is not None for cell in names_there) > 1:
+        if sum(recognise_column(cell) is not None for cell in names_there) > 1:
             delimiter, cells, top.line = other, names_there, line
             del top.comments[-1]
     line, skipped = top.line, top.skipped
@@ -447,7 +447,7 @@ def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
     none, the first line is taken, so that the error shows it.
     """
     top, characters = _Top(), 0
-    for chunk in chunks_of(path):
+    for chunk in read_chunks(path):
         for number, line in enumerate(chunk.lines, chunk.first):
             bare = line.strip()
             characters += len(bare)
@@ -473,9 +473,11 @@ def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
 def _names_samples(line: str, separator: str | None, wanted: Mapping[str, str]) -> bool:
     """True if the line names a time and two accelerations, or one of the columns that the user names."""
     _, cells = _split(line, separator, wanted)
-    if any(_alike(cell, text.strip()) for cell in cells for text in wanted.values()):
+    if any(_same_name(cell, text.strip()) for cell in cells for text in wanted.values()):
         return True
-    return {"time_s", "ax", "ay"} <= {found[0] for found in map(recognised, cells) if found is not None}
+    return {"time_s", "ax", "ay"} <= {
+        found[0] for found in map(recognise_column, cells) if found is not None
+    }
 
 
 def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
@@ -486,7 +488,7 @@ def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple
 
     def quality(split: tuple[str, list[str]]) -> tuple[int, int]:
         delimiter, cells = split
-        known = sum((recognised(cell) is not None) + (cell.lower() in named) for cell in cells)
+        known = sum((recognise_column(cell) is not None) + (cell.lower() in named) for cell in cells)
         return known, len(cells) if delimiter != SPACE else 0
 
     return max(((delimiter, header_cells(line, delimiter)) for delimiter in DELIMITERS), key=quality)
@@ -507,7 +509,7 @@ def _read_keys(
     values: dict[str, Any] = {}
     notes: list[str] = []
     for number, line in lines:
-        name, colon, text = _bare(line, dialect, columns).partition(":")
+        name, colon, text = _comment_text(line, dialect, columns).partition(":")
         name, text = name.strip().lower(), with_formulas(text.strip())
         if not colon:
             continue
@@ -532,7 +534,7 @@ def _read_keys(
     return values, notes
 
 
-def _bare(line: str, dialect: Dialect, columns: int) -> str:
+def _comment_text(line: str, dialect: Dialect, columns: int) -> str:
     """A line without its `#` and without quotes and delimiters that a spreadsheet has added."""
     if line.startswith('"'):
         try:
@@ -558,7 +560,7 @@ class _Assignment:
         return DataError(f"{self.path.name}, row {self.line}: {message}")
 
     def columns(self, wanted: Mapping[str, str]) -> tuple[dict[str, CsvColumn], list[str]]:
-        told = dict(self._told(mine, theirs) for mine, theirs in wanted.items())
+        told = dict(self._named_column(mine, theirs) for mine, theirs in wanted.items())
         found = told | self._by_name(told)
         if not found:
             raise self._unknown()
@@ -573,13 +575,13 @@ class _Assignment:
             chosen = {name: column for name, column in chosen.items() if name not in GYROS}
         return chosen, [*self._ignored(found), *_renamed(chosen), *notes]
 
-    def _told(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
+    def _named_column(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
         """Column that the user has named."""
-        known = recognised(mine)
+        known = recognise_column(mine)
         if known is None:
             raise UsageError(f"columns: '{mine}' is no column of the format; known: {', '.join(COLUMNS)}")
         there = [k for k, cell in enumerate(self.cells) if cell == theirs] or [
-            k for k, cell in enumerate(self.cells) if _alike(cell, theirs)
+            k for k, cell in enumerate(self.cells) if _same_name(cell, theirs)
         ]
         if len(there) != 1:
             what = "no column is called" if not there else "several columns are called"
@@ -594,7 +596,7 @@ class _Assignment:
         taken = {column.place for column in told.values()}
         found: dict[str, CsvColumn] = {}
         for k, cell in enumerate(self.cells):
-            known = None if k in taken else recognised(cell)
+            known = None if k in taken else recognise_column(cell)
             if known is None or known[0] in told:
                 continue
             column = CsvColumn(known[0], k, cell, known[1], known[2])
@@ -638,10 +640,10 @@ class _Assignment:
         missing = [name for name in ("time_s", "ax", "ay") if name not in chosen]
         if not missing:
             return
-        spare = [cell for cell in self.cells if cell and recognised(cell) is None]
+        spare = [cell for cell in self.cells if cell and recognise_column(cell) is None]
         hint = ""
         if spare:
-            likely = ",".join(f"{name}={_likely(name, spare)}" for name in missing)
+            likely = ",".join(f"{name}={_likely_column(name, spare)}" for name in missing)
             shown = ", ".join(f"'{cell[:40]}'" for cell in spare[:12])
             hint = f"; not known are {shown}: say which it is, such as --columns '{likely}'"
         raise self._fail(f"column '{missing[0]}' is missing{hint}")
@@ -671,7 +673,7 @@ class _Assignment:
         return notes
 
 
-def _likely(name: str, spare: Sequence[str]) -> str:
+def _likely_column(name: str, spare: Sequence[str]) -> str:
     """Unknown column that ends like the axis or begins like a time; dots if there is none."""
     for cell in spare:
         text = split_unit(cell)[0].lower()
@@ -680,7 +682,7 @@ def _likely(name: str, spare: Sequence[str]) -> str:
     return "…"
 
 
-def _alike(cell: str, theirs: str) -> bool:
+def _same_name(cell: str, theirs: str) -> bool:
     return theirs.lower() in (cell.lower(), split_unit(cell)[0].lower())
 
 

@@ -25,8 +25,8 @@ from adis_gonio.record.blocks import (
     WITHOUT_NEWS,
     Alarms,
     Block,
-    alarms_of,
     die_temperatures,
+    find_alarms,
     join,
     session_columns,
     session_series,
@@ -275,9 +275,9 @@ def _of_writes(facts: JsonDict) -> tuple[str, ...]:
     recorded = facts["registers"]["configured"]
     if not facts["offset_writes"] or not recorded:
         return ()
-    from adis_gonio.record.write_journal import operations, remarks_on
+    from adis_gonio.record.write_journal import describe_writes, operations
 
-    return remarks_on(operations(facts["offset_writes"]), recorded)
+    return describe_writes(operations(facts["offset_writes"]), recorded)
 
 
 def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwell:
@@ -293,7 +293,7 @@ def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwel
 
 
 def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
-    alarms = alarms_of(scans)
+    alarms = find_alarms(scans)
     return {
         "place": attempt.place,
         "attempt": attempt.number,

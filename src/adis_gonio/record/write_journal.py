@@ -156,7 +156,7 @@ def operations_of(session: Session, names: Sequence[str] = ACCEL_OFF) -> tuple[O
     return tuple(operation for operation in known if operation.concerns(names))
 
 
-def remarks_on(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
+def describe_writes(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
     """Remarks on writes for a session's results: one line for each half of the sensor that was written."""
     own = [tuple(one for one in known if one.concerns(names)) for names in (ACCEL_OFF, GYRO_OFF)]
     said = (*_remarks(own[0], recorded, "biases"), *_remarks(own[1], recorded, "zero rates"))
@@ -179,7 +179,7 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
     )
 
 
-def to_undo(known: Sequence[Operation]) -> Operation | None:
+def find_undoable(known: Sequence[Operation]) -> Operation | None:
     """The write that an undo would undo: the last one that was not undone already."""
     for operation in reversed(known):
         if operation.op != "undo" and operation.steps[-1] is not WriteStep.SET_BACK:
@@ -220,7 +220,7 @@ class HeldOffsets(JsonRecord):
     text: str
 
 
-def standing_of(
+def held_offsets(
     known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
 ) -> HeldOffsets:
     """State of a sensor with these numbers and this ENDURANCE.
@@ -240,7 +240,7 @@ def standing_of(
         last = replace(last, new={name: now[name] for name in last.old})  # whatever the part found
         known = (*known[:-1], last)
     axes = {name: _state(name, now[name], last.old[name], last.new[name]) for name in last.new}
-    registers = _together(now, last, axes)
+    registers = _common_state(now, last, axes)
     flash = _in_flash(known, now, endurance, others)
     saved = None if flash is None else all(flash.get(name) == now[name] for name in last.new)
     if registers == "old" and flash == {}:
@@ -255,7 +255,7 @@ def flash_untouched(
     return not known or _in_flash(known, now, endurance, others) in ({}, known[-1].old)
 
 
-def _together(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
+def _common_state(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
     """One state for all registers; a register that an operation does not change is both old and new."""
     both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
     written = last.op == "write" or (last.op == "autonull" and last.saved)

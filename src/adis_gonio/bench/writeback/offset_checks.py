@@ -433,7 +433,7 @@ class AutonullFound(JsonRecord):
         return f"zero rates in this pose by the chip against the session: {'; '.join(figures)}"
 
 
-def compared(
+def compare_autonull(
     part: Gyros, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float | None
 ) -> AutonullFound:
     """Compare the chip's offsets with the session's zero rates in the pose of a dwell.

@@ -25,7 +25,7 @@ from adis_gonio.bench.writeback.offset_checks import (
     AutonullFound,
     Gyros,
     Rest,
-    compared,
+    compare_autonull,
     measure,
     part_of,
 )
@@ -46,10 +46,10 @@ from adis_gonio.record.write_journal import (
     HeldOffsets,
     Operation,
     WriteStep,
+    find_undoable,
     flash_untouched,
+    held_offsets,
     operations_of,
-    standing_of,
-    to_undo,
 )
 
 
@@ -234,7 +234,7 @@ class OffsetWriter:
     def standing(self) -> HeldOffsets:
         """State of the sensor by its registers, ENDURANCE and the journal."""
         now, endurance = self._read()
-        return standing_of(self.known, now, endurance, self.others)
+        return held_offsets(self.known, now, endurance, self.others)
 
     def plan(self) -> WritePlan:
         """Make a plan and measure a dwell; no register is written.
@@ -258,11 +258,11 @@ class OffsetWriter:
                 f"{self.path}: the fit is no sound base ({'; '.join(plan.doubts)}); see `adis-gonio trace`,"
                 " or write all the same with --even-if-inadequate"
             )
-        earlier = to_undo(self.known)
+        earlier = find_undoable(self.known)
         if earlier is not None and earlier.new != plan.new:
             raise SessionError(
-                f"{self.path}: other offsets of this session were written before ({_listed(earlier.new)};"
-                f" now {_listed(plan.new)}); --undo them first"
+                f"{self.path}: other offsets of this session were written before"
+                f" ({_format_numbers(earlier.new)}; now {_format_numbers(plan.new)}); --undo them first"
             )
         self._require_explained(now)
         if self.settings.save and endurance >= FLASH_LIFE:
@@ -300,13 +300,13 @@ class OffsetWriter:
         now, endurance = self._read()
         if {name: now[name] for name in plan.now} != plan.now:
             raise SessionError("the offset registers have changed since the plan was made; plan again")
-        standing = standing_of(self.known, now, endurance, self.others)
+        standing = held_offsets(self.known, now, endurance, self.others)
         in_flash = standing.registers == "new" and standing.saved is True
         saves = self.settings.save and not in_flash
         if not plan.changes and not saves and not standing.open:
             self._tell("nothing is to be written: the registers hold it already")
             return WriteResult(standing, endurance, endurance, tuple(self._checks))
-        earlier = to_undo(self.known)
+        earlier = find_undoable(self.known)
         held = {name: now[name] for name in plan.new}
         old = earlier.old if earlier else held
         found = old if standing.registers == "half" else held
@@ -340,11 +340,11 @@ class OffsetWriter:
         VerifyError, ChipError, BusError
             The undo was interrupted; it can be repeated.
         """
-        earlier = to_undo(self.known)
+        earlier = find_undoable(self.known)
         if earlier is None:
             raise SessionError(f"{self.path}: has no write that is in force, so there is nothing to undo")
         now, endurance = self._read()
-        standing = standing_of(self.known, now, endurance, self.others)
+        standing = held_offsets(self.known, now, endurance, self.others)
         if standing.registers == "other":
             raise SessionError(f"{self.path}: {standing.text}; nothing was written")
         saves = self.settings.save or not flash_untouched(self.known, now, endurance, self.others)
@@ -358,14 +358,14 @@ class OffsetWriter:
                 if back.left or not self._holds(earlier.old):
                     raise VerifyError(f"{', '.join(back.left) or 'the registers'} could not be set back")
                 journal.note(WriteStep.WRITTEN)
-                self._tell(f"set back and read back: {_listed(earlier.old)}")
+                self._tell(f"set back and read back: {_format_numbers(earlier.old)}")
                 if saves:
                     self._save(journal, earlier.old)
                 journal.note(WriteStep.DONE)
             except AdisGonioError as error:
-                raise type(error)(f"{error}; {self._told()}") from error
+                raise type(error)(f"{error}; {self._state_text()}") from error
             except KeyboardInterrupt:
-                self._tell(self._told())
+                self._tell(self._state_text())
                 raise
         return self._outcome(endurance, ((), ()))
 
@@ -408,14 +408,14 @@ class OffsetWriter:
                 journal.note(WriteStep.SAVED, new=nulled, endurance_after=after)
                 journal.note(WriteStep.DONE)
             except AdisGonioError as error:
-                raise type(error)(f"{error}; {self._told()}") from error
+                raise type(error)(f"{error}; {self._state_text()}") from error
             except KeyboardInterrupt:
-                self._tell(self._told())
+                self._tell(self._state_text())
                 raise
         self.session = load(self.path)
         rate = self.sensor.configuration().sample_rate_hz
-        found = compared(part, plan, before, nulled, PRECISE_S * rate if precise else None)
-        self._tell(f"the chip's autonull gives {_listed(nulled)}; {found}")
+        found = compare_autonull(part, plan, before, nulled, PRECISE_S * rate if precise else None)
+        self._tell(f"the chip's autonull gives {_format_numbers(nulled)}; {found}")
         if not found.agrees:
             undone = self.undo()
             raise VerifyError(
@@ -431,8 +431,10 @@ class OffsetWriter:
             if axis.new != axis.now:
                 self.sensor.write(axis.register, axis.new)
         if not self._holds(plan.new):
-            raise VerifyError(f"the registers were read back with other numbers than {_listed(plan.new)}")
-        self._tell(f"written and read back: {_listed(plan.new)}")
+            raise VerifyError(
+                f"the registers were read back with other numbers than {_format_numbers(plan.new)}"
+            )
+        self._tell(f"written and read back: {_format_numbers(plan.new)}")
         self.sensor.bus.sleep_s(self.sensor.configuration().settling_s)
 
     def _verify(self, plan: WritePlan) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -480,7 +482,7 @@ class OffsetWriter:
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
             if journal.operation.open:
                 self._set_back(journal, str(error) or type(error).__name__)
-        told = self._told()
+        told = self._state_text()
         if isinstance(error, AdisGonioError):
             raise type(error)(f"{error}; {told}") from error
         self._tell(told)
@@ -510,10 +512,10 @@ class OffsetWriter:
     def _outcome(self, endurance: int, bias: tuple[tuple[float, ...], tuple[float, ...]]) -> WriteResult:
         self.session = load(self.path)
         now, after = self._read()
-        standing = standing_of(self.known, now, after, self.others)
+        standing = held_offsets(self.known, now, after, self.others)
         return WriteResult(standing, endurance, after, tuple(self._checks), *bias, self._part.unit)
 
-    def _told(self) -> str:
+    def _state_text(self) -> str:
         """Present state of the sensor, if it can be read."""
         try:
             self.session = load(self.path)
@@ -558,7 +560,7 @@ class OffsetWriter:
     def _require_explained(self, now: dict[str, int]) -> None:
         """Refuse registers with numbers that neither the session nor its journal explains."""
         recorded, known = recorded_offsets(self.session, self._part.registers), self.known
-        standing = standing_of(known, now, 0)
+        standing = held_offsets(known, now, 0)
         written = set(known[-1].new) if known and standing.registers in ("old", "new", "half") else set()
         for name, number in recorded.items():
             if name not in written and now[name] != number:
@@ -599,7 +601,7 @@ def _words(numbers: dict[str, int]) -> dict[str, int]:
     return {row.name: row.word(numbers[row.name]) for row in registers(numbers)}
 
 
-def _listed(numbers: dict[str, int]) -> str:
+def _format_numbers(numbers: dict[str, int]) -> str:
     return ", ".join(f"{name} = {number}" for name, number in numbers.items())
 
 
