@@ -22,7 +22,7 @@ from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFind
 from adis_gonio.fitting.slips.position_diagnosis import LARGEST, MEANINGS
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.record.blocks import Block, session_columns
+from adis_gonio.record.blocks import Block, session_columns, session_series
 from adis_gonio.record.expectation import (
     GAIN_LIMIT,
     UNMODELLED_MG,
@@ -410,10 +410,8 @@ class Turning:
 
 
 def _rates(block: Block) -> Floats | None:
-    columns = session_columns(block)
-    if not all(name in columns for name in ("gx", "gy", "gz")):
-        return None
-    return np.column_stack([columns[name] for name in ("gx", "gy", "gz")])
+    rates: Floats | None = session_series(session_columns(block))["gyro"]
+    return rates
 
 
 @dataclass(frozen=True)

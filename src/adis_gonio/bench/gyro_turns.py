@@ -25,7 +25,7 @@ from adis_gonio.bench.recorder import FollowedTurn
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.fitting.gyros.turn_integration import Integral, Path, Sampling, integrate
-from adis_gonio.record.blocks import Block, join, session_columns
+from adis_gonio.record.blocks import Block, join, session_columns, session_series
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
 from adis_gonio.record.session_reader import TURNED
 
@@ -160,10 +160,9 @@ class GyroTurn(FollowedTurn):
 
 
 def _rates_and_force(block: Block) -> tuple[Floats, Floats]:
-    columns = session_columns(block)
-    if "gx" not in columns:
-        raise UsageError("gyro turns need the gyros: this sensor's samples hold none")
-    rates = np.column_stack([columns[name] for name in ("gx", "gy", "gz")])
+    rates = session_series(session_columns(block))["gyro"]
+    if rates is None:
+        raise UsageError("gyro turns need the gyros: this sensor's samples have none")
     return rates, block.accel_mg
 
 

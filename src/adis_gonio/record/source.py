@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
@@ -45,8 +45,8 @@ class Measuring(Protocol):
         """JSON form."""
 
 
-class SampleStream(Protocol):
-    """Blocks of samples until it is closed; a context manager.
+class SampleStream(Iterator[Block], AbstractContextManager[Any], Protocol):
+    """Blocks of samples until it is closed; the next block raises `BusError` if the sensor fails.
 
     Attributes
     ----------
@@ -60,25 +60,8 @@ class SampleStream(Protocol):
     def caveat(self) -> str:
         """Limitation of the samples, as text, or empty."""
 
-    def __iter__(self) -> Iterator[Block]:
-        """Itself."""
-
-    def __next__(self) -> Block:
-        """Next block; raises `BusError` if the sensor fails."""
-
     def close(self) -> None:
         """Stop and undo changes made for the stream; may be called twice."""
-
-    def __enter__(self) -> Self:
-        """Itself."""
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close."""
 
 
 @dataclass(frozen=True)

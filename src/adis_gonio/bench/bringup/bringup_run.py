@@ -111,7 +111,7 @@ def bring_up(
 
 
 class _Run:
-    _no_link = "the link does not work"
+    """State of one run."""
 
     def __init__(
         self, bus: SpiBus, variant: str | Variant, permission: Permission, tell: Callable[[Row], object]
@@ -140,7 +140,11 @@ class _Run:
             if stopped:
                 result = not_measured("stopped by the operator")
             elif self._bench is None:
-                result = not_measured(self._no_link) if self._rows else StepResult(Verdict.FAULT, failure)
+                result = (
+                    not_measured("the link does not work")
+                    if self._rows
+                    else StepResult(Verdict.FAULT, failure)
+                )
             else:
                 try:
                     result = self._one(self._bench, step)
@@ -164,21 +168,20 @@ class _Run:
             return not_measured(refusal)
         if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self._permission.ask(step.question):
             return not_measured("the answer to its question was no")
-        if step.effect is SideEffect.READS:
-            return _attempt(bench, step)
-        if self._undo is None:
-            try:
-                self._undo = Undo(bench.sensor, writable())
-            except AdisGonioError as error:
-                return StepResult(Verdict.FAULT, f"could not be done: {error}")
+        changes = step.effect is not SideEffect.READS
         try:
-            return _attempt(bench, step)
+            if changes and self._undo is None:
+                self._undo = Undo(bench.sensor, writable())
+            return step.run(bench)
+        except AdisGonioError as error:
+            return StepResult(Verdict.FAULT, f"could not be done: {error}")
         finally:
-            try:
-                self._undo.put_back()
-            finally:
-                if self._undo.left:
-                    bench.blocked = f"{', '.join(self._undo.left)} could not be put back"
+            if changes and self._undo is not None:
+                try:
+                    self._undo.put_back()
+                finally:
+                    if self._undo.left:
+                        bench.blocked = f"{', '.join(self._undo.left)} could not be put back"
 
     def _refusal(self, step: BringupStep) -> str:
         if step.effect is SideEffect.WRITES and not self._permission.writes:
@@ -209,7 +212,7 @@ class _Run:
         elif self._undo is None:
             undone = "nothing was written"
         else:
-            undone = f"all of {len(self._undo.rows)} registers were read back as they were found"
+            undone = f"all of {len(self._undo.rows)} registers were read back with their original numbers"
         return Bringup(
             url=self._bus.url,
             variant=sensor.variant.name if sensor is not None else str(self._variant),
@@ -227,27 +230,20 @@ class _Run:
         )
 
 
-def _attempt(bench: BringupBench, step: BringupStep) -> StepResult:
-    try:
-        return step.run(bench)
-    except AdisGonioError as error:
-        return StepResult(Verdict.FAULT, f"could not be done: {error}")
-
-
 def _bridge(bus: ClockCeiling) -> dict[str, Any]:
     """Facts about the bridge."""
     inner = bus.inner
-    said: dict[str, Any] = {"bus": type(inner).__name__, "capabilities": sorted(inner.capabilities)}
-    said["unbroken_frames"] = inner.unbroken_frames
-    said["clock_hz_used_at_most"] = bus.ceiling_hz
+    facts: dict[str, Any] = {"bus": type(inner).__name__, "capabilities": sorted(inner.capabilities)}
+    facts["unbroken_frames"] = inner.unbroken_frames
+    facts["clock_hz_used_at_most"] = bus.ceiling_hz
     firmware = getattr(inner, "firmware", None)
     if dataclasses.is_dataclass(firmware) and not isinstance(firmware, type):
-        said["firmware"] = {
+        facts["firmware"] = {
             field.name: getattr(firmware, field.name)
             for field in dataclasses.fields(firmware)
             if isinstance(getattr(firmware, field.name), int | str | tuple | list)
         }
-    return said
+    return facts
 
 
 __all__ = ["STEPS", "BringupBench", "Permission", "bring_up"]

@@ -33,7 +33,7 @@ _FIGURES = _PART.performance
 
 
 @dataclass(frozen=True)
-class Question:
+class Question(JsonRecord):
     """An open question about the ADIS16354, a row of the register table or of the variants.
 
     Attributes
@@ -47,22 +47,14 @@ class Question:
         Reason why it is not measured, if no step answers it.
     """
 
+    document_keys = ("name", "text", "table", "source", "confidence")
+
     name: str
-    text: str
+    text: str = field(metadata=key("question"))
     table: str
     source: str
     confidence: str
     otherwise: str = "the step that answers it was not done"
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "name": self.name,
-            "question": self.text,
-            "table": self.table,
-            "source": self.source,
-            "confidence": self.confidence,
-        }
 
 
 def _register(name: str, register: str, text: str, table: str, confidence: str = "") -> Question:
