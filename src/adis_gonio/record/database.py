@@ -39,12 +39,12 @@ from adis_gonio.record.archive_tables import APPLICATION_ID, SCHEMA_VERSION, TAB
 MOST_STEPS = 100_000_000
 """Instructions of SQLite's machine after which a statement is stopped; a session of a day takes 10⁶."""
 LONGEST_ROW_BYTES = 4_000_000
-"""A block has some ten kilobytes, a plan of 3600 positions half a megabyte."""
+"""Limit of a row: a block has some ten kilobytes, a plan of 3600 positions half a megabyte."""
 MOST_TEXT = 4_000_000
 """Limit of characters in the rows of a query; parsed JSON takes up to 30 times its length in memory."""
 
 WAIT_S = 30.0
-"""How long a reader waits for a commit, and a writer for readers, in s."""
+"""Time in s for which a reader waits for a commit, and a writer for readers."""
 
 LONGEST_TEXT = 100
 
@@ -218,7 +218,8 @@ def _check_file(path: Path) -> None:
 
 
 def _check_content(path: Path, connection: sqlite3.Connection) -> None:
-    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()  # rolls back, too
+    # This query also rolls back a journal.
+    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     (application,) = connection.execute("PRAGMA application_id").fetchone()
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if not tables and not application:

@@ -40,7 +40,7 @@ class PriorKnowledge:
     bias_mg : float
         Standard deviation of a bias.
     reading_mg : float
-        Standard uncertainty of a look at the sensor.
+        Standard uncertainty of the mean of a window.
     fixture_deg : float or None
         Standard uncertainty of a stage angle; None if it is not stated.
     gravity_mg : float

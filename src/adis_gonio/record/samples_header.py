@@ -74,16 +74,16 @@ codecs.register_error("adis_gonio.windows-1252", _as_windows_1252)
 
 @dataclass(frozen=True)
 class Chunk:
-    """Neighbouring lines.
+    """Consecutive lines of a file.
 
     Attributes
     ----------
     first : int
         Number of the first line, counted from 1.
     lines : list of str
-        Without their ends.
+        Lines without line ends.
     share : float
-        Part of the file that has been read, 0 to 1.
+        Share of the file that has been read, 0 to 1.
     last : bool
     cut : bool
         True in the last chunk if its last line has no line end.
@@ -102,7 +102,7 @@ def read_chunks(path: Path) -> Iterator[Chunk]:
     Raises
     ------
     DataError
-        Not readable, damaged gzip, empty, binary or another kind of file.
+        The file is not readable, empty, binary or of another kind, or its gzip data is damaged.
     """
     first, carry = 1, ""
     for text, share in _texts(path):
@@ -131,7 +131,7 @@ def _refuse_long(path: Path, first: int, lines: list[str]) -> None:
 def _plain_ends(text: str) -> str:
     if "\r" not in text:
         return text
-    # Text that was opened twice for translation ends its lines with two carriage returns.
+    # A program that translates line ends twice writes two carriage returns.
     return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -204,7 +204,7 @@ SPACE = " "
 DELIMITERS = ("\t", ";", ",", SPACE)
 _IN_WORDS = {"\t": "tab", ";": "semicolon", ",": "comma", SPACE: "space"}
 
-# Possessive (++): digits are never tried again in another split, which takes hours in a cell of thousands.
+# Possessive quantifiers (++) prevent backtracking, which takes hours in a cell of thousands of digits.
 _NUMBER = r"[+-]?(?:\d++{0}?\d*+|{0}\d+)(?:[eE][+-]?\d+)?"
 _GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{1}\d{{3}})+(?:{0}\d*)?"
 _FORMS = {
@@ -220,7 +220,7 @@ _TOKENS = re.compile(r"\s+(?![\[(])")
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a file writes its rows.
+    """Delimiter and number format of a file.
 
     Attributes
     ----------
@@ -242,7 +242,7 @@ class Dialect:
         Raises
         ------
         ValueError
-            A quote that does not end.
+            A quotation mark is not closed.
         """
         if self.delimiter == SPACE:
             return line.split()
@@ -371,7 +371,7 @@ class Head:
 
 
 def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
-    """Head of a file.
+    """Read the head of a file.
 
     Parameters
     ----------
@@ -419,7 +419,7 @@ class _Top:
     comments, skipped : list of (int, str)
         Lines that begin with `#`, and other lines above the header, with their numbers.
     line, text : int, str
-        Number and text of the header; 0 and empty without any line.
+        Number and text of the header; 0 and empty if the file has no line.
     separator : str or None
         Delimiter stated by `sep=`.
     """

@@ -52,7 +52,7 @@ _SLOWEST_S = 2.0
 
 @dataclass(frozen=True)
 class SamplesTable:
-    """A file in numbers, in the units of the format.
+    """A file as arrays of numbers, in the units of the format.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class _Reader:
         """Time of the first row, if the file has times of the wall clock."""
         self._repeated, self._first_repeated = 0, 0
         self._joined = ""
-        """Note on marks between thousands, once there are any."""
+        """Note on marks between thousands, if there are any."""
         self._waiting: tuple[int, str, str] | None = None
         """Line that is allowed only at the end: its number, the error elsewhere, the note at the end."""
 
@@ -350,7 +350,7 @@ class _Reader:
             )
 
     def done(self) -> SamplesTable:
-        """The table, when all chunks have been taken."""
+        """Finish the table after the last chunk."""
         if self._waiting is not None and self._waiting[2]:
             self.notes.append(self._waiting[2])
         if not self.n:
@@ -412,7 +412,7 @@ def _rows_of(head: Head) -> Iterator[Chunk]:
 
 
 def _with_decimal_mark(head: Head) -> Dialect:
-    """The dialect with the decimal mark that the file states or its numbers prove."""
+    """Dialect with the decimal mark that the file states or that its numbers prove."""
     stated = head.keys.get("decimal")
     if stated is not None:
         return head.dialect.with_decimal(stated, proved=True)
@@ -473,7 +473,7 @@ def _refuse_unclear_time(table: SamplesTable) -> None:
 
 
 MOST_DWELLS = MOST_POSITIONS
-"""Positions of a file, as many as a plan has: the memory of a fit grows with their square."""
+"""Limit of positions in a file, as in a plan: the memory of a fit grows with their square."""
 
 
 def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Session:
@@ -534,7 +534,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
 
 
 def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dwell:
-    """Rows as a dwell; views, no copies."""
+    """Dwell with views of the rows, not copies."""
     return Dwell(
         position=number,
         first_row=table.line_of(rows.start),
@@ -656,7 +656,7 @@ def _per_dwell(
     edges = [0, *(rows.stop for rows in slices)]
     ends = [*(rows.start for rows in slices), len(table)]
     gaps = [_stated(table, name, slice(a, b)) for a, b in zip(edges, ends, strict=True)]
-    # Values noted on the last row of each dwell would all go to the dwell after.
+    # If values were noted on the last row of each dwell, they would all go to the next dwell.
     before = bool(gaps[0]) or not gaps[-1] or not slices or bool(inside[0])
     values, taken = [], 0
     last: list[tuple[int, str]] = []
@@ -692,7 +692,7 @@ def _one_value(
     texts: list[tuple[int, str]],
     parse: Callable[[SamplesTable, str], Any],
 ) -> Any:
-    """Value of a dwell out of its texts; None without any."""
+    """Common value of the texts of a dwell; None if there are no texts."""
     value = None
     for k, (row, text) in enumerate(texts):
         try:

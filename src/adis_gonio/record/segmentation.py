@@ -9,7 +9,7 @@ noise without harm. Their limit is therefore ten times their median in windows i
 are still.
 
 Every run of still windows is trimmed at both ends, which the hand may disturb, and kept if it is long. A
-run within which the mean moves on (a slip, or a slow turn) is split there.
+run is split at steps of its mean (a slip, or a slow turn).
 
 The recording is read several times from its beginning, a block at a time: its extent, its noise, the gyros'
 noise, its dwells. Memory is needed for one block and the results only.
@@ -37,10 +37,10 @@ LEAST_S = 1.0
 
 _GYRO_UPPER = 10.0
 _OFTEN = 0.25
-"""Share of windows with a constant word above which this is the converter's step and not a fault."""
+"""Share of windows with constant words above which the cause is the converter's step and not a fault."""
 _LEAST_WINDOW = 8
 _BLOCK = 1 << 16
-"""Rows that are worked on at a time."""
+"""Rows of a block."""
 _FIRST = 20_000
 """Rows at the beginning that determine the converter's step."""
 
@@ -49,7 +49,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Piece:
-    """Neighbouring samples of a recording.
+    """Consecutive samples of a recording.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Piece:
     accel : (n, axes) float
         Accelerometer samples, any unit.
     gyro : (n, 3) float or None
-        Gyro samples, any unit, in all pieces or in none.
+        Gyro samples, any unit; all pieces have them or none.
     """
 
     time_s: Floats
@@ -192,7 +192,7 @@ _SHIFT = 52 - 10
 
 
 class Quantiles:
-    """Numbers of zero or more, fed in pieces; any quantile of them to 0.1 %.
+    """Histogram of non-negative numbers, fed in pieces, that gives quantiles to 0.1 %.
 
     A quantile is the mean of the numbers in its bin, so that equal numbers are returned unchanged. Memory
     grows only with the logarithm of the ratio of the largest to the smallest number.
@@ -230,14 +230,14 @@ class Quantiles:
         share : float
             0 to 1.
         below : float
-            Numbers above it take no part.
+            Larger numbers are excluded.
         with_zeros : bool
-            Whether zeros take part.
+            True to include zeros.
 
         Raises
         ------
         ValueError
-            No number takes part.
+            There are no numbers.
         """
         mean = self._sum / np.maximum(self._count, 1)
         count = np.where(mean <= below, self._count, 0)
@@ -435,7 +435,7 @@ class _Cutter:
         self._limits = limits
         self._extent = extent
         self._turn = turn
-        # An axis that never changes has no limit and no step either.
+        # An axis that never changes has the limit 0: avoid a division by zero.
         self._unit = np.maximum(limits.upper / UPPER, 1e-300)
         self._still = _Runs()
         self._flat = _Runs()
@@ -499,7 +499,7 @@ class _Cutter:
             self._steps.append((start + rows, jump[rows]))
 
     def _close(self, first: int, last: int) -> None:
-        """A run of still windows has ended: keep its rows, in parts."""
+        """Keep the rows of an ended run of still windows, split at steps of the mean."""
         sizes = self._sizes
         start, stop = first + sizes.trim, last + sizes.window - sizes.trim
         cuts = self._cuts(start, stop) if stop - start >= 2 * sizes.least else []
@@ -551,9 +551,9 @@ class _Runs:
 
 _HALF_TURN = math.pi
 _MOST_REST = 0.5
-"""Part of the time at rest beyond which a recording is a row of positions."""
+"""Share of the time at rest above which a recording is a series of positions."""
 _OUT_OF_PLANE = 0.25
-"""Z and the change of the length of X and Y, over that length, beyond which no plane was kept."""
+"""Largest Z and change of the length of (X, Y), relative to this length, for a turn in the plane."""
 
 
 def shows_a_free_turn(recording: Dwell, dwells: Sequence[slice]) -> bool:

@@ -1,6 +1,6 @@
 """A session file as a `Session` for the fits, with the turns between its dwells or its free turn.
 
-Turns between dwells are read when somebody asks for them: a fit without gyros costs nothing more.
+Turns between dwells are read on demand, so that a fit without gyros does not need them.
 """
 
 from __future__ import annotations
@@ -313,7 +313,7 @@ def _changed_registers(view: ArchiveView) -> list[JsonDict]:
     changed = changed_settings(then or {}, now or {})
     if not changed:
         return []
-    # No range has code 0 or 7: such a reply comes from a line that is stuck.
+    # No range has the code 0 or 7: such a reply comes from a stuck line.
     level = {0x0000: "zeros", 0xFFFF: "ones"}.get((now or {}).get("SENS_AVG", 1))
     if level is not None:
         message = (

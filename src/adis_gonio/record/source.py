@@ -27,7 +27,7 @@ from adis_gonio.record.settings import Settings
 
 
 class Measuring(Protocol):
-    """How a sensor measures."""
+    """Configuration of a sensor, as far as a session needs it."""
 
     @property
     def sample_rate_hz(self) -> float:
@@ -86,7 +86,7 @@ class KnownPart:
 class SampleSource(Closing):
     """A sensor for a session; a context manager. It raises the errors of `adis_gonio.base.errors`.
 
-    Methods about registers have defaults for a sensor without any.
+    Methods about registers have defaults for a sensor without registers.
 
     Attributes
     ----------
@@ -189,7 +189,7 @@ class ChipSource(SampleSource):
         self._marked: tuple[str, int] | None = None
 
     def now_s(self) -> float:
-        """Clock of the bus."""
+        """Time of the bus's clock."""
         return self.sensor.bus.now_s()
 
     def sleep_s(self, seconds: float) -> None:
@@ -225,7 +225,7 @@ class ChipSource(SampleSource):
         control = BY_NAME["MSC_CTRL"]
         stimulus = control.field("positive").mask | control.field("negative").mask
         word = self.sensor.read(control)
-        if word & stimulus and not word & ~control.write_mask:  # other bits: the line gives no replies
+        if word & stimulus and not word & ~control.write_mask:  # other bits mean a dead line
             self.give_back()
             word = self.sensor.read(control) & ~stimulus
             raise ChipError(
@@ -321,7 +321,7 @@ class ChipSource(SampleSource):
         )
 
     def status(self) -> Status:
-        """STATUS."""
+        """Read STATUS, which clears it."""
         return self.sensor.status()
 
     def close(self) -> None:

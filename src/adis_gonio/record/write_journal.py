@@ -6,10 +6,10 @@ step behind the sensor, and the registers, ENDURANCE and the journal together de
 
 | registers | after |
 |---|---|
-| old | a cut before anything was saved (the part takes its flash copies at power-on), or an undo |
+| old | a power cut before anything was saved (at power-on the part loads its flash copies), or an undo |
 | new | a write; in flash if ENDURANCE went up by one since `saving` |
-| half | the program ended between two bytes or two registers while the power stayed |
-| other | somebody else wrote them, or it is another part |
+| half | the program ended between two bytes or two registers, without a power cut |
+| other | another program wrote them, or it is another part |
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Operation(JsonRecord):
     Attributes
     ----------
     number : int
-        From 1.
+        Number of the operation, from 1.
     op : {"write", "undo", "autonull"}
     old, new : dict of str to int
         Numbers before the write and numbers to write. An undo has the numbers of the write that it undoes;
@@ -237,14 +237,14 @@ def held_offsets(
         )
     last = known[-1]
     if last.op == "autonull" and not last.saved:
-        last = replace(last, new={name: now[name] for name in last.old})  # whatever the part found
+        last = replace(last, new={name: now[name] for name in last.old})  # the numbers found by the part
         known = (*known[:-1], last)
     axes = {name: _state(name, now[name], last.old[name], last.new[name]) for name in last.new}
     registers = _common_state(now, last, axes)
     flash = _in_flash(known, now, endurance, others)
     saved = None if flash is None else all(flash.get(name) == now[name] for name in last.new)
     if registers == "old" and flash == {}:
-        saved = None  # they were found there, in flash or not
+        saved = None  # unknown: the old numbers were there before the write
     return HeldOffsets(registers, saved, last.open, axes, last, _words(registers, flash, axes, last))
 
 
@@ -291,7 +291,7 @@ def _in_flash(
             if operation is known[-1] and written == 1 and all(now[k] == asked[k] for k in asked):
                 flash = certain
             elif written:
-                # A supply that dipped just before the flash was written may have put the others there.
+                # After a dip of the supply just before the flash write, the other numbers may be in flash.
                 flash = None
     return flash
 
