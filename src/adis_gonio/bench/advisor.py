@@ -58,7 +58,7 @@ class Advisor(Protocol):
         Parameters
         ----------
         session : Session
-            All dwells so far.
+            Session with all dwells so far.
         visited : int
             Number of positions that were requested before and accepted.
         reachable : callable

@@ -79,7 +79,7 @@ class Recording:
     why_moving: str = "no data"
     rested_mg: Floats | None = None
     _blocks: list[Block] = field(default_factory=list)
-    # Samples until the end of each block, and scans lost until there.
+    # Number of samples up to the end of each block, and of scans lost up to there.
     _ends: list[int] = field(default_factory=lambda: [0])
     _lost: list[int] = field(default_factory=lambda: [0])
     _still_s: float | None = None
@@ -314,7 +314,7 @@ class DwellRecorder(Recorder):
             recording.moves.append(move)
             yield StageMoved(position)
         if (yield from self._questions.wait(place, position.wait_s)):
-            # An attempt without scans keeps the move, which a resumed simulation has to live through.
+            # An attempt without scans keeps the move, which a resumed simulation has to repeat.
             yield self._interrupted(recording, self._questions.why_interrupted)
             return False
         return True

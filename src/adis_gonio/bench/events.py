@@ -39,7 +39,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Started(Event):
-    """The archive is open.
+    """The session has begun: the archive is open.
 
     Attributes
     ----------
@@ -251,7 +251,7 @@ class GuardRaised(Event):
     Attributes
     ----------
     values : dict of str to float
-        The numbers behind the message, by names that end in their unit.
+        Numbers in the message, by names that end in their unit.
     answers : tuple of str
         Names of the allowed answers, for `runner.answer(name)`.
     default : str
@@ -350,7 +350,7 @@ class Running(Event):
     Attributes
     ----------
     parameters : dict
-        As in the JSON form of a fit: name to value, u and unit.
+        Value, u and unit by name, as in the JSON form of a fit.
     """
 
     parameters: dict[str, dict[str, Any]]

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 GUARD_KINDS: tuple[str, ...] = get_args(GuardKind)
 
 TILT_LIMIT_DEG = math.degrees(math.acos(1 - GAIN_LIMIT))
-"""Tilt of the rotation axis out of the horizontal that costs as much reading as a gain may be off."""
+"""Tilt of the rotation axis from the horizontal that changes a reading as much as the gain limit."""
 NOT_MOVED_SHARE = 0.1
 """In space: a pose after less than this share of the requested turn counts as not moved."""
 OTHER_WAY_UP_DEG = 120.0
@@ -63,9 +63,9 @@ class Guard:
     Attributes
     ----------
     values : dict of str to float
-        Numbers behind the message; names end in their unit.
+        Numbers in the message; names end in their unit.
     answers, default
-        As in `events.GuardRaised`.
+        See `events.GuardRaised`.
     spoils : bool
         True if a result with this dwell, unchanged, would be wrong.
     """
@@ -283,7 +283,7 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
     kinds: dict[str, GuardKind] = {"supply": "supply", "alarm": "over_range"}
     found = [problem for problem in problems if problem.kind in kinds]
     if found:
-        # A supply out of range raises EA as well: it is the cause, and comes first.
+        # A supply out of range also sets EA: it is the cause and comes first.
         found.sort(key=lambda problem: list(kinds).index(problem.kind))
         message = "; ".join(problem.message for problem in found)
         alarms = 0 if scans.alarm is None else int(scans.alarm.sum())
@@ -321,25 +321,25 @@ def greatest_step(time_s: Floats, values: Floats) -> float:
 
 
 SCALE_ERROR = 0.01
-"""Relative error of a gyro's gain (an estimate, D: the sheets at hand have none)."""
+"""Relative error of a gyro's gain (an estimate, D: the data sheets state none)."""
 INSTABILITY_DPS = 0.015
 """Change of a gyro's bias between dwells (the simulator's default, D)."""
 G_SENSITIVITY_DPS = 0.05 * math.sqrt(2)
 """Gyro g-sensitivity, 0.05 °/s/g (CHIP, B), times the change of gravity's part at a quarter turn."""
 GYRO_NOISE_DPS = 0.6
-"""Of a sample (CHIP, B); averaging over the turn lowers it."""
+"""Noise of a sample (CHIP, B); the average over the turn has less."""
 
 
 @dataclass(frozen=True)
 class GyroIntegral:
-    """Integral of the three gyros.
+    """Integral of the rates of the three gyros.
 
     Attributes
     ----------
     angle_deg : (3,) float
-        About x, y, z of the part, right-handed about the drawn axes.
+        Angles about x, y, z of the part, right-handed about the drawn axes.
     u_deg : float
-        Standard uncertainty of each.
+        Standard uncertainty of each angle.
     zero_u_deg : float
         Part of it from noise and the zero rate, without the gain.
     """
@@ -629,9 +629,9 @@ class Judge:
         return self._expected.angle_deg(accel_mg) if self._planar else None
 
     def tolerance_deg(self, accel_mg: Floats, angle_deg: float) -> float | None:
-        """Distance from a stage angle within which a reading there is not questioned.
+        """Largest deviation from a stage angle that is not questioned; None before the first dwell.
 
-        It shrinks as dwells show the part's gains, biases and misalignment; None before the first dwell.
+        It becomes smaller when dwells have shown the part's gains, biases and misalignment.
         """
         if not self._planar or not self._expected.begun:
             return None

@@ -1,4 +1,4 @@
-"""The session of gyro turns: on a level table, whole turns from a mark back to it, about each axis.
+"""Recorder of gyro turns: on a level table, whole turns from a mark back to it, about each axis.
 
 With the X, the Y and the Z arrow up: a dwell, some whole turns counter-clockwise, a dwell, as many turns
 clockwise, a dwell, and another dwell with the arrow down. The way from one dwell to the next is recorded:

@@ -54,7 +54,7 @@ ACCELS = ("accel_x", "accel_y", "accel_z")
 
 @dataclass(frozen=True)
 class SampleFormat:
-    """Format of a channel's samples in a scan."""
+    """Format of the samples of a channel in a scan."""
 
     big_endian: bool
     signed: bool
@@ -64,7 +64,7 @@ class SampleFormat:
 
     @classmethod
     def parse(cls, text: str) -> SampleFormat:
-        """Format of its text.
+        """Parse the text of a format.
 
         Raises
         ------
@@ -83,7 +83,7 @@ class SampleFormat:
 
     @property
     def dtype(self) -> np.dtype[np.unsignedinteger]:
-        """The stored word for numpy."""
+        """Data type of numpy for the stored word."""
         return np.dtype(f"{'>' if self.big_endian else '<'}u{self.storage // 8}")
 
     def numbers(self, words: np.ndarray) -> np.ndarray:
@@ -353,7 +353,7 @@ class LocalDevice:
             raise ProtocolError(f"{self.where}: no buffer is open")
         ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
         if not ready:
-            if not self._folder.exists():  # the kernel wakes no reader when a device is pulled out
+            if not self._folder.exists():  # the kernel does not wake a reader when a device is removed
                 raise ProtocolError(f"{self.where}: the device is gone")
             raise BusTimeoutError(f"{self.where}: no scan in {timeout_s:.3g} s: is its trigger running?")
         try:
@@ -367,11 +367,11 @@ class LocalDevice:
         return data
 
     def close_buffer(self) -> None:
-        """End buffering and set the attributes back; may be called twice."""
+        """End buffering and restore the attributes; may be called twice."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
-        # The last first: while the buffer is enabled nothing else can be changed.
+        # In reverse order: while the buffer is enabled, no other attribute can be changed.
         while self._found:
             path, before = self._found.pop()
             with contextlib.suppress(OSError):
@@ -446,7 +446,7 @@ LINE_LIMIT = 1024
 _RECEIVED = 1 << 16
 _SHORTEST_WAIT_S = 1e-6
 XML_LIMIT = 1 << 22
-"""A context of hundreds of devices is smaller."""
+"""Limit of the context's XML in bytes; hundreds of devices need less."""
 
 _ERRNO = {1: "not permitted", 2: "no such attribute", 5: "input/output error", 13: "permission denied"}
 _ERRNO |= {16: "busy", 19: "no such device", 22: "invalid", 110: "timed out"}
@@ -535,7 +535,7 @@ class NetworkDevice:
     def _find(self, name: str) -> ET.Element:
         content = self._counted("PRINT", XML_LIMIT)
         try:
-            # Entities are not needed and could expand without end.
+            # Entities are not needed and may expand without limit.
             if b"<!ENTITY" in content:
                 raise ProtocolError(f"{self.where}: the context's XML has entities")
             context = ET.fromstring(content.decode("utf-8"))
@@ -680,7 +680,7 @@ class NetworkDevice:
     def _typed(self) -> Iterator[None]:
         """Use the socket for the remaining time of the operation; convert its errors."""
         try:
-            # A time-out of 0 would mean a socket that does not wait at all.
+            # A time-out of 0 would make the socket non-blocking.
             self._socket.settimeout(max(self._deadline_s - time.monotonic(), _SHORTEST_WAIT_S))
             yield
         except TimeoutError as error:

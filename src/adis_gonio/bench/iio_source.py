@@ -1,4 +1,4 @@
-"""Any IIO accelerometer as a source of samples for a session: `iio:` URLs.
+"""IIO accelerometers as sources of samples for a session, by `iio:` URLs.
 
 A buffered device gives scans by its own clock, with times if it has a channel `timestamp`; lost scans show
 as gaps in the times. `?poll=HZ` reads single values instead, by the host's clock.
@@ -61,7 +61,7 @@ _NETWORK = re.compile(r"ip:(?P<host>\[[^]]+\]|[^:/]+)(?::(?P<port>\d{1,5}))?(?:/
 
 @dataclass(frozen=True)
 class IioMeasuring(JsonRecord):
-    """How an IIO device measures.
+    """Configuration of an IIO device.
 
     Attributes
     ----------
@@ -155,11 +155,11 @@ class IioSource(SampleSource):
         return self.measuring
 
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """Device, rate and scales."""
+        """Device, rate and scales, which must not change."""
         return dict(measuring)
 
     def expected_noise_mg(self, measuring: Measuring) -> float:
-        """An estimate for any accelerometer."""
+        """Estimate for any accelerometer."""
         return TYPICAL_NOISE_MG
 
     def samples(self, settings: Settings, block_samples: int) -> IioStream:

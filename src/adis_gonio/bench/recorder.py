@@ -92,7 +92,7 @@ class FollowedTurn(ABC):
         """None during the recording; at its end the error message, which may be empty."""
 
     def add(self, block: Block) -> None:
-        """Take scans."""
+        """Add scans."""
         self.blocks.append(block)
         self.samples += len(block)
         self.lost += block.lost
@@ -245,7 +245,7 @@ class TurningStage(Protocol):
 
 
 class FreeTurn(FollowedTurn):
-    """A free turn by the angle of gravity.
+    """A free turn, followed by the angle of gravity.
 
     Attributes
     ----------
@@ -264,7 +264,7 @@ class FreeTurn(FollowedTurn):
     def see(self, block: Block) -> None:
         """Follow the turn through scans."""
         x, y, _ = block.accel_mg.mean(axis=0)
-        # Gravity goes backwards through the part: positive is counter-clockwise, as the stage counts.
+        # Gravity turns backwards in the part: with the minus, counter-clockwise is positive.
         angle = -math.degrees(math.atan2(y, x))
         if self._before is not None:
             self.sweeps.see(self.sweeps.angle_deg + wrap_degrees(angle - self._before))
@@ -329,7 +329,7 @@ class FreeTurnRecorder(Recorder):
             raise SessionError(settings)
         number = self._write(turn, "complete", "", None if status is None else status.word)
         ledger.count(place, number)
-        ledger.recorded_s = turn.length_s  # it ends with the turns
+        ledger.recorded_s = turn.length_s  # the recording ends with the turns
         yield turn.done(number)
         if not turn.full:
             yield ledger.problem(Problem("stillness", _too_few(turn), place))

@@ -1,6 +1,6 @@
 """The live session as a state machine without a screen.
 
-A front end iterates over `run()`, which yields typed events (see `events`) and asks by events too:
+A front end iterates over `run()`, which yields typed events (see `events`); questions are events too:
 
     runner = SessionRunner.begin(sensor, "a.session", plan("four-position"))
     for event in runner.run():
@@ -75,7 +75,7 @@ class Visiting:
     extend : bool
         True to accept the extension of a two-position session.
     advisor : Advisor or None
-        Asked for further positions when the plan is done, until it has none.
+        Source of further positions when the plan is done.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class Visiting:
         return left * each + sum(ledger.plan.positions[k].wait_s for k in ledger.open_places)
 
     def _offer_repetition(self) -> Generator[Event, None, Reply]:
-        """Ask about dwells with a fault: repeat them, or keep them as they are, which is recorded."""
+        """Ask whether dwells with a fault are repeated or kept; the answer is recorded."""
         places = sorted(self._ledger.faulty)
         where = tuple(self._ledger.plan.positions[place] for place in places)
         offer = RepetitionOffered(tuple(places), where)
@@ -284,13 +284,13 @@ class SessionRunner(Operator):
         Parameters
         ----------
         sensor : Adis16354 or SampleSource
-            Open; stays open afterwards.
+            Open sensor; it stays open.
         path : path
-            File to make; an existing session is never overwritten.
+            New file; an existing session is never overwritten.
         auto : bool
-            Answer all questions; needs a stage that the program can move.
+            True to answer all questions by default; needs a stage that the program can move.
         extend : bool
-            With `auto`: accept the extension of the plan that a two-position session offers.
+            With `auto`: True to accept the extension that a two-position session offers.
         gravity_mps2 : float
             Local gravity in m/s².
         fixture_sigma_deg : float or None
@@ -298,14 +298,14 @@ class SessionRunner(Operator):
         title, note, operator, serial, stage : str
             Notes to keep: the operator's name, the serial number of the part, the stage.
         advisor : Advisor or None
-            Asked for further positions when the plan is done, until it has none.
+            Source of further positions when the plan is done.
 
         Raises
         ------
         UsageError
-            `auto` without a stage, or gravity or fixture out of range.
+            `auto` is set without a stage, or gravity or fixture is out of range.
         SessionError
-            The file exists, or cannot be made.
+            The file exists, or cannot be created.
         """
         checked_gravity_mps2(gravity_mps2, anywhere=True)
         if fixture_sigma_deg is not None and not fixture_sigma_deg >= 0:
@@ -350,9 +350,9 @@ class SessionRunner(Operator):
         Raises
         ------
         UsageError
-            `auto` without a stage.
+            `auto` is set without a stage.
         DataError
-            Not a session file, damaged, truncated or newer than this program.
+            The file is no session file, damaged, truncated or newer than this program.
         SessionError
             The file cannot be written, or the session began with another sensor.
         """
@@ -384,7 +384,7 @@ class SessionRunner(Operator):
 
     @property
     def fastest_dps(self) -> float:
-        """Mean rate at which the part may be turned for its gyros; known once it is configured."""
+        """Largest mean rate of a turn for the range of the gyros; known after the configuration."""
         return SHARE_OF_RANGE * float(self._bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
 
     @property
@@ -410,7 +410,7 @@ class SessionRunner(Operator):
         SessionError
             The sensor is stuck, does not come to rest (`auto`), or the archive cannot be written.
         BusError, ChipError
-            As the sensor raises them. Whatever was complete before is in the archive.
+            Errors of the sensor. All dwells completed before are in the archive.
         """
         if self._ran:
             raise UsageError("a runner runs once; resume the session with a new one")
@@ -475,7 +475,7 @@ class SessionRunner(Operator):
 
 
 def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] | None]:
-    """Measure until the part has lain still long enough.
+    """Measure the noise until the part has been still long enough.
 
     Returns
     -------

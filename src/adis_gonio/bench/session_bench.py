@@ -20,7 +20,7 @@ from adis_gonio.record.source import Measuring, SampleSource, SampleStream, as_s
 from adis_gonio.record.stillness import window_samples
 
 CHECKPOINT_S = 1e-3
-"""Silence that ends in a checkpoint, so that no frame's timing reaches over the point of resuming."""
+"""Time without frames before a checkpoint, so that no frame spans the point of resuming."""
 
 
 class MovableStage(Protocol):
@@ -80,18 +80,18 @@ class SessionBench:
     Parameters
     ----------
     sensor : Adis16354 or SampleSource
-        Open.
+        Open sensor.
     settings : Settings
-        How to measure.
+        Settings of the session.
 
     Attributes
     ----------
     configuration : Measuring
-        How the sensor measures; known after `configure`, and so are the three that follow from it:
+        Configuration of the sensor; like the following three, known after `configure`.
     window : int
         Samples of a window of the watch.
     settle_s : float
-        Wait between stillness and a dwell; never less than the filter needs.
+        Wait between stillness and a dwell, at least the settling time of the filter.
     """
 
     def __init__(self, sensor: Adis16354 | SampleSource, settings: Settings) -> None:
@@ -117,7 +117,7 @@ class SessionBench:
 
     @property
     def now_s(self) -> float:
-        """Clock of the source."""
+        """Time of the source's clock."""
         return self.source.now_s()
 
     def require_auto(self, plan: Plan) -> None:
@@ -172,7 +172,7 @@ class SessionBench:
     # -- configuration ----------------------------------------------------------------------------
 
     def configure(self) -> tuple[dict[str, int], dict[str, int]]:
-        """Set the sensor up as the settings say; return all registers before and after."""
+        """Set the sensor up by the settings; return all registers before and after."""
         settings = self.settings
         before = self.source.registers()
         self.configuration: Measuring = self.source.configure(settings)
@@ -327,7 +327,7 @@ class SessionBench:
         Parameters
         ----------
         attempt : int
-            Up to the end of this attempt; 0 up to the end of the measurement of the noise.
+            Last attempt of the replay; 0 for the end of the noise measurement.
         """
         ends = {a.number: a.ended_bus_s for a in archive.attempts()}
         end_s = ends[attempt] if attempt else archive.records("noise")[-1].bus_s
@@ -361,7 +361,7 @@ class SessionBench:
                 "the simulated sensor is later than it was when the session was recorded (by another"
                 " version of the program?); begin a new session"
             )
-        # The last step is short, hence exact in float64: the clock shows the archived time to the bit.
+        # The last step is short and therefore exact in float64: the clock has exactly the archived time.
         while (ahead := bus_s - source.now_s()) > 0:
             source.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
 

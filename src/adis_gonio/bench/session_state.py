@@ -232,7 +232,7 @@ class LiveView:
         self._seen_s = 0.0
 
     def see(self, block: Block) -> None:
-        """Take scans."""
+        """Learn from scans."""
         self.lost += block.lost
         columns = session_columns(block)
         if "temp_c" in columns and len(block):
@@ -328,7 +328,7 @@ class Knowledge:
         self.reversed = bool(ledger.archive.last("reversed"))
 
     def take_noise(self, noise: list[float]) -> NoiseMeasured:
-        """Set the limits of stillness by the noise at rest (mg), and begin to judge."""
+        """Set the limits of stillness by the noise at rest (mg), and make the judge."""
         bench = self._bench
         quantum = bench.source.part.step_mg
         limits = limits_from_noise(np.array(noise), bench.window, quantum)
@@ -375,7 +375,7 @@ class Knowledge:
         return StillnessWatch(self.limits, self._noise_mg)
 
     def see(self, block: Block) -> None:
-        """Take scans."""
+        """Learn from scans."""
         self.view.see(block)
         if self.judge is not None:
             self.judge.turning.see(block)
