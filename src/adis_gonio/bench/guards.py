@@ -314,6 +314,7 @@ def greatest_step(time_s: Floats, values: Floats) -> float:
     width_s = min(STEP_WINDOW_S / 2, float(time_s[-1] - time_s[0]) / 4)
     if width_s <= 0:
         return 0.0
+    # Means over slots of equal width; a slot with one sample is left out.
     slot = ((time_s - time_s[0]) / width_s).astype(int)
     means = np.array([values[slot == k].mean() for k in np.unique(slot) if (slot == k).sum() > 1])
     # Compare each window with the window after the next: a step may lie within the window between them.
@@ -387,6 +388,7 @@ class Turning:
         new = block.time_s > self._last_s
         if not new.any():
             return
+        # Trapezoidal rule, continued from the last sample of the block before.
         time_s = np.concatenate([[self._last_s], block.time_s[new]])
         turning = np.concatenate([[self._last], rates[new] - self._bias])
         steps_s = np.diff(time_s)

@@ -147,6 +147,7 @@ class GyroTurn(FollowedTurn):
         if self._last_s is None:
             self._last_s = float(time[0])
         span = float(time[-1]) - self._last_s
+        # Integral (3,) of the rates over the block, then its part about the vertical.
         moved = np.diff(np.concatenate([[self._last_s], time])) @ (shown - self._zero)
         self.angle_deg = self.angle_deg + moved
         self.turned_deg = float(self.angle_deg @ self._up)

@@ -154,6 +154,7 @@ class RunningFit:
 
     def add(self, place: int, position: Position, scans: Block) -> None:
         """Add a dwell; it replaces an earlier dwell of its place."""
+        # The scatter of the means of the parts gives the variance of the mean of the dwell.
         parts = np.array([part.mean(axis=0) for part in np.array_split(scans.accel_mg, PARTS)])
         variance = float(parts.var(axis=0, ddof=1).mean()) / PARTS
         self._means[place] = _Mean(position, np.asarray(scans.accel_mg.mean(axis=0)), variance)

@@ -215,6 +215,8 @@ class Quantiles:
         self.zeros += len(values) - len(some)
         if not len(some):
             return
+        # The bit pattern of a positive float64 grows with its value, so that its upper bits number the
+        # bins.
         places: NDArray[np.int64] = np.ascontiguousarray(some, dtype=np.float64).view(np.int64) >> _SHIFT
         low, high = int(places.min()), int(places.max()) + 1
         self._reach(low, high)
@@ -245,6 +247,7 @@ class Quantiles:
         total = int(count.sum()) + zeros
         if not total:
             raise ValueError("no numbers")
+        # Rank among the sorted numbers, of which the zeros are the first.
         rank = share * (total - 1)
         if rank < zeros:
             return 0.0
@@ -322,6 +325,7 @@ class _Range:
         largest = np.maximum(np.abs(self.low), np.abs(self.high))
         first = np.concatenate(self._first)
         for axis in range(self.axes):
+            # The smallest difference of two values is the step, unless it is a rounding error.
             gaps = np.diff(np.unique(first[:, axis]))
             gaps = gaps[gaps > 1e-9 * max(1.0, float(largest[axis]))]
             steps[axis] = gaps.min() if gaps.size else 0.0
@@ -363,6 +367,7 @@ def _deviation(samples: Floats, window: int, middle: float, rounding: float) -> 
     """Standard deviation (n − window + 1,) of samples (n,) in every window."""
     if len(samples) < window:
         return np.zeros(0)
+    # Differences of running sums give the sums of x and x² over every window.
     part = samples - middle
     first = np.concatenate([[0.0], np.cumsum(part)])
     second = np.concatenate([[0.0], np.cumsum(part**2)])
@@ -488,6 +493,7 @@ class _Cutter:
         window = self._sizes.window
         if len(still) <= window or not still.any():
             return
+        # Difference of the means of adjacent windows in units of the noise, the largest over the axes.
         jump = np.zeros(len(still) - window)
         for axis in range(accel.shape[1]):
             sums = np.concatenate([[0.0], np.cumsum(accel[:, axis] - self._extent.accel.middle[axis])])
@@ -533,6 +539,7 @@ class _Runs:
         self.open: int | None = None
 
     def feed(self, flags: Flags) -> list[tuple[int, int]]:
+        # +1 where a run begins, -1 behind its last flag.
         edges = np.diff(flags.astype(np.int8), prepend=np.int8(self.open is not None))
         found = []
         for k in np.flatnonzero(edges).tolist():
@@ -569,6 +576,7 @@ def shows_a_free_turn(recording: Dwell, dwells: Sequence[slice]) -> bool:
     rest = sum(rows.stop - rows.start for rows in dwells)
     if recording.gyro is None or rest > _MOST_REST * len(recording) or len(recording) < 2 * _LEAST_WINDOW:
         return False
+    # Means of 64 samples remove most of the noise before the angle is unwrapped.
     blocks = np.array_split(recording.accel, max(len(recording) // 64, 8))
     x, y, *z = np.array([block.mean(axis=0) for block in blocks]).T
     length = np.hypot(x, y)

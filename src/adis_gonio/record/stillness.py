@@ -239,6 +239,7 @@ class StillnessWatch:
         if self._anchor_from is not None and end - self._length >= self._anchor_from:
             if self._anchor is None:
                 self._anchor = mean
+            # The first window of the dwell is the reference for the shift of later ones.
             shift = np.abs(mean - self._anchor)
             allowed = np.maximum(self._upper, SHIFT_MG)
             if (shift > allowed).any():

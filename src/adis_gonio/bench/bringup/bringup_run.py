@@ -157,7 +157,7 @@ class _Run:
                 stopped = True
         if self._undo is not None:
             try:
-                self._undo.put_back()  # once more, whatever moment an interruption has hit
+                self._undo.put_back()  # again, since an interruption may have come during the first time
             except KeyboardInterrupt:
                 stopped = True
         return self._whole(begun, stopped)

@@ -300,7 +300,7 @@ class Row(JsonRecord):
 
 @dataclass(frozen=True)
 class Bringup:
-    """The whole bring-up.
+    """Result of a bring-up.
 
     Attributes
     ----------
@@ -412,15 +412,15 @@ class ClockCeiling(SpiBus):
         self.inner.sleep_s(seconds)
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """As the bus."""
+        """See `SpiBus`."""
         return self.inner.stream(frames, block_scans=block_scans)
 
     def hard_reset(self) -> None:
-        """As the bus."""
+        """See `SpiBus`."""
         self.inner.hard_reset()
 
     def read_event_counter(self) -> int:
-        """As the bus."""
+        """See `SpiBus`."""
         return self.inner.read_event_counter()
 
     def _exchange(self, frames: Words) -> Words:
@@ -434,9 +434,9 @@ class ClockCeiling(SpiBus):
 
 
 FALSE_ALARM = 1e-4
-"""Probability that a sound board is accused of anything."""
+"""Probability that a good board is accused of anything."""
 MOST_TESTS = 256
-"""Comparisons that a run may make."""
+"""Limit of comparisons of a run."""
 
 
 class AlarmBudget:
@@ -490,7 +490,7 @@ Floats = NDArray[np.float64]
 HOST_CLOCK_U = 100e-6 / np.sqrt(3)
 """Relative standard uncertainty of a computer's clock: quartz, within 100 ppm."""
 BOARD_CLOCK_U = 5e-3 / np.sqrt(3)
-"""The same of a bridge that times frames itself: a ceramic resonator, within 0.5 %."""
+"""Relative standard uncertainty of a bridge's clock: a ceramic resonator, within 0.5 %."""
 
 
 LONGEST_S = 40.0
@@ -650,6 +650,7 @@ class BringupBench:
 def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
     """Longest run without a missed update; a block with gaps of unknown position is not used."""
     whole = join(blocks)
+    # Scans before which an update was missed.
     breaks: list[int] = [0]
     at = 0
     for block in blocks:

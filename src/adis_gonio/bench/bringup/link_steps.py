@@ -296,6 +296,7 @@ def _judge(clock_hz: float, words: Words, expected: Words, frame_us: float) -> _
 
 def _majority(words: Words) -> Words:
     """Majority of the passes for each bit."""
+    # Bits (passes, registers, 16): a bit is one if it is one in most passes.
     ones = ((words[:, :, np.newaxis] >> np.arange(16, dtype=np.uint16)) & 1).mean(axis=0) > 0.5
     words_of: Words = (ones.astype(np.uint32) << np.arange(16)).sum(axis=1).astype(np.uint16)
     return words_of
@@ -306,7 +307,7 @@ SUPPLY_V = (4.75, 5.25)
 TEMPERATURE_C = (-40.0, 85.0)
 """Range of operation of the siblings (DS, B)."""
 GRAVITY_U = 0.0026 / np.sqrt(3)
-"""Relative: gravity is within 0.26 % of the standard value at all places on earth's surface."""
+"""Relative standard uncertainty: gravity on earth is within 0.26 % of the standard value."""
 _SCANS = 256
 
 
@@ -421,5 +422,5 @@ def _tolerance(part: Variant, warm_c: float) -> float:
 
 
 def _gain(bench: BringupBench) -> float:
-    """Gain of the filter in force for white noise, rms."""
+    """Rms gain of the present filter for white noise."""
     return white_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))

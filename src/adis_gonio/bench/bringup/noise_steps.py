@@ -40,6 +40,8 @@ GYRO_FLOOR_DPS = 0.015
 
 def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
     """Degrees of freedom of the variance of `count` filtered samples at a distance of `spacing` samples."""
+    # Autocorrelation of the filter at the lags of the samples: each correlated lag costs degrees of
+    # freedom.
     weights = bartlett(m)
     shape = np.correlate(weights, weights, "full")
     shape = shape[len(weights) - 1 :] / shape[len(weights) - 1]
@@ -64,6 +66,7 @@ def spectrum(values: Floats) -> tuple[Floats, Floats]:
     """
     n = len(values)
     at = np.arange(n) - (n - 1) / 2
+    # Remove the mean and the linear trend, then apply Hann's window.
     flat = values - values.mean(axis=0)
     flat = flat - np.outer(at, at @ flat) / float(at @ at)
     window = np.hanning(n + 1)[:-1]
@@ -203,6 +206,7 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
     gain = response(m, cycles)
     part = bench.sensor.variant
     floor = floors(part, expected)
+    # Frequency above which flicker adds at most `_MOST_FLICKER` to the white noise of every axis.
     lowest_hz = float(np.max(flicker(floor, np.ones(1), rate_hz)[0] / (_MOST_FLICKER * expected**2)))
     used = cycles * rate_hz >= max(lowest_hz, 4 * rate_hz / len(numbers))
     rounded = np.stack([rounding(m, sigma, cycles) for sigma in expected], axis=1)
@@ -212,6 +216,7 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
     relative = (power[used] - rest) / gain[used, None]
     # The scatter of a bin includes flicker and rounding: weight it by the share of the white noise.
     share = gain[used, None] * expected**2 / (gain[used, None] * expected**2 + rest)
+    # Weighted mean of the levels of the bins, and its number of independent bins.
     level = np.sum(share**2 * relative, axis=0) / np.sum(share**2, axis=0)
     effective = np.sum(share**2, axis=0) / _HANN_WIDTH
     sigma = np.sqrt(np.maximum(level, 1e-12))
@@ -227,11 +232,13 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
             # A line of rms r gives about n r² / 3 in its highest bin with Hann's window.
             rms = math.sqrt(3 * power[used][highest, k] / gain[used][highest] / len(numbers))
             judged.tones.append((k, float(hz[highest]), rms))
+        # The shape is judged by the means over bands of the spectrum.
         bands = [band for band in np.array_split(ratio[:, k], _BANDS) if len(band)]
         for band in bands:
             low, high = bench.budget.variance_ratio(2 * len(band) / _HANN_WIDTH)
             if not low <= float(np.mean(band)) <= high and k not in judged.shape_off:
                 judged.shape_off.append(k)
+    # At most about 200 points are drawn: means over neighbouring bins.
     step = max(1, len(power) // 200)
     size = len(power) // step * step
     smooth = power[:size].reshape(-1, step, power.shape[1]).mean(axis=1) / expected**2

@@ -70,7 +70,7 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
         at = np.flatnonzero(words & ND)
         if len(at) > 1:
             if at[0] == 0:
-                at = at[1:]  # the update may have been long before the batch began
+                at = at[1:]  # this update may have come long before the batch
             if len(at) > 1:
                 spans += float(at[-1] - at[0]) * frame_s
                 periods += len(at) - 1
@@ -372,6 +372,7 @@ class DataReady(BringupStep):
 
 
 def _positions(words: Words) -> NDArray[np.int64]:
+    # One flag in a scan gives its position, several give -2, none gives -1.
     new = (words & ND).astype(bool)
     new[0] = False  # ND of the first scan may come from an earlier update
     count = new.sum(axis=1)
@@ -381,6 +382,7 @@ def _positions(words: Words) -> NDArray[np.int64]:
 
 def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
     """Rms deviation in µs of the times from equal steps, and their rate in Hz."""
+    # Number the edges by rounded periods, then subtract the straight line of even steps.
     steps = np.diff(time_s)
     number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / period_s), 1))])
     rest = time_s - time_s[0] - np.polyval(np.polyfit(number, time_s - time_s[0], 1), number)

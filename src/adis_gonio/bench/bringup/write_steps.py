@@ -1,4 +1,4 @@
-"""Steps that write: offsets, manual self-test, STATUS, the flash's counter. All of it is undone."""
+"""Steps that write: offsets, manual self-test, STATUS, the flash's counter. All writes are undone."""
 
 from __future__ import annotations
 
@@ -54,6 +54,7 @@ class Offset(BringupStep):
         self._write(bench, held)
         bench.wait_updates()
         after = bench.means(_SCANS, ACCEL_OUT)
+        # The mean of before and after cancels a linear drift.
         ratio = (moved - (before + after) / 2) / np.array(steps)
         u = _mean_u(bench, _SCANS)[:3] * math.sqrt(1.5) / _STEP
         found = Findings()
@@ -146,6 +147,7 @@ class SelfTests(BringupStep):
         lsb, _, units = scales(
             registers(names), bench.sensor.variant, bench.sensor.configuration().gyro_range_dps
         )
+        # Each stimulus is compared with the means without stimulus before and after it.
         plus, minus = up - (zero + between) / 2, down - (between + end) / 2
         range_scale = np.array([1.0] * 3 + [0.07326 / lsb[3]] * 3)
         u = _mean_u(bench, _SCANS // 2) * math.sqrt(1.5) * range_scale

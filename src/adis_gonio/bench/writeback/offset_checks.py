@@ -133,7 +133,7 @@ def _noise(sensor: Adis16354, stream: ScanStream, now: Configuration, patience_s
         if noise is not None:
             return noise
         seen += len(scans)
-        # A slow bridge needs its time for the windows that the meter compares.
+        # A slow bridge needs more time for the windows that the meter compares.
         if seen > meter.least_samples and sensor.bus.now_s() - begin_s > patience_s:
             break
     raise SessionError(
@@ -185,7 +185,7 @@ def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Float
 
 
 SIGMAS = 4.0
-"""Limit of a difference in standard uncertainties: a sound part is accused once in 16 000 comparisons."""
+"""Limit of a difference in standard uncertainties: a good part is accused once in 16 000 comparisons."""
 SET_ANEW_U_DEG = 0.05
 """Standard uncertainty of an angle that is set again, if the session states none: a session of a few
 positions cannot estimate it, and a vernier cannot be read better."""
@@ -195,7 +195,7 @@ LEAST_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Agreement(JsonRecord):
-    """Measured against expected.
+    """Comparison of measured with expected figures.
 
     Attributes
     ----------
@@ -352,6 +352,7 @@ class _FittedSensor:
         mean = self.rest.mean_mg
         by_parameter = _slopes(lambda v: function(v, mean), self.values)
         by_reading = _slopes(lambda m: function(self.values, m), mean[: self.model.axes])
+        # Variances from the parameters, from the reading, and from the declared angle.
         variance = np.einsum("kp,pq,kq->k", by_parameter, self.covariance, by_parameter)
         variance = variance + (by_reading**2) @ self.u_mg**2 + more_u**2
         return function(self.values, mean), np.sqrt(variance)
@@ -545,7 +546,7 @@ class Accelerometers:
 
 
 class Gyros:
-    """The gyros of a session that calibrates them."""
+    """The gyros of a session, with their calibration."""
 
     registers, others, unit = GYRO_OFF, ACCEL_OFF, "dps"
 
@@ -626,12 +627,12 @@ class Gyros:
 def part_of(
     session: Session, *, gyros: bool, method: str | None = None, angle_deg: float | None = None
 ) -> Accelerometers | Gyros:
-    """The half of a session's sensor that is to be written.
+    """Half of a session's sensor to write.
 
     Raises
     ------
     UsageError
-        A method of the accelerometers' fit is named for the gyros.
+        A method for the accelerometers is given for the gyros.
     """
     if not gyros:
         return Accelerometers(session, method, angle_deg)

@@ -1,7 +1,7 @@
-"""The write-back as a state machine without a screen.
+"""The write-back, without a user interface.
 
     writer = OffsetWriter(sensor, "today.session", WriteSettings(save=True), tell=print)
-    plan = writer.plan()      # reads and refuses; nothing is written, neither to the sensor nor to the file
+    plan = writer.plan()      # checks only; writes neither to the sensor nor to the file
     writer.write()            # or writer.undo()
 
 Every step is recorded in the archive's journal (see `write_journal`) before or after it is done. If a write
@@ -268,7 +268,7 @@ class OffsetWriter:
         if self.settings.save and endurance >= FLASH_LIFE:
             raise ChipError(f"ENDURANCE is {endurance}: the flash is made for {FLASH_LIFE} writes")
         if self._bench.stage is not None and self._angle_deg is not None:
-            self._bench.move_to(Position(self._angle_deg))  # once: a second move would end elsewhere
+            self._bench.move_to(Position(self._angle_deg))  # only once: two moves would not end alike
         before = self._measure("at rest, before")
         check = self._part.expected(plan, before)
         self._tell(str(check))
