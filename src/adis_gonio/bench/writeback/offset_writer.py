@@ -312,7 +312,7 @@ class OffsetWriter:
         found = old if standing.registers == "half" else held
         bias: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
         operation = Operation(0, "write", old, plan.new, found, saves, ())
-        with self._journal(operation, plan=plan.as_dict()) as journal:
+        with self._journal(operation, plan=plan.as_dict()) as journal, self._reporting_state():
             try:
                 if plan.changes:
                     self._put(plan)
@@ -326,7 +326,7 @@ class OffsetWriter:
                     self._save(journal, plan.new)
                 journal.note(WriteStep.DONE)
             except BaseException as error:
-                self._break_off(journal, error)
+                self._restore(journal, str(error) or type(error).__name__)
                 raise
         return self._outcome(endurance, bias)
 
@@ -351,22 +351,16 @@ class OffsetWriter:
         if saves:
             self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         operation = Operation(0, "undo", earlier.old, earlier.new, earlier.old, saves, ())
-        with self._journal(operation) as journal:
-            try:
-                back = Undo(self.sensor, registers(earlier.old), _words(earlier.old))
-                back.put_back()
-                if back.left or not self._holds(earlier.old):
-                    raise VerifyError(f"{', '.join(back.left) or 'the registers'} could not be set back")
-                journal.note(WriteStep.WRITTEN)
-                self._tell(f"set back and read back: {_format_numbers(earlier.old)}")
-                if saves:
-                    self._save(journal, earlier.old)
-                journal.note(WriteStep.DONE)
-            except AdisGonioError as error:
-                raise type(error)(f"{error}; {self._state_text()}") from error
-            except KeyboardInterrupt:
-                self._tell(self._state_text())
-                raise
+        with self._journal(operation) as journal, self._reporting_state():
+            back = Undo(self.sensor, registers(earlier.old), _words(earlier.old))
+            back.put_back()
+            if back.left or not self._holds(earlier.old):
+                raise VerifyError(f"{', '.join(back.left) or 'the registers'} could not be set back")
+            journal.note(WriteStep.WRITTEN)
+            self._tell(f"set back and read back: {_format_numbers(earlier.old)}")
+            if saves:
+                self._save(journal, earlier.old)
+            journal.note(WriteStep.DONE)
         return self._outcome(endurance, ((), ()))
 
     def autonull(self, *, precise: bool = False) -> WriteResult:
@@ -402,16 +396,11 @@ class OffsetWriter:
         operation = Operation(0, "autonull", now, now, now, True, ())
         with self._journal(operation) as journal:
             journal.note(WriteStep.SAVING, endurance=endurance, beside=self._beside())
-            try:
+            with self._reporting_state():
                 _ = self.sensor.precision_autonull() if precise else self.sensor.autonull()
                 nulled, after = self._read()
                 journal.note(WriteStep.SAVED, new=nulled, endurance_after=after)
                 journal.note(WriteStep.DONE)
-            except AdisGonioError as error:
-                raise type(error)(f"{error}; {self._state_text()}") from error
-            except KeyboardInterrupt:
-                self._tell(self._state_text())
-                raise
         self.session = load(self.path)
         rate = self.sensor.configuration().sample_rate_hz
         found = compare_autonull(part, plan, before, nulled, PRECISE_S * rate if precise else None)
@@ -474,18 +463,25 @@ class OffsetWriter:
         journal.note(WriteStep.SAVED, endurance_after=after)
         self._tell(f"saved to flash: ENDURANCE {endurance} before, {after} after")
 
-    def _break_off(self, journal: Logbook, error: BaseException) -> None:
+    @contextlib.contextmanager
+    def _reporting_state(self) -> Iterator[None]:
+        """Add the state of the sensor to the message of an error; after a Ctrl-C tell it."""
+        try:
+            yield
+        except BaseException as error:
+            if isinstance(error, AdisGonioError):
+                raise type(error)(f"{error}; {self._state_text()}") from error
+            self._tell(self._state_text())
+            raise
+
+    def _restore(self, journal: Logbook, why: str) -> None:
         """After an error or a Ctrl-C keep offsets that are in flash, else restore the old ones."""
         # Two blocks: a second Ctrl-C in the first block must not prevent the restoring in the second.
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
             self._keep_what_is_saved(journal)
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
             if journal.operation.open:
-                self._set_back(journal, str(error) or type(error).__name__)
-        told = self._state_text()
-        if isinstance(error, AdisGonioError):
-            raise type(error)(f"{error}; {told}") from error
-        self._tell(told)
+                self._set_back(journal, why)
 
     def _keep_what_is_saved(self, journal: Logbook) -> None:
         """Complete the journal if flash and registers have the new offsets already."""
