@@ -545,7 +545,7 @@ def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
     found = [Problem("status", f"STATUS: {message}", place) for message in messages]
     alarms = find_alarms(scans)
     if alarms is not None:
-        why = "" if messages else "; it has passed: over-range or the supply, whose bits fall by themselves"
+        why = "" if messages else "; it has passed: the bits of over-range and supply clear automatically"
         found.append(Problem("alarm", f"{alarms}{why}", place))
     if isinstance(scans, ScanBlock) and "SUPPLY_OUT" in scans.registers:
         supply = scans.supply_v

@@ -186,7 +186,7 @@ def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | 
     way = "up" if z < 0 else "down"
     message = (
         f"z reads {z:+.0f} mg: the Z arrow points {way}, {tilt:.0f}° out of the horizontal;"
-        f" it is the axis of rotation and lies horizontal (at most {limit:.0f} mg)"
+        f" it is the axis of rotation and has to be horizontal (at most {limit:.0f} mg)"
     )
     values = {"z_mg": z, "limit_mg": limit, "tilt_deg": tilt}
     return Guard("wrong_axis", message, values, spoils=True)
@@ -267,7 +267,7 @@ def shock_guard(why: str, times: int) -> Guard:
     """Guard of a dwell that was disturbed repeatedly."""
     return Guard(
         "shock",
-        f"{counted(times, 'dwell')} in a row were disturbed: {why}; find what shakes the part",
+        f"{counted(times, 'dwell')} in a row were disturbed: {why}; find the cause of the disturbance",
         {"times": float(times)},
     )
 

@@ -21,7 +21,7 @@ PLANE = (
     "",
     "  X arrow down (reads +1 g), Y level (0).          X level (0), Y arrow up (reads -1 g).",
     "  Z is the axis of rotation and lies level: it reads about 0 throughout.",
-    "  Positive is counter-clockwise, seen with Z towards you: after +90° X points where Y did.",
+    "  Positive is counter-clockwise, seen with Z towards you: at +90° X points as Y did at 0°.",
 )
 SPACE = (
     "An axis reads + if its arrow points down, - if it points up, about 0 if it is level.",
@@ -40,7 +40,7 @@ SPACE = (
 def turn_to_do(turns: int) -> str:
     """Instruction for a free turn of so many full turns, in one line."""
     if turns > 1:
-        ways = f"{turns} times all around in the time, on and on, or forth and back where a cable wants it"
+        ways = f"{turns} times all around in the time, on and on, or forth and back if a cable requires it"
     else:
         ways = "once all around"
     return (

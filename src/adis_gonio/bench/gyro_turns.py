@@ -211,7 +211,7 @@ class GyroTurnsRecorder(DwellRecorder):
         """Record a turn; True if the dwell after it may follow."""
         before = place - 1
         if before not in self._ledger.done:
-            message = "the rest before this turn was skipped: nothing tells the zero of the gyros"
+            message = "the rest before this turn was skipped, so that the zero rates are unknown"
             yield self._ledger.problem(Problem("stillness", message, place))
             self._ledger.skip(place)
             return False
@@ -292,8 +292,8 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
         return Guard("wrong_angle", message, values, spoils=True)
     if turned * wanted_deg < 0:
         message = (
-            f"turned {turned:+.0f}°, {way(turned)}; {way(wanted_deg)} was asked: it serves as well if the"
-            " next one goes the other way"
+            f"turned {turned:+.0f}°, {way(turned)}; {way(wanted_deg)} was requested: this is allowed if the"
+            " next turn goes the other way"
         )
         return Guard("reversed", message, values, ("retake", "reverse", "keep", "skip"), "reverse")
     return None

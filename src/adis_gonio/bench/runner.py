@@ -513,7 +513,7 @@ def _meter_noise(questions: Questions) -> Generator[Event, None, Floats | None]:
         noise = meter.feed(block.accel_mg)
         knowledge.see(block)
         yield knowledge.view.watching(
-            "measuring", meter.mean_mg, meter.spread_mg, None, "the part to lie still"
+            "measuring", meter.mean_mg, meter.spread_mg, None, "the part to be still"
         )
         if noise is not None or questions.interrupted:
             return noise

@@ -23,7 +23,7 @@ def explain_refusal(reason: str) -> str:
     """Reason for refusing a file, for commands without overrides: explain options that it mentions."""
     if not _OPTIONS.search(reason):
         return reason
-    return f"{reason} (an option of fit, trace and report; here the file itself has to say it)"
+    return f"{reason} (an option of fit, trace and report; for this command it has to be in the file)"
 
 
 @dataclass(frozen=True)

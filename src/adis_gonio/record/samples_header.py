@@ -364,7 +364,7 @@ class Head:
             if values.get(key, unit) != unit and not (key == "accel_unit" and unit_told):
                 raise DataError(
                     f"{self.path.name}, row {self.line}: the header says {table} in {unit}, the line "
-                    f"'# {key}: {values[key]}' says otherwise; take one of them out"
+                    f"'# {key}: {values[key]}' states another unit; remove one of them"
                 )
             values.setdefault(key, unit)
         return values

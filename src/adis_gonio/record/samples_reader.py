@@ -570,7 +570,7 @@ def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
         if number in seen:
             raise table.fail(
                 row,
-                f"position {number} comes back after another one (first in row {seen[number]}); "
+                f"position {number} occurs again after another one (first in row {seen[number]}); "
                 "the rows of a dwell must be contiguous: give a second visit a number of its own",
             )
         if len(numbers) == MOST_DWELLS:
@@ -622,7 +622,7 @@ class _Remarks:
         notes = []
         unused = self.given if free else self.unused
         if unused:
-            why = "a free turn has no dwells" if free else "no dwell that was found goes with its values"
+            why = "a free turn has no dwells" if free else "no dwell belongs to its values"
             notes.append(
                 f"not used: {', '.join(unused)}: {why}; add a column 'position', or fill in every row"
             )

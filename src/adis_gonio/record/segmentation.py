@@ -141,7 +141,7 @@ def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
     ]
     if cutter.stuck:
         rows = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in cutter.stuck[:4])
-        notes.append(f"stuck data left out: an axis shows less than a tenth of its noise at {rows}")
+        notes.append(f"stuck data left out: an axis has less than a tenth of its noise at {rows}")
     return slices, notes
 
 

@@ -129,7 +129,7 @@ QUESTIONS: tuple[Question, ...] = (
         "self_test_accel", "MSC_CTRL", "Do the accelerometers answer to the positive sign only?", "yes", "B"
     ),
     _register(
-        "over_range_falls", "STATUS", "Does STATUS's over-range bit fall by itself?", "yes (DS, p. 20)"
+        "over_range_falls", "STATUS", "Does the over-range bit clear automatically?", "yes (DS, p. 20)"
     ),
     _register(
         "alarm_stays", "STATUS", "Does an alarm's bit stay until STATUS is read?", "yes (DS, p. 20)", "B"

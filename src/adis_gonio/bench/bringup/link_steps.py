@@ -342,7 +342,7 @@ class Health(BringupStep):
         found.measure("supply", value[0], "V", u[0], 5.0)
         for axis, t, s in zip("xyz", value[1:], u[1:], strict=True):
             found.measure(f"temperature {axis}", t, "degC", s)
-        found.measure("STATUS as it was found", first)
+        found.measure("STATUS at first", first)
         found.measure("STATUS read again", standing.word, expected=0)
         wrong = []
         z = bench.budget.z()

@@ -201,9 +201,7 @@ class DataReady(BringupStep):
     """Edges of data-ready: rate, relation to the updates, leading edge, jitter, missed edges."""
 
     name = "data-ready"
-    does = (
-        "enables data-ready, counts edges, starts scans at both edges of the pulse and looks where ND comes"
-    )
+    does = "enables data-ready, counts edges, starts scans at both edges of the pulse and finds the ND"
     effect = SideEffect.LENDS
     settles = ("data_ready_edge", "data_ready_pulse")
     _scans = 256
@@ -411,9 +409,8 @@ def _pulse(first: _Edges, second: _Edges, period_s: float, bench: BringupBench) 
     width = (low + high) / 2 % (1e6 * period_s)
     half = (high - low) / 2
     figure = Measured("pulse", width, "us", half / math.sqrt(3))
-    text = (
-        f"{max(width - half, 0):.0f} to {width + half:.0f} µs, from where ND comes in scans at either edge"
-    )
+    low, high = max(width - half, 0), width + half
+    text = f"{low:.0f} to {high:.0f} µs, from the position of ND in scans at either edge"
     return Answer(Outcome.MEASURED, text, (figure,))
 
 
@@ -425,8 +422,8 @@ def _histogram(first: _Edges, second: _Edges) -> Curve:
     }
     return Curve(
         "data-ready", "read of the scan that carries ND", "share of the scans", places, share,
-        "Where the update lies in scans started at either edge of the pulse: 0 means before the first read,"
-        " -1 no update between two edges, -2 several.",
+        "Position of the update in scans started at either edge of the pulse: 0 means before the first"
+        " read, -1 no update between two edges, -2 several.",
     )  # fmt: skip
 
 

@@ -185,7 +185,7 @@ def _answer_self_test(found: Findings, plus: Floats, minus: Floats, limit: Float
         ),
         (
             "self_test_accel", all(still),
-            "the accelerometers stay where they are at the negative stimulus",
+            "the accelerometers do not move at the negative stimulus",
             "the accelerometers answer to the negative stimulus as well", "ACCL",
         ),
     ):  # fmt: skip
@@ -210,7 +210,7 @@ class StatusBits(BringupStep):
         bench.status()
         bench.wait_updates()
         if standing := bench.status():
-            return not_measured(f"STATUS stands at 0x{standing:04X} already")
+            return not_measured(f"STATUS is 0x{standing:04X} already")
         found = Findings()
         found.answers["alarm_stays"] = self._alarm(bench)
         self._over_range(bench, found)
@@ -236,7 +236,7 @@ class StatusBits(BringupStep):
             return Answer(Outcome.CONFIRMS, "an alarm's bit stays until STATUS is read, which clears it")
         return Answer(
             Outcome.CONTRADICTS,
-            "an alarm's bit falls by itself when its condition ends" if cleared
+            "an alarm's bit clears automatically when its condition ends" if cleared
             else "an alarm's bit is not cleared by a read of STATUS",
         )  # fmt: skip
 
@@ -308,8 +308,8 @@ def _falling(*, stood: bool, falls: bool) -> Answer:
             Outcome.NOT_MEASURED, "not measured: over-range came and went before its condition ended"
         )
     if falls:
-        return Answer(Outcome.CONFIRMS, "over-range falls by itself when its condition ends")
-    return Answer(Outcome.CONTRADICTS, "over-range does not fall by itself: it stands until STATUS is read")
+        return Answer(Outcome.CONFIRMS, "over-range clears automatically when its condition ends")
+    return Answer(Outcome.CONTRADICTS, "over-range does not clear automatically, only when STATUS is read")
 
 
 class FlashCount(BringupStep):
@@ -324,7 +324,7 @@ class FlashCount(BringupStep):
     def run(self, bench: BringupBench) -> StepResult:
         """Save numbers that are in the flash already."""
         if not bench.supply_ok:
-            return not_measured("the supply is outside its limits, where a flash update fails")
+            return not_measured("the supply is outside its limits, so that a flash update may fail")
         used = {"AUX_DAC": 0x0FFF, "GPIO_CTRL": 0x0003}  # a voltage, lines that are outputs
         in_use = [name for name, bits in used.items() if bench.sensor.read(name) & bits]
         if in_use:

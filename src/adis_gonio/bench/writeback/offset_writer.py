@@ -94,7 +94,7 @@ def load(path: Path) -> Session:
     """
     if path.is_file() and not is_archive(path):
         raise SessionError(
-            f"{path}: is no session file of calibrate, where the undo of a write is kept: calibrate first"
+            f"{path}: is no session file, which keeps the undo of a write: run calibrate first"
         )
     session = read_session(path)
     recorded_offsets(session)
@@ -256,7 +256,7 @@ class OffsetWriter:
         if plan.doubts and not self.settings.doubtful:
             raise SessionError(
                 f"{self.path}: the fit is no sound base ({'; '.join(plan.doubts)}); see `adis-gonio trace`,"
-                " or write all the same with --even-if-inadequate"
+                " or write anyway with --even-if-inadequate"
             )
         earlier = find_undoable(self.known)
         if earlier is not None and earlier.new != plan.new:
@@ -604,4 +604,4 @@ def _format_numbers(numbers: dict[str, int]) -> str:
 def _require(now: dict[str, int], numbers: dict[str, int], what: str) -> None:
     odd = [name for name, number in numbers.items() if now[name] != number]
     if odd:
-        raise VerifyError(f"{', '.join(odd)} {what}; look at the supply")
+        raise VerifyError(f"{', '.join(odd)} {what}; check the supply")
