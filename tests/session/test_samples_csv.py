@@ -119,7 +119,7 @@ def test_a_bad_row_is_named(tmp_path, line, row, words):
 def test_shuffled_positions_are_named(tmp_path):
     lines = [f"{k / 10},{p},{90 * p},1,2" for k, p in enumerate([0, 0, 1, 0, 1])]
     message = refused(write(tmp_path, HEADER, *lines))
-    assert "row 5: position 0 comes back" in message
+    assert "row 5: position 0 " in message
     assert "contiguous" in message
 
 
