@@ -39,7 +39,11 @@ Op = Literal["write", "undo", "autonull"]
 
 
 class WriteStep(StrEnum):
-    """Steps of an operation, in their order; `DONE` and `SET_BACK` end it."""
+    """Steps of an operation, in their order; `DONE` and `SET_BACK` end it.
+
+    Numbers that are in flash already are `SAVED` without `SAVING`. An autonull begins with `SAVING`, since
+    the part saves it automatically, and `SAVED` has the numbers found.
+    """
 
     PLANNED = "planned"
     WRITTEN = "written"
@@ -48,20 +52,6 @@ class WriteStep(StrEnum):
     SAVED = "saved"
     DONE = "done"
     SET_BACK = "set-back"
-
-
-AFTER: dict[WriteStep | None, tuple[WriteStep, ...]] = {
-    None: (WriteStep.PLANNED,),
-    WriteStep.PLANNED: (WriteStep.WRITTEN, WriteStep.SAVING, WriteStep.SET_BACK),
-    WriteStep.WRITTEN: (WriteStep.VERIFIED, WriteStep.SAVING, WriteStep.DONE, WriteStep.SET_BACK),
-    WriteStep.VERIFIED: (WriteStep.SAVING, WriteStep.SAVED, WriteStep.DONE, WriteStep.SET_BACK),
-    WriteStep.SAVING: (WriteStep.SAVED, WriteStep.SET_BACK),
-    WriteStep.SAVED: (WriteStep.DONE,),
-    WriteStep.DONE: (),
-    WriteStep.SET_BACK: (),
-}
-"""Steps that may follow each step. Numbers that are in flash already are `saved` without `saving`. An
-autonull begins with `saving`, since the part saves it automatically, and `saved` has the numbers found."""
 
 
 @dataclass(frozen=True)

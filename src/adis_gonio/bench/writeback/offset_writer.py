@@ -41,7 +41,6 @@ from adis_gonio.record.plans import Position
 from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings
 from adis_gonio.record.write_journal import (
-    AFTER,
     KIND,
     HeldOffsets,
     Operation,
@@ -72,9 +71,6 @@ class Logbook:
         SessionError
             The file cannot be written, or another program continues the session.
         """
-        last = self.steps[-1] if self.steps else None
-        if step not in AFTER[last]:
-            raise UsageError(f"'{step}' does not follow '{last}'")
         self._archive.add_record(
             KIND, {"number": self.operation.number, "step": step, **facts}, self._now_s()
         )
