@@ -39,7 +39,6 @@ from adis_gonio.record.stillness import SHIFT_MG
 if TYPE_CHECKING:
     from adis_gonio.bench.events import Problem
 
-GUARD_KINDS: tuple[str, ...] = get_args(GuardKind)
 
 TILT_LIMIT_DEG = math.degrees(math.acos(1 - GAIN_LIMIT))
 """Tilt of the rotation axis from the horizontal that changes a reading as much as the gain limit."""

@@ -205,6 +205,16 @@ def parse_number(attributes: Mapping[str, str], name: str, default: float, where
     return number
 
 
+def channel_of(name: str, texts: Mapping[str, str], where: str) -> IioChannel:
+    """Channel from the texts of its `scale`, `offset`, `index` and `format`, as far as it has them."""
+    scale = parse_number(texts, "scale", 1.0, where)
+    offset = parse_number(texts, "offset", 0.0, where)
+    index = int(parse_number(texts, "index", -1, where))
+    if index < 0 or "format" not in texts:
+        return IioChannel(name, scale=scale, offset=offset)
+    return IioChannel(name, index, SampleFormat.parse(texts["format"]), scale, offset)
+
+
 TIMESTAMP = "timestamp"
 
 
@@ -305,20 +315,13 @@ class LocalDevice:
     def _channel(self, name: str) -> IioChannel:
         kind = re.match(r"[a-z]+", name)
         shared = kind[0] if kind else name
-        attributes = {
-            what: text
-            for what in ("scale", "offset")
-            for text in [self._text(f"in_{name}_{what}") or self._text(f"in_{shared}_{what}")]
-            if text is not None
+        texts = {
+            "scale": self._text(f"in_{name}_scale") or self._text(f"in_{shared}_scale"),
+            "offset": self._text(f"in_{name}_offset") or self._text(f"in_{shared}_offset"),
+            "index": self._text(f"scan_elements/in_{name}_index"),
+            "format": self._text(f"scan_elements/in_{name}_type"),
         }
-        scale = parse_number(attributes, "scale", 1.0, self.where)
-        offset = parse_number(attributes, "offset", 0.0, self.where)
-        kind_text = self._text(f"scan_elements/in_{name}_type")
-        index_text = self._text(f"scan_elements/in_{name}_index")
-        if kind_text is None or index_text is None:
-            return IioChannel(name, scale=scale, offset=offset)
-        index = parse_number({"index": index_text}, "index", -1, self.where)
-        return IioChannel(name, int(index), SampleFormat.parse(kind_text), scale, offset)
+        return channel_of(name, {key: text for key, text in texts.items() if text is not None}, self.where)
 
     def read_raw(self, channel: str) -> float:
         """Present raw number of a channel."""
@@ -521,12 +524,8 @@ class NetworkDevice:
         label = element.get("name")
         name = element.get("id", "") + (f"_{label}" if label else "")
         scan = element.find("scan-element")
-        scale = parse_number(attributes, "scale", 1.0, self.where)
-        offset = parse_number(attributes, "offset", 0.0, self.where)
-        if scan is None:
-            return IioChannel(name, scale=scale, offset=offset)
-        index = parse_number(dict(scan.items()), "index", -1, self.where)
-        return IioChannel(name, int(index), SampleFormat.parse(scan.get("format", "")), scale, offset)
+        buffered = {} if scan is None else {"format": "", **dict(scan.items())}
+        return channel_of(name, {**attributes, **buffered}, self.where)
 
     def _attributes_named(self, element: ET.Element, prefix: str, names: tuple[str, ...]) -> dict[str, str]:
         there = {attribute.get("name") for attribute in element.findall("attribute")}
