@@ -248,7 +248,7 @@ def test_a_part_that_is_not_laid_down_at_the_start_is_waited_for(path):
 
 def test_an_unknown_answer_is_a_typed_error(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), QUICK)
-    with pytest.raises(UsageError, match="open: nothing"):
+    with pytest.raises(UsageError, match="possible: nothing"):
         runner.answer(Reply.KEEP)
 
 

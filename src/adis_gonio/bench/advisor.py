@@ -183,6 +183,3 @@ def _open_names(result: TraceResult) -> str:
         if names[0] in inside and others:
             pairs.setdefault(names[0], others[0])
     return ", and between ".join(f"{name} and {other}" for name, other in pairs.items())
-
-
-__all__ = ["Advice", "Advisor", "TraceAdvisor", "summarise_trace"]

@@ -58,8 +58,8 @@ class Remark:
     utc: str
 
 
-class Inbox:
-    """Answers and remarks of the operator that the session has not taken yet; thread-safe.
+class Operator:
+    """The operator's side of a session; every method may be called from any thread.
 
     Attributes
     ----------
@@ -75,29 +75,13 @@ class Inbox:
         self.pausing = threading.Event()
         self.going_on = threading.Event()
 
-    @property
-    def interrupting(self) -> bool:
-        """True if the session is to end or to pause."""
-        return self.stopping.is_set() or self.pausing.is_set()
-
-    def answer(self, answer: Reply | str) -> None:
-        """Add an answer; `UsageError` if it does not answer the open question."""
-        if answer not in self._allowed:
-            asked = ", ".join(sorted(self._allowed)) or "nothing"
-            raise UsageError(f"'{answer}' does not answer the open question (possible: {asked})")
-        self._answers.put(Reply(answer))
-
-    def remark(self, text: str) -> None:
-        """Add a remark."""
-        self._remarks.put(Remark(text, utc_now()))
-
-    def open(self, answers: frozenset[Reply]) -> None:
-        """Open a question; answers to an earlier question are discarded."""
+    def open_question(self, answers: frozenset[Reply]) -> None:
+        """Allow answers to a question; answers to an earlier question are discarded."""
         while not self._answers.empty():
             self._answers.get_nowait()
         self._allowed = answers
 
-    def given(self) -> Reply | None:
+    def take_answer(self) -> Reply | None:
         """Take the answer to the open question; None if there is none yet."""
         try:
             answer = self._answers.get_nowait()
@@ -106,19 +90,10 @@ class Inbox:
         self._allowed = frozenset()
         return answer
 
-    def said(self) -> list[Remark]:
+    def take_remarks(self) -> Iterator[Remark]:
         """Take all new remarks."""
-        remarks = []
         while not self._remarks.empty():
-            remarks.append(self._remarks.get_nowait())
-        return remarks
-
-
-class Operator:
-    """The operator's methods of a session; each may be called from any thread."""
-
-    def __init__(self) -> None:
-        self._inbox = Inbox()
+            yield self._remarks.get_nowait()
 
     def answer(self, answer: Reply | str) -> None:
         """Answer the open question by the name of an answer, such as one of `GuardRaised.answers`.
@@ -131,7 +106,10 @@ class Operator:
         if answer == Reply.STOP:
             self.stop()
             return
-        self._inbox.answer(answer)
+        if answer not in self._allowed:
+            possible = ", ".join(sorted(self._allowed)) or "nothing"
+            raise UsageError(f"'{answer}' does not answer the open question (possible: {possible})")
+        self._answers.put(Reply(answer))
 
     def confirm(self) -> None:
         """Confirm that the part is in the requested position, or that the stage may go there."""
@@ -171,22 +149,22 @@ class Operator:
 
     def stop(self) -> None:
         """End the session now; an unfinished dwell is archived as interrupted. It can be resumed."""
-        self._inbox.stopping.set()
+        self.stopping.set()
 
     def pause(self) -> None:
         """Close the stream until `unpause`; an unfinished dwell is archived as interrupted."""
-        self._inbox.going_on.clear()
-        self._inbox.pausing.set()
+        self.going_on.clear()
+        self.pausing.set()
 
     def unpause(self) -> None:
         """Continue after a pause: the question is asked again."""
-        self._inbox.pausing.clear()
-        self._inbox.going_on.set()
+        self.pausing.clear()
+        self.going_on.set()
 
     def note(self, text: str) -> None:
         """Record a remark in the session, with its time and place."""
         if text.strip():
-            self._inbox.remark(text.strip())
+            self._remarks.put(Remark(text.strip(), utc_now()))
 
 
 class Questions:
@@ -201,10 +179,10 @@ class Questions:
     """
 
     def __init__(
-        self, inbox: Inbox, bench: SessionBench, ledger: Ledger, knowledge: Knowledge, *, auto: bool
+        self, operator: Operator, bench: SessionBench, ledger: Ledger, knowledge: Knowledge, *, auto: bool
     ) -> None:
         self.bench, self.ledger, self.knowledge, self.auto = bench, ledger, knowledge, auto
-        self._inbox = inbox
+        self._operator = operator
         self._scanned: list[Block] = []
 
     def take_scanned(self) -> list[Block]:
@@ -226,12 +204,12 @@ class Questions:
     @property
     def stopped(self) -> bool:
         """True if the session is to end."""
-        return self._inbox.stopping.is_set()
+        return self._operator.stopping.is_set()
 
     @property
     def interrupted(self) -> bool:
         """True if the session is to end or to pause."""
-        return self._inbox.interrupting
+        return self.stopped or self._operator.pausing.is_set()
 
     @property
     def why_interrupted(self) -> str:
@@ -248,10 +226,10 @@ class Questions:
         self._scanned = []
         try:
             while not self.stopped:
-                self._inbox.open(frozenset(answers))
+                self._operator.open_question(frozenset(answers))
                 yield question
                 while not self.interrupted:
-                    if (answer := self._inbox.given()) is not None:
+                    if (answer := self._operator.take_answer()) is not None:
                         return answer
                     if self.auto:
                         return default
@@ -262,7 +240,7 @@ class Questions:
                 yield from self.handle_pause(place)
             return Reply.STOP
         finally:
-            self._inbox.open(frozenset())
+            self._operator.open_question(frozenset())
             self.bench.close_stream()
 
     def _look(self, before: Floats | None) -> Floats:
@@ -299,21 +277,21 @@ class Questions:
     def handle_pause(self, place: int | None) -> Iterator[Event]:
         """Record the operator's remarks, and pause if this was requested."""
         yield from self.remarks(place)
-        if not self._inbox.pausing.is_set():
+        if not self._operator.pausing.is_set():
             return
-        self._inbox.open(frozenset())
+        self._operator.open_question(frozenset())
         self.bench.close_stream()
         self.ledger.note("paused", place)
         yield Paused(place)
-        while self._inbox.pausing.is_set() and not self.stopped:
+        while self._operator.pausing.is_set() and not self.stopped:
             yield from self.remarks(place)
-            self._inbox.going_on.wait(PAUSE_STEP_S)
+            self._operator.going_on.wait(PAUSE_STEP_S)
         self.ledger.note("unpaused", {"place": place})
         yield Unpaused(place)
 
     def remarks(self, place: int | None) -> Iterator[Event]:
         """Record the operator's remarks."""
-        for remark in self._inbox.said():
+        for remark in self._operator.take_remarks():
             self.ledger.note("remark", {"text": remark.text, "utc": remark.utc, "place": place})
             yield Noted(remark.text)
 
@@ -327,6 +305,3 @@ class Questions:
             yield Waiting(place, length_s - left, length_s)
             self.bench.source.sleep_s(min(left, WAIT_STEP_S))
         return False
-
-
-__all__ = ["Inbox", "Operator", "Questions", "Remark", "Reply"]

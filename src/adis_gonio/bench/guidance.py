@@ -140,6 +140,3 @@ def _hold(position: Position, *, table: bool) -> str:
 _MUCH = 0.3
 _ROUND_DEG = 10.0
 """Angle from the vertical below which an arrow is described as up or down."""
-
-
-__all__ = ["drawing", "face", "to_do", "turn_to_do"]

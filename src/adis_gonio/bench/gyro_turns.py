@@ -311,6 +311,3 @@ def _the_other_way(plan: Plan, place: int) -> Plan:
         positions[k] = replace(positions[k], turned_deg=-turned)
         k += 1
     return replace(plan, positions=tuple(positions))
-
-
-__all__ = ["GYRO_TURNS", "TURNS", "GyroTurnsRecorder", "gyro_turns_plan"]

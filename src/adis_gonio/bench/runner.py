@@ -256,7 +256,7 @@ class SessionRunner(Operator):
         self._ledger = Ledger(archive, lambda: bench.now_s)
         self._recorder_type = RECORDERS.get(self._ledger.plan.name, DwellRecorder)
         self._knowledge = Knowledge(bench, self._ledger, judging=self.judges_places)
-        self._questions = Questions(self._inbox, bench, self._ledger, self._knowledge, auto=auto)
+        self._questions = Questions(self, bench, self._ledger, self._knowledge, auto=auto)
         recorder = self._recorder_type(self._questions)
         self._visiting = Visiting(self._questions, recorder, extend=extend, advisor=advisor)
 
@@ -527,6 +527,3 @@ def _meter_noise(questions: Questions) -> Generator[Event, None, Floats | None]:
             yield ledger.problem(Problem("stillness", message, ledger.next_place or 0))
             return None
     return None
-
-
-__all__ = ["Reply", "SessionRunner"]

@@ -162,6 +162,3 @@ def _norm_row(psi: float) -> Floats:
     """∂ ln |U| by these parameters."""
     c, s = math.cos(psi), math.sin(psi)
     return np.array([0.0, c * c, s * s, s * c, c, s])
-
-
-__all__ = ["Expectation", "Off", "PriorKnowledge", "turned_deg"]

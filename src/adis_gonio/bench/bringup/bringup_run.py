@@ -244,6 +244,3 @@ def _bridge(bus: ClockCeiling) -> dict[str, Any]:
             if isinstance(getattr(firmware, field.name), int | str | tuple | list)
         }
     return facts
-
-
-__all__ = ["STEPS", "BringupBench", "Permission", "bring_up"]
