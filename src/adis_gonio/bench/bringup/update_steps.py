@@ -335,7 +335,7 @@ class DataReady(BringupStep):
         found.curves = (_histogram(first, second),)
         surplus = max(first.surplus - first.slack, second.surplus - second.slack)
         if surplus > 0:
-            return found.fault("more edges come than updates: the input picks up noise beside data-ready")
+            return found.fault("more edges come than updates: the input picks up noise too")
         if first.locked < 1:
             return found.fault(
                 f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up"
