@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.record.samples_columns import COLUMNS, KEYS, recognised
+from adis_gonio.record.samples_columns import COLUMNS, KEYS, recognise_column
 
 PAGE = Path(__file__).parents[2] / "docs" / "samples.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -90,4 +90,4 @@ def test_every_spelling_that_the_format_accepts_is_recognised():
     for row in ("header", "units in the header"):
         (cell,) = re.findall(rf"^\| {row} \| (.*?) \|$", FORMAT, re.MULTILINE)
         for name in re.findall(r"`([^`]+)`", cell):
-            assert name in ("#", "numpy.savetxt") or recognised(name), name
+            assert name in ("#", "numpy.savetxt") or recognise_column(name), name
