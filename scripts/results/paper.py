@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from adis_gonio.handover.paper import reproduce
-from adis_gonio.handover.paper.page import figures_3, map_figures, sections
+from adis_gonio.handover.paper_page import figures_3, map_figures, sections
+from adis_gonio.handover.paper_study import reproduce
 from adis_gonio.page.parts import Section as Part
 from adis_gonio.page.parts import Table
 from results.section import Effort, Section

@@ -20,7 +20,7 @@ from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.gyros.calibrations import estimates_of_gyro_fit
 from adis_gonio.fitting.gyros.fit import gains_and_directions
-from adis_gonio.handover.exporting import ExportSource
+from adis_gonio.handover.session_export import ExportSource
 from adis_gonio.record.export import write_csv
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.provenance import provenance_of

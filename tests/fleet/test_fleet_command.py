@@ -14,8 +14,8 @@ import pytest
 
 from adis_gonio import __version__
 from adis_gonio.faces.cli import main
-from adis_gonio.fleet.files import files_of, session_files
-from adis_gonio.fleet.work import Options, work
+from adis_gonio.fleet.fleet_run import files_of, session_files
+from adis_gonio.fleet.session_record import Options, work
 from adis_gonio.record.export import export_csv
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.provenance import digest_of_file

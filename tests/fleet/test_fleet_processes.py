@@ -11,10 +11,11 @@ import pytest
 
 from adis_gonio import __version__
 from adis_gonio.base.errors import FleetError
-from adis_gonio.fleet import LocalPool, Options, Store, run_fleet, survey
-from adis_gonio.fleet.outputs import FleetResult
-from adis_gonio.fleet.store import IN_MEMORY
-from adis_gonio.fleet.work import work
+from adis_gonio.fleet.fleet_pages import FleetResult
+from adis_gonio.fleet.fleet_run import run_fleet, survey
+from adis_gonio.fleet.session_record import Options, work
+from adis_gonio.fleet.store import IN_MEMORY, Store
+from adis_gonio.fleet.workers import LocalPool
 from adis_gonio.record.provenance import digest_of_file
 from fleet.sessions import write_fleet
 

@@ -11,7 +11,7 @@ import pytest
 from adis_gonio import open_sensor
 from adis_gonio.base.errors import FitError
 from adis_gonio.faces.cli import main
-from adis_gonio.handover.offsets import offset_words, registers_text
+from adis_gonio.handover.register_offsets import offset_words, registers_text
 from handover.calibrations import PLANE, calibration
 
 LSB = 0.4672

@@ -7,8 +7,8 @@ import pytest
 from made_up import made_up
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.fleet.memory import history_of, words
-from adis_gonio.fleet.memory.history import known_serial
+from adis_gonio.fleet import sensor_history as words
+from adis_gonio.fleet.sensor_history import history_of, known_serial
 
 
 def years(count):

@@ -13,10 +13,9 @@ import pytest
 from recorded import recorded
 
 from adis_gonio.faces.cli import main
-from adis_gonio.fleet import record_of
-from adis_gonio.fleet.memory.drift import drift_of
-from adis_gonio.fleet.memory.history import Track
-from adis_gonio.fleet.memory.words import of_drift
+from adis_gonio.fleet.control_charts import drift_of
+from adis_gonio.fleet.sensor_history import Track, of_drift
+from adis_gonio.fleet.session_record import record_of
 
 YEARS = range(2016, 2023)
 MOVED = 2020
@@ -65,7 +64,9 @@ def test_archive_lists_by_serial_number_counts_a_copy_once_and_tells_what_is_bro
 
 def test_a_second_call_computes_nothing_and_says_the_same(sessions, capsys, monkeypatch):
     _, first = document(capsys, "archive", sessions)
-    monkeypatch.setattr("adis_gonio.fleet.run.record_of", lambda *_, **__: pytest.fail("computed again"))
+    monkeypatch.setattr(
+        "adis_gonio.fleet.fleet_run.record_of", lambda *_, **__: pytest.fail("computed again")
+    )
     _, second = document(capsys, "archive", sessions)
     assert second["computed"] == 0
     assert second["sessions"] == first["sessions"]

@@ -11,8 +11,11 @@ from made_up import made_up
 from recorded import recorded
 
 from adis_gonio.base.errors import DataError
-from adis_gonio.fleet import Store, record_of, run, scan, summarise
-from adis_gonio.fleet.store import NAME
+from adis_gonio.fleet import fleet_run as run
+from adis_gonio.fleet.fleet_run import scan
+from adis_gonio.fleet.fleet_summary import summarise
+from adis_gonio.fleet.session_record import record_of
+from adis_gonio.fleet.store import NAME, Store
 from adis_gonio.record.export import export_csv
 from adis_gonio.record.loading import load_session
 

@@ -10,20 +10,29 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.handover.paper import TABLE, truth_of
-from adis_gonio.handover.paper import sessions as through_chip
-from adis_gonio.handover.paper.ambiguities import two_readings
-from adis_gonio.handover.paper.comparison import errors_with_bias, printed_verdicts, spread_of
-from adis_gonio.handover.paper.crossing import (
+from adis_gonio.handover import paper_study as through_chip
+from adis_gonio.handover.paper_map import (
     MMPM_ANGLES_DEG,
+    TABLE,
     Draws,
     Point,
     crossing_deg,
     errors,
     estimates,
+    truth_of,
 )
-from adis_gonio.handover.paper.crossing import readings as by_readings
-from adis_gonio.handover.paper.sessions import MethodValues, Part, Results, measured, quantities
+from adis_gonio.handover.paper_map import readings as by_readings
+from adis_gonio.handover.paper_study import (
+    MethodValues,
+    Part,
+    Results,
+    errors_with_bias,
+    measured,
+    printed_verdicts,
+    quantities,
+    spread_of,
+    two_readings,
+)
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
 from paper import by_hand

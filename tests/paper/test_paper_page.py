@@ -7,8 +7,8 @@ import shlex
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.handover.paper import TABLE
-from adis_gonio.handover.paper.page import build_page, sections
+from adis_gonio.handover.paper_map import TABLE
+from adis_gonio.handover.paper_page import build_page, sections
 from report.browser import browser, missing
 
 WIDTHS = (360, 800, 1000, 1400)
@@ -113,7 +113,9 @@ def test_the_command_beside_a_session_records_it_again(small, tmp_path, capsys):
 
 def test_the_command_writes_page_and_document(small, page, monkeypatch, tmp_path, capsys):
     asked = []
-    monkeypatch.setattr("adis_gonio.handover.paper.reproduce", lambda *given: asked.append(given) or small)
+    monkeypatch.setattr(
+        "adis_gonio.handover.paper_study.reproduce", lambda *given: asked.append(given) or small
+    )
     path = tmp_path / "page.html"
     assert main(["paper", "-o", str(path), "--json", "--seed", "7", "--sessions", "2"]) == 0
     assert asked == [(7, 2)]

@@ -7,9 +7,8 @@ import pytest
 from scipy.integrate import dblquad, quad
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.fleet.population import PopulationResult, trace_population
-from adis_gonio.fleet.population.mixture import Block, grid_of, log_factor, log_sum
-from adis_gonio.fleet.population.units import inflations
+from adis_gonio.fleet.population_likelihood import Block, grid_of, inflations, log_factor, log_sum
+from adis_gonio.fleet.population_trace import PopulationResult, trace_population
 from population.units import drawn, evidence_with
 from tracing.named_truth import catalogued_term
 

@@ -9,8 +9,8 @@ import pytest
 from adis_gonio import fit
 from adis_gonio.base.numbers import NO_BREAK, format_number, format_uncertain
 from adis_gonio.fitting.gyros.fit import fit_gyro
-from adis_gonio.handover.report.gyros import by_gyro, gyro_section, how_well
-from adis_gonio.handover.report.page import build_page
+from adis_gonio.handover.calibration_report import build_page
+from adis_gonio.handover.gyro_report import by_gyro, gyro_section, how_well
 from adis_gonio.record.loading import load_session
 from recordings import recording
 

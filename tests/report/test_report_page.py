@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio import fit, trace
 from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, with_unit
-from adis_gonio.handover.report.page import build_page, views
+from adis_gonio.handover.calibration_report import build_page, views
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.page.parts import Figure, Section, Table

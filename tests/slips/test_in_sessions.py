@@ -204,7 +204,7 @@ def test_a_good_file_says_nothing_of_positions(tmp_path, capsys):
 
 
 def test_the_report_shows_the_three_angles(file):
-    from adis_gonio.handover.report.page import build_page
+    from adis_gonio.handover.calibration_report import build_page
 
     session = load_session(file)
     page = build_page(session, [fit(session)], "not traced here")

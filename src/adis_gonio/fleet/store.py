@@ -26,8 +26,7 @@ from typing import Any
 from adis_gonio.base.errors import DataError, OutputError
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.numbers import counted
-from adis_gonio.fleet.record import SessionRecord, once
-from adis_gonio.fleet.work import Job, Options
+from adis_gonio.fleet.session_record import Job, Options, SessionRecord, once
 from adis_gonio.record.provenance import digest_of_file
 
 NAME = "adis-gonio.index"

@@ -48,9 +48,9 @@ FORMATS = (
     Format("c-header", (".h", ".hpp"), "coefficients", "handover.c_header:c_header", named=True),
     Format("json", (".json",), "document"),
     Format("csv", (".csv", ".csv.gz"), "samples", "record.export:write_csv"),
-    Format("parquet", (".parquet",), "samples", "handover.parquet:write_parquet"),
+    Format("parquet", (".parquet",), "samples", "handover.session_export:write_parquet"),
     Format("dcc", (".xml",), "coefficients", "handover.certificate:certificate_text"),
-    Format("registers", (".txt",), "coefficients", "handover.offsets:registers_text"),
+    Format("registers", (".txt",), "coefficients", "handover.register_offsets:registers_text"),
 )
 BY_NAME = {one.name: one for one in FORMATS}
 ENDINGS = {ending: one.name for one in FORMATS for ending in one.endings}

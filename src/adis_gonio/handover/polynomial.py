@@ -53,15 +53,11 @@ class Monomial:
     coefficient : float
     factors : tuple of str
         `x`, `y`, `z`; `|x|`, `|y|`, `|z|`; `t`, `v`.
-    name, unit : str
-        Parameter that it comes from, and its unit.
     """
 
     axis: int
     coefficient: float
     factors: tuple[str, ...]
-    name: str
-    unit: str
 
     @property
     def of_reading(self) -> bool:
@@ -191,8 +187,7 @@ def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
     for k, name in enumerate(term.parameters):
         own, across = pairs[k // each]
         factor, factors = _FORMS[kind.name][k % each](own, across)
-        value = calibration[name].value
-        made.append(Monomial(AXES.index(own), factor * value, factors, name, kind.parameters[k].unit))
+        made.append(Monomial(AXES.index(own), factor * calibration[name].value, factors))
     return made
 
 

@@ -16,7 +16,7 @@ from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json
 
 if TYPE_CHECKING:
-    from adis_gonio.handover.offsets import WantedOffset
+    from adis_gonio.handover.register_offsets import WantedOffset
 
 _ASSIGNMENT = re.compile(r"(?P<name>[A-Za-z0-9_/]+)=(?P<value>.+)")
 _VALUE = re.compile(r"(?P<number>[-+]?(0[xX][0-9a-fA-F]+|\d+(\.\d*)?([eE][-+]?\d+)?))\s*(?P<unit>\S*)")
@@ -90,7 +90,7 @@ def command(
 
 def _wanted(path: Path) -> dict[str, WantedOffset]:
     """What a calibration would write, by register."""
-    from adis_gonio.handover.offsets import wanted_offsets_in
+    from adis_gonio.handover.register_offsets import wanted_offsets_in
 
     return {one.name: one for one in wanted_offsets_in(path)}
 

@@ -133,7 +133,7 @@ def command(*, output: Path, **options: Any) -> None:
 def _twin(path: Path, output: Path, seed: int) -> None:
     """Write the twin of a session."""
     from adis_gonio.base.budget import current
-    from adis_gonio.handover.twin import simulate_like
+    from adis_gonio.handover.digital_twin import simulate_like
     from adis_gonio.record.export import export_csv
     from adis_gonio.record.loading import load_session
     from adis_gonio.record.overrides import as_it_is

@@ -1,0 +1,397 @@
+"""The outcome of a fleet as files (page, JSON, Parquet), and the page of a sensor's history."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.base.jsonable import finite, json_object
+from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
+from adis_gonio.base.output import check_output, replacing, write_utf8
+from adis_gonio.base.version import __version__
+from adis_gonio.fleet import fleet_summary, sensor_history
+from adis_gonio.fleet.fleet_run import Fleet, Repeated
+from adis_gonio.fleet.fleet_summary import GROUPS, Outlying, QuantitySummary, Summary, summarise
+from adis_gonio.fleet.sensor_history import History, Track
+from adis_gonio.fleet.session_record import Options
+from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
+from adis_gonio.page.render import render
+from adis_gonio.page.svg import Series, plot
+
+if TYPE_CHECKING:
+    from adis_gonio.fleet.population_trace import PopulationResult
+
+_MOST_BINS = 40
+_MOST_GROUPS = 12
+"""Groups beside each other in one figure."""
+_MOST_FIGURES = 6
+"""Figures of outlying groups."""
+_MOST_ROWS = 200
+"""Rows of a table of the page; the JSON has all."""
+
+
+def build_page(
+    summary: Summary, repeated: Sequence[Repeated] = (), population: Sequence[str] = (), title: str = ""
+) -> str:
+    """The page.
+
+    Parameters
+    ----------
+    repeated : sequence of Repeated
+        Files that do not count.
+    population : sequence of str
+        What the population trace says, a paragraph each.
+
+    Raises
+    ------
+    NotInstalledError
+        Matplotlib is not installed.
+    """
+    sections = [
+        _overview(summary),
+        Section("Population trace", words=population),
+        _parameters(summary),
+        _effects(summary),
+        _outlying(summary),
+        _failures(summary),
+        _repeated(repeated),
+    ]
+    return render(
+        "Fleet",
+        title or counted(summary.sessions["n"], "session"),
+        shape=fleet_summary.headline(summary).rstrip("."),
+        sections=sections,
+        closing="This page is made from the sessions' files alone and can be made again from them.",
+    )
+
+
+def _overview(summary: Summary) -> Section:
+    n = summary.sessions
+    key = [KeyFigure("Sessions with a result", f"{n['ok']} of {n['n']}")]
+    key += [KeyFigure(f"{kind.capitalize()}s", str(n[f"{kind}s"])) for kind in GROUPS if n[f"{kind}s"]]
+    if n["traced"]:
+        key.append(
+            KeyFigure(
+                "Model adequate", format_percent(n["adequate"] / n["traced"]), "of the sessions traced"
+            )
+        )
+    key.append(
+        KeyFigure("Standing out", str(len(summary.outlying)), "units, stages, operators by quantity")
+    )
+    return Section("Summary", key=key, words=fleet_summary.remarks(summary))
+
+
+def _parameters(summary: Summary) -> Section:
+    table = Table(
+        fleet_summary.PARAMETER_HEAD, fleet_summary.parameter_rows(summary), numeric=tuple(range(2, 11))
+    )
+    figures = [_histogram(one, summary.table[one.name]) for one in summary.parameters]
+    return Section(
+        "Parameters",
+        tables=[table] if summary.parameters else [],
+        figures=[figure for figure in figures if figure is not None],
+        notes=fleet_summary.PARAMETER_NOTES if summary.parameters else (),
+    )
+
+
+def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
+    """How many sessions lie where, beside what the median u alone would make of one true value."""
+    x = values[np.isfinite(values)]
+    spread = one.distribution
+    width = 2 * (spread.quantiles["75"] - spread.quantiles["25"]) / len(x) ** (1 / 3)
+    if len(x) < 5 or not width > 0:
+        return None
+    # The few far away would press all others into one bin.
+    middle, reach = spread.quantiles["50"], 6 * spread.robust_sd
+    low, high = max(spread.low, middle - reach), min(spread.high, middle + reach)
+    edges = np.linspace(low, high, 1 + int(np.clip(np.ceil((high - low) / width), 4, _MOST_BINS)))
+    counts, _ = np.histogram(x, edges)
+    series = [
+        Series(
+            np.append(np.insert(edges, 0, edges[0]), edges[-1]),
+            np.concatenate([[0], counts, [0, 0]]),
+            "sessions",
+            role="after",
+            style="steps",
+        )
+    ]
+    if one.beyond is not None and one.beyond.u > 0.2 * (edges[1] - edges[0]):
+        grid = np.linspace(edges[0], edges[-1], 300)
+        u = one.beyond.u
+        density = np.exp(-0.5 * ((grid - middle) / u) ** 2) / (u * np.sqrt(2 * np.pi))
+        expected = density * len(x) * (edges[1] - edges[0])
+        series.append(Series(grid, expected, "if u explained all", role="model", style="line"))
+    name = NAMES.get(one.name, one.name)
+    outside = int((x < low).sum() + (x > high).sum())
+    far = f"; {counted(outside, 'session')} outside the figure" if outside else ""
+    svg = plot(
+        series,
+        label_quantity(one.name, one.unit),
+        "sessions",
+        title=f"Distribution of {name}",
+        zero=True,
+    )
+    return Figure(svg, f"{name} of {counted(len(x), 'session')}{far}.")
+
+
+def _effects(summary: Summary) -> Section:
+    rows = fleet_summary.effect_rows(summary)
+    table = Table(
+        fleet_summary.EFFECT_HEAD, rows, numeric=(1, 2, 3), caption="95 % interval of the share by Wilson."
+    )
+    none = ["No effect was found."] if summary.sessions["traced"] and not rows else []
+    return Section("Effects by frequency", words=none, tables=[table] if rows else [])
+
+
+def _outlying(summary: Summary) -> Section:
+    rows = fleet_summary.outlying_rows(summary)
+    caption = "" if len(rows) <= _MOST_ROWS else f"The first {_MOST_ROWS} of {len(rows)}."
+    table = Table(fleet_summary.OUTLYING_HEAD, rows[:_MOST_ROWS], numeric=(2, 3, 4, 5), caption=caption)
+    groups = [one for one in summary.outlying if one.kind != "unit" and one.quantity in summary.table]
+    shown = {(one.kind, one.quantity): one for one in groups}
+    figures = [_beside(one, summary) for one in list(shown.values())[:_MOST_FIGURES]]
+    return Section(
+        "Standing out",
+        words=[fleet_summary.outlying_text(summary)],
+        tables=[table] if rows else [],
+        figures=[figure for figure in figures if figure is not None],
+        notes=[
+            "Units: robust z of the median of their sessions. Stages and operators: normal scores over"
+            " their units, effects by the hypergeometric tail. The oddest is taken out before the others"
+            " are compared."
+        ]
+        if summary.tests
+        else (),
+    )
+
+
+def _beside(one: Outlying, summary: Summary) -> Figure | None:
+    """Sessions by stage or operator."""
+    names = summary.table[GROUPS[one.kind]]
+    values = summary.table[one.quantity]
+    known = [str(name) for name in np.unique(names[(names != "") & np.isfinite(values)])]
+    if len(known) > _MOST_GROUPS:
+        return None
+    at = np.array([known.index(name) if name in known else np.nan for name in names.tolist()])
+    odd = np.isin(
+        names, [x.name for x in summary.outlying if (x.kind, x.quantity) == (one.kind, one.quantity)]
+    )
+    # Side by side in the order of the sessions, so that points do not hide each other.
+    place = at + np.linspace(-0.3, 0.3, len(at))
+    name = NAMES.get(one.quantity, one.quantity)
+    svg = plot(
+        [
+            Series(place[~odd], values[~odd], "others", role="after"),
+            Series(place[odd], values[odd], "standing out", role="before"),
+        ],
+        one.kind,
+        label_quantity(one.quantity, one.unit),
+        title=f"{name} by {one.kind}",
+        x_ticks={float(k): text if len(text) < 9 else f"{text[:7]}…" for k, text in enumerate(known)},
+    )
+    return Figure(svg, f"{name} of each session by {one.kind}.")
+
+
+def _failures(summary: Summary) -> Section:
+    rows = [[path, reason] for path, reason in summary.failures[:_MOST_ROWS]]
+    more = len(summary.failures) - len(rows)
+    table = Table(["file", "reason"], rows, caption=f"{more} more." if more else "")
+    return Section("Failed sessions", tables=[table] if rows else [])
+
+
+def _repeated(repeated: Sequence[Repeated]) -> Section:
+    rows = [[one.path, one.same_as] for one in repeated[:_MOST_ROWS]]
+    more = len(repeated) - len(rows)
+    table = Table(["file", "same session as"], rows, caption=f"{more} more." if more else "")
+    return Section("Files that count once", tables=[table] if rows else [], folded=True)
+
+
+def history_page(history: History) -> str:
+    """One HTML page that loads nothing; every text is escaped."""
+    head, rows = sensor_history.value_rows(history)
+    sections = [
+        Section(
+            "What became of it",
+            words=(
+                f"{sensor_history.headline(history)[:1].upper()}{sensor_history.headline(history)[1:]}.",
+            ),
+            tables=(Table(head, rows, "Values ± U (95 %).", tuple(range(1, len(head)))),),
+            notes=tuple(f"left out: {record.path}: {reason}" for record, reason in history.left_out),
+        ),
+        *(_section(track, history) for track in history.tracks.values()),
+        Section(
+            "Effects found",
+            tables=(Table(["date", "effects", "model"], sensor_history.of_effects(history)),),
+        ),
+    ]
+    return render(
+        "History",
+        f"sensor {history.serial}",
+        shape=sensor_history.headline(history),
+        simulated=any(record.simulated for record in history.sessions),
+        sections=sections,
+        closing="This page is made from the sessions' files and can be made again from them.",
+    )
+
+
+def _section(track: Track, history: History) -> Section:
+    figures = [_over_time(track)]
+    if track.chart is not None:
+        figures.append(_cusum(track))
+    said = [
+        f"{text[:1].upper()}{text[1:]}."
+        for text in (*sensor_history.of_drift(track), *sensor_history.of_chart(track, history))
+    ]
+    return Section(track.label, words=said, figures=figures)
+
+
+def _years(track: Track) -> np.ndarray:
+    """Calendar years (n,) as fractions."""
+    return 1970.0 + track.day / 365.2425
+
+
+def _over_time(track: Track) -> Figure:
+    x = _years(track)
+    series = [Series(x, track.value, "session, with U", error=track.expanded, role="after")]
+    if track.drift is not None:
+        day = np.linspace(track.day.min(), track.day.max(), 50)
+        line = track.drift.level.value + track.drift.slope.value / 365.25 * (
+            day - track.drift.reference_day
+        )
+        series.append(Series(1970.0 + day / 365.2425, line, "drift", role="before", style="line"))
+    if track.chart is not None:
+        for limit, label in ((track.chart.low, "3σ limits"), (track.chart.high, "")):
+            series.append(Series(x, limit, label, role="model", style="line"))
+    name = track.label
+    drawn = plot(series, "year", name, title=f"{name} over time")
+    caption = "Value of each session with U" + ("; limits from all before it." if track.chart else ".")
+    return Figure(drawn, caption)
+
+
+def _cusum(track: Track) -> Figure:
+    chart = track.chart
+    assert chart is not None
+    number = np.arange(1, len(chart.z) + 1)
+    limit = np.full(len(number), chart.h)
+    series = [
+        Series(number, chart.up, "up", role="after", style="line"),
+        Series(number, chart.down, "down", role="before", style="line"),
+        Series(number, limit, f"limit {chart.h:.3g}", role="model", style="line"),
+    ]
+    drawn = plot(
+        series,
+        "session",
+        "CUSUM / σ",
+        title=f"CUSUM of {track.label}",
+        zero=True,
+    )
+    return Figure(
+        drawn, f"Sums of differences beyond {chart.k:g} σ; over the limit the quantity has changed."
+    )
+
+
+ENDINGS = (".parquet", ".json", ".html")
+
+
+@dataclass(frozen=True)
+class FleetResult:
+    """A fleet with its summary: the same whoever worked on it, and in whatever order."""
+
+    fleet: Fleet
+    options: Options
+
+    @cached_property
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a session (`adis_gonio.fleet.session_table.COLUMNS`)."""
+        return [record.row() for record in self.fleet.records]
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Of these rows."""
+        return summarise(self.rows)
+
+    @cached_property
+    def population(self) -> PopulationResult | str | None:
+        """What the sessions have in common; why nothing can be said of it; None where it was not asked."""
+        if not self.options.evidence:
+            return None
+        from adis_gonio.fleet.population_trace import trace_population
+        from adis_gonio.fleet.session_evidence import SessionEvidence
+
+        known = [record.evidence for record in self.fleet.records if record.evidence is not None]
+        try:
+            return trace_population([SessionEvidence.from_dict(evidence) for evidence in known])
+        except AdisGonioError as error:
+            return str(error)
+
+    @property
+    def population_lines(self) -> tuple[str, ...]:
+        """The same in words."""
+        found = self.population
+        if found is None:
+            return ()
+        return (f"No population trace: {found}.",) if isinstance(found, str) else found.summary()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON document: the summary, what was asked, and files that do not count."""
+        found = self.population
+        population = {"reason": found} if isinstance(found, str) else found
+        return self.summary.as_dict() | json_object(
+            options=self.options,
+            repeated=self.fleet.repeated,
+            **{} if found is None else {"population": population},
+        )
+
+    def write(self, path: Path) -> None:
+        """Write to a file by its ending; a file that is there is replaced.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written; what was there stays.
+        """
+        with replacing(path) as beside:
+            if path.suffix.lower() == ".parquet":
+                from adis_gonio.fleet.session_table import write_parquet
+
+                about = {"software": f"adis-gonio {__version__}", "options": self.options.as_dict()}
+                write_parquet(self.rows, beside, about)
+            elif path.suffix.lower() == ".html":
+                write_utf8(beside, build_page(self.summary, self.fleet.repeated, self.population_lines))
+            else:
+                text = json.dumps(finite(self.as_dict()), ensure_ascii=False, indent=2, allow_nan=False)
+                write_utf8(beside, text + "\n")
+
+
+def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
+    """Refuse before the work what could only fail after it.
+
+    Raises
+    ------
+    UsageError
+        An ending that is not known, or a file that is one of the sessions.
+    OutputError, NotInstalledError
+        It could not be written.
+    """
+    for path in paths:
+        if path.suffix.lower() not in ENDINGS:
+            raise UsageError(f"{path}: the ending of the file says what it is: {', '.join(ENDINGS)}")
+        if str(path) in files:
+            raise UsageError(f"{path}: is one of the sessions; name another file")
+        check_output(path, force=True)
+        if path.suffix.lower() == ".parquet":
+            from adis_gonio.fleet.session_table import require_pyarrow
+
+            require_pyarrow()
+        elif path.suffix.lower() == ".html":
+            from adis_gonio.page.svg import require_matplotlib
+
+            require_matplotlib()

@@ -1,0 +1,397 @@
+"""`trace_population`: from the evidence of many sessions to the causes that they have in common.
+
+evidence ─ units ─▶ candidates ─▶ selection ─▶ causes that hold, and in which sessions
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.levels import POPULATION_SET
+from adis_gonio.base.numbers import counted
+from adis_gonio.base.values import Value
+from adis_gonio.fleet.cause_distribution import means_of, reach_of, share_of
+from adis_gonio.fleet.population_likelihood import Units, units_of
+from adis_gonio.fleet.population_selection import (
+    LEAST_UNITS,
+    ChosenCause,
+    Kind,
+    Population,
+    SelectionStep,
+    candidates_of,
+    memberships,
+)
+from adis_gonio.fleet.session_evidence import SessionEvidence
+from adis_gonio.tracing.thresholds import limits
+
+
+@dataclass(frozen=True)
+class Affected(JsonRecord):
+    """A session that is probably affected."""
+
+    source: str
+    serial: str
+    digest: str
+    probability: float
+
+
+@dataclass(frozen=True)
+class Common(JsonRecord):
+    """A cause that sessions have in common.
+
+    The JSON document is one entry of `found`, `sets` or `unnamed`.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Names that cannot be told apart, the most probable first; one where it is certain. Empty for what
+        is common and has no name.
+    depends_on : str
+        What it depends on, where it has no name.
+    variant : str
+        Choice or time constant of the most probable form.
+    axes : tuple of str
+        Its axes.
+    posterior : mapping of str to float
+        Of each name, given that there is a cause; what has no name stands as `unnamed: …`.
+    by, value : str
+        Group that shows it: `all`, or `stage` and which.
+    groups : mapping of str to float
+        Posterior of the groups that come into question.
+    sessions : int
+        Sessions of the group that can see it.
+    share : mapping of str to float
+        Share of these sessions that are affected, as `value`, and its 95 % interval, `low` and `high`.
+        If the sign is not common, the interval begins with those that are affected for themselves:
+        only the shape of the normal distribution then tells share and spread apart.
+    mean : mapping of str to Value
+        Mean amplitude of affected sessions by parameter; zero where its sign is not common.
+    spread : mapping of str to float
+        Standard deviation of the amplitudes about it, in the same units.
+    relative : bool
+        True where amplitudes are alike against what each session can show rather than in their unit;
+        `mean` and `spread` are then those of a session of median uncertainty among the affected ones.
+    p_value : float
+        At most this probable where no session has any cause (beside those found before).
+    heldout_gain : float
+        Log likelihood of sessions that took no part in choosing the cause, against the model without it.
+    affected : tuple of Affected
+        Sessions affected with a probability above one half, the most probable first.
+    """
+
+    effects: tuple[str, ...]
+    depends_on: str
+    variant: str
+    axes: tuple[str, ...]
+    posterior: Mapping[str, float]
+    by: str
+    value: str
+    groups: Mapping[str, float]
+    sessions: int
+    share: Mapping[str, float]
+    mean: Mapping[str, Value]
+    spread: Mapping[str, float]
+    relative: bool
+    p_value: float
+    heldout_gain: float
+    affected: tuple[Affected, ...] = ()
+
+    @property
+    def common_sign(self) -> bool:
+        """True where the amplitudes have a mean that differs from zero."""
+        return any(value.value != 0 for value in self.mean.values())
+
+    def sentence(self) -> str:
+        """In one sentence."""
+        what = " or ".join(self.effects) if self.effects else f"something that follows {self.depends_on}"
+        axes = f" of {', '.join(self.axes)}" if self.axes else ""
+        where = "" if self.by == "all" else f" of {self.by} {self.value}"
+        sign = "of one sign" if self.common_sign else "of either sign"
+        sizes, share = "; ".join(self._size(name) for name in self.mean), self.share
+        return (
+            f"{what}{axes}: in {share['value']:.0%} ({share['low']:.0%} to {share['high']:.0%}) of"
+            f" {counted(self.sessions, 'session')}{where}, {sign} ({sizes}); p < {_p(self.p_value)},"
+            f" on sessions that took no part the log likelihood gains {self.heldout_gain:.1f}"
+        )
+
+    def _size(self, name: str) -> str:
+        value, spread = self.mean[name], self.spread[name]
+        if not self.common_sign:
+            return f"{name} about {spread:.2g} {value.unit}"
+        sure = "" if value.U is None else f" ± {value.U:.1g}"
+        return f"{name} {value.value:.3g}{sure} {value.unit}, scattering by {spread:.1g}"
+
+
+def _p(value: float) -> str:
+    return f"{max(value, 1e-99):.1g}"
+
+
+@dataclass(frozen=True)
+class Reach(JsonRecord):
+    """What a population would have shown of an effect.
+
+    The JSON document is one value of `detectable`.
+
+    Attributes
+    ----------
+    amplitude : mapping of str to float
+        By share of the sessions (`0.1`, `0.3`, `1`) the smallest amplitude, of one sign or not alike,
+        found with 90 % power; None where none would have been.
+    unit, parameter : str
+    """
+
+    amplitude: Mapping[str, float | None]
+    unit: str
+    parameter: str
+
+
+@dataclass(frozen=True)
+class PopulationResult(JsonRecord):
+    """What many sessions have in common.
+
+    Attributes
+    ----------
+    sessions : int
+    found : tuple of Common
+        Causes with one name.
+    sets : tuple of Common
+        Causes of several names that cannot be told apart.
+    unnamed : tuple of Common
+        What is common and has no name, or may have none.
+    detectable : mapping of str to Reach
+    missing : mapping of str to str
+        Effects that no session could be asked for, with the reason.
+    open : mapping of str to str
+        Causes that did not stand, with the reason.
+    inflation : mapping of str to float
+        `median` and `largest` factor on a session's noise variance.
+    notes : tuple of str
+    """
+
+    sessions: int
+    found: tuple[Common, ...]
+    sets: tuple[Common, ...]
+    unnamed: tuple[Common, ...]
+    detectable: Mapping[str, Reach]
+    missing: Mapping[str, str]
+    open: Mapping[str, str]
+    inflation: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+
+    def summary(self) -> tuple[str, ...]:
+        """Lines for a reader."""
+        lines = [f"Population of {counted(self.sessions, 'session')}:"]
+        for title, every in (
+            ("found", self.found),
+            ("cannot be told apart", self.sets),
+            ("no name", self.unnamed),
+        ):
+            lines += [f"  {title}: {one.sentence()}" for one in every]
+        if not (self.found or self.sets or self.unnamed):
+            lines.append("  nothing that the sessions have in common")
+        lines += [f"  {name} does not stand: {reason}" for name, reason in self.open.items()]
+        lines += [f"  {note}" for note in self.notes]
+        return tuple(lines)
+
+
+GROUPINGS = ("stage", "operator", "serial", "sensor")
+"""What sessions can share."""
+MOST_PARTS = 4
+"""Most causes of one population."""
+FOREMOST = 0.02
+"""Share of the sessions, at least one, without which a common cause still has to be likely."""
+
+
+def trace_population(
+    evidence: Sequence[SessionEvidence], *, by: Sequence[str] = GROUPINGS
+) -> PopulationResult:
+    """Name the causes that are common to sessions, though too weak in each.
+
+    Parameters
+    ----------
+    evidence : sequence of SessionEvidence
+        Of each session, in any order; the same session (by its digest) counts once.
+    by : sequence of str
+        What sessions may share: `stage`, `operator`, `serial`, `sensor`.
+
+    Raises
+    ------
+    UsageError
+        Fewer than five different sessions, or a grouping that there is not.
+    """
+    wrong = [name for name in by if name not in GROUPINGS]
+    if wrong:
+        raise UsageError(f"sessions cannot be grouped by '{wrong[0]}'; there are {', '.join(GROUPINGS)}")
+    once = list({one.digest or f"{k}": one for k, one in enumerate(evidence)}.values())
+    if len(once) < LEAST_UNITS:
+        raise UsageError(
+            f"a population trace of {len(once)} different sessions: it needs {LEAST_UNITS} at least"
+        )
+    units = units_of(once)
+    population = Population(units, candidates_of(units.columns), memberships(units, by))
+    steps, open_ = _chosen(population)
+    steps, dropped = _standing(population, steps)
+    open_ |= dropped
+    commons = _merged(population, steps)
+    notes = []
+    if len(once) < len(evidence):
+        notes.append(f"{len(evidence) - len(once)} sessions stood twice and count once")
+    inflated = float(np.median(units.inflation))
+    if inflated > 1.2:
+        notes.append(
+            f"residuals scatter more than their stated noise: by a factor of {inflated:.2g} in variance in"
+            " the median session, which is taken into account"
+        )
+    return PopulationResult(
+        sessions=len(units),
+        found=tuple(one for one in commons if len(one.effects) == 1),
+        sets=tuple(one for one in commons if len(one.effects) > 1),
+        unnamed=tuple(one for one in commons if not one.effects),
+        detectable=reach_of(population),
+        missing=_missing(units),
+        open=open_,
+        inflation={"median": inflated, "largest": float(units.inflation.max())},
+        notes=tuple(notes),
+    )
+
+
+def _chosen(population: Population) -> tuple[list[SelectionStep], dict[str, str]]:
+    """Steps of the forward selection, each sharpened, and why the last one is none."""
+    steps: list[SelectionStep] = []
+    for _ in range(MOST_PARTS):
+        parts = [step.part for step in steps]
+        step = population.step(parts)
+        if step.log_evidence < -math.log(limits.adequate):
+            break
+        step = replace(step, part=population.sharpened(parts, step.part))
+        reason = _objection(population, parts, step)
+        if reason:
+            return steps, {_word(step.part.candidate.kind): reason}
+        steps.append(step)
+    return steps, {}
+
+
+def _objection(population: Population, parts: Sequence[ChosenCause], step: SelectionStep) -> str:
+    """Why a step that the likelihood asks for is not taken; empty where nothing speaks against it."""
+    if step.heldout <= 0:
+        return "sessions that took no part do not agree with it"
+    seen = population.units.seen(step.part.candidate.index) & step.part.group.inside
+    few = max(1, math.ceil(FOREMOST * int(seen.sum())))
+    if population.without_foremost(parts, step.part, few) <= 0:
+        return f"it stands on {few} of the sessions alone: trace these"
+    return ""
+
+
+def _standing(
+    population: Population, steps: Sequence[SelectionStep]
+) -> tuple[list[SelectionStep], dict[str, str]]:
+    """Steps that the others do not explain after all."""
+    kept = list(steps)
+    dropped: dict[str, str] = {}
+    for step in list(steps)[:-1]:
+        others = [one.part for one in kept if one is not step]
+        if not others or step not in kept:
+            continue
+        own = population.scores(others, [step.part.candidate]).log_evidence
+        least = -math.log(limits.adequate)
+        group = population.groups.index(step.part.group)
+        if own[0, group] + step.part.candidate.log_prior + step.part.group.log_prior < least:
+            kept = [one for one in kept if one is not step]
+            dropped[_word(step.part.candidate.kind)] = "causes that were found after it explain it"
+    return kept, dropped
+
+
+def _word(kind: Kind) -> str:
+    return kind[0] if kind[1] else f"unnamed: {kind[0]}"
+
+
+def _merged(population: Population, steps: Sequence[SelectionStep]) -> list[Common]:
+    """One entry a cause: a second axis of the same name belongs to the first."""
+    commons: dict[tuple[str, str, str], Common] = {}
+    for k, step in enumerate(steps):
+        others = [one.part for j, one in enumerate(steps) if j != k]
+        common = _common(population, others, step)
+        key = (
+            common.effects[0] if common.effects else f"unnamed: {common.depends_on}",
+            common.by,
+            common.value,
+        )
+        first = commons.get(key)
+        if first is None:
+            commons[key] = common
+        else:
+            axes = tuple(sorted({*first.axes, *common.axes}))
+            commons[key] = replace(
+                first,
+                axes=axes,
+                mean={**common.mean, **first.mean},
+                spread={**common.spread, **first.spread},
+            )
+    return list(commons.values())
+
+
+def _common(population: Population, others: Sequence[ChosenCause], step: SelectionStep) -> Common:
+    part, units = step.part, population.units
+    kind = part.candidate.kind
+    ranked = sorted(step.posterior.items(), key=lambda entry: -entry[1])
+    # A function without a name may hold a named one as a part: it has to be likely itself to take the name.
+    told = kind[1] and sum(p for one, p in ranked if one[1]) >= limits.sure
+    names, sum_ = [], 0.0
+    for one, probability in ranked:
+        names.append(one)
+        sum_ += probability
+        if sum_ >= POPULATION_SET:
+            break
+    share, low, high = share_of(population, others, part)
+    mean, spread = means_of(population, others, part)
+    probable = population.affected(others, part)
+    if (part.amplitudes.mean == 0).all():
+        # Without a common sign many small amplitudes and few large ones look alike.
+        seen = units.seen(part.candidate.index) & part.group.inside
+        low = min(low, float((probable[seen] > 0.5).mean()))
+    order = [int(i) for i in np.argsort(-probable) if probable[i] > 0.5]
+    return Common(
+        effects=tuple(name for name, named in names if named) if told else (),
+        depends_on="" if told else _depends(names, kind),
+        variant=part.candidate.variant,
+        axes=tuple(part.candidate.axes),
+        posterior={_word(one): probability for one, probability in ranked if probability > 1e-3},
+        by=part.group.by,
+        value=part.group.value,
+        groups={" ".join(filter(None, place)): p for place, p in step.places.items() if p > 1e-3},
+        sessions=int((units.seen(part.candidate.index) & part.group.inside).sum()),
+        share={"value": share, "low": low, "high": high},
+        mean=mean,
+        spread=spread,
+        relative=part.amplitudes.relative,
+        p_value=min(1.0, math.exp(-step.log_evidence)),
+        heldout_gain=step.heldout,
+        affected=tuple(_unit(units, i, float(probable[i])) for i in order),
+    )
+
+
+def _depends(names: Sequence[Kind], best: Kind) -> str:
+    """What a cause without a name depends on; names that it may be stand in brackets."""
+    nameless = [name for name, named in names if not named]
+    also = [name for name, named in names if named]
+    what = best[0] if not best[1] else nameless[0]
+    return what + (f" (or {', '.join(also)})" if also else "")
+
+
+def _unit(units: Units, index: int, probability: float) -> Affected:
+    one = units.evidence[index]
+    return Affected(one.source, one.serial, one.digest, probability)
+
+
+def _missing(units: Units) -> dict[str, str]:
+    """Effects that no session shows."""
+    shown = {column.cause for column in units.columns if column.named}
+    return {
+        name: reason for one in units.evidence for name, reason in one.missing.items() if name not in shown
+    }
