@@ -16,8 +16,8 @@ from adis_gonio.fleet.fleet_run import scan
 from adis_gonio.fleet.fleet_summary import summarise
 from adis_gonio.fleet.session_record import record_of
 from adis_gonio.fleet.store import NAME, Store
-from adis_gonio.record.export import export_csv
 from adis_gonio.record.loading import load_session
+from adis_gonio.record.samples_writer import export_csv
 
 
 @pytest.fixture(scope="module")

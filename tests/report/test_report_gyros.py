@@ -8,7 +8,7 @@ import pytest
 
 from adis_gonio import fit
 from adis_gonio.base.numbers import NO_BREAK, format_number, format_uncertain
-from adis_gonio.fitting.gyros.fit import fit_gyro
+from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
 from adis_gonio.handover.calibration_report import build_page
 from adis_gonio.handover.gyro_report import by_gyro, gyro_section, how_well
 from adis_gonio.record.loading import load_session

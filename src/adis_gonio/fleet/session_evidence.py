@@ -34,10 +34,10 @@ from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
-from adis_gonio.tracing.candidates.named import cycles_shown
-from adis_gonio.tracing.outcome.result import TraceResult
-from adis_gonio.tracing.selection.design import orthonormal
+from adis_gonio.tracing.linear_problem import orthonormal
+from adis_gonio.tracing.named_candidates import cycles_shown
 from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.trace_result import TraceResult
 
 TAUS_S = tuple(float(f"{tau:.3g}") for tau in np.geomspace(10.0, 3160.0, 11))
 """Time constants, a quarter of a decade apart: between two a course loses less than 1 % of its square."""

@@ -1,6 +1,6 @@
 """The record of one session: its row in the store, and the job that computes it.
 
-The numbers are those of the answer (`adis_gonio.tracing.answer`), as `fit` and the report show them.
+The numbers are those of the answer (`adis_gonio.tracing.traced_answer`), as `fit` and the report show them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from adis_gonio.record.provenance import digest_of_file, provenance_of
 if TYPE_CHECKING:
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.model.records import Session
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.tracing.trace_result import TraceResult
 
 ANGLE = "angle"
 """Error of the angle, rms; its u and U are those of an angle that is shown."""
@@ -268,8 +268,7 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
     trace, evidence : bool
         As in `Options`.
     """
-    from adis_gonio.record.loading import load_session
-    from adis_gonio.record.overrides import as_it_is
+    from adis_gonio.record.loading import as_it_is, load_session
 
     path = Path(path)
     known: dict[str, Any] = {"path": str(path), "software": f"adis-gonio {__version__}"}
@@ -321,8 +320,8 @@ def _utc(text: str) -> str | None:
 
 def _results(session: Session, *, trace: bool) -> dict[str, Any]:
     from adis_gonio.fitting import fit
-    from adis_gonio.tracing.answer import answer_with_trace
     from adis_gonio.tracing.trace import trace as traced_by
+    from adis_gonio.tracing.traced_answer import answer_with_trace
 
     found = traced_by(session) if trace else None
     answer = answer_with_trace(fit(session), found, own=False)

@@ -32,19 +32,18 @@ from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
-from adis_gonio.fitting.slips.finding import Angle
+from adis_gonio.fitting.slips.position_diagnosis import Angle
 from adis_gonio.fitting.tables import freedom, share
 from adis_gonio.model.records import Session
 from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
 from adis_gonio.page.render import render
 from adis_gonio.page.svg import Role, Series, Style, plot
 from adis_gonio.record.provenance import digest_of_file
-from adis_gonio.tracing import summary as words
-from adis_gonio.tracing.answer import answer_with_trace
-from adis_gonio.tracing.one_pose.views import series_views
-from adis_gonio.tracing.outcome.figures import Panel, Views, views_of
-from adis_gonio.tracing.outcome.result import TraceResult, Value, WithinFinding
-from adis_gonio.tracing.within import Place
+from adis_gonio.tracing import trace_summary as words
+from adis_gonio.tracing.trace_figures import Panel, Views, series_views, views_of
+from adis_gonio.tracing.trace_result import TraceResult, Value, WithinFinding
+from adis_gonio.tracing.traced_answer import answer_with_trace
+from adis_gonio.tracing.within.samples import Place
 
 _COVARIATES = {
     "angle": "declared angle / °",

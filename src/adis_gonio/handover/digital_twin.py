@@ -27,7 +27,7 @@ from adis_gonio.sim.bus import SimBus
 from adis_gonio.sim.noise import Flicker, White
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
-from adis_gonio.tracing.calibrations import gyros_as_recorded
+from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 
 
 @dataclass(frozen=True)

@@ -18,15 +18,14 @@ from adis_gonio.base.numbers import (
 )
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.allan import AllanResult, AxisNoise, fit_allan
-from adis_gonio.fitting.allan import words as said
-from adis_gonio.fitting.gyros.fit import GyroFit, fit_gyro
-from adis_gonio.fitting.gyros.gains import gains_in
+from adis_gonio.fitting.allan import allan_result as said
+from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro, gains_in
 from adis_gonio.handover.register_offsets import gyro_offset_words
 from adis_gonio.model.records import Session
 from adis_gonio.page.parts import Figure, Section, Table
 from adis_gonio.page.render import render
 from adis_gonio.page.svg import ROLES, Role, Series, plot
-from adis_gonio.tracing.calibrations import gyros_as_recorded
+from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 
 _ROLES: tuple[Role, ...] = ("after", "third", "fourth")
 

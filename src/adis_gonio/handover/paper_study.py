@@ -61,8 +61,8 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
-from adis_gonio.tracing import TraceResult
 from adis_gonio.tracing.trace import trace
+from adis_gonio.tracing.trace_result import TraceResult
 
 DWELL_S = 1.0
 PLANS = ("four-position", "mmpm")

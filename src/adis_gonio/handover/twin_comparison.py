@@ -10,7 +10,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
-from adis_gonio.fitting.allan.deviation import overlapping
+from adis_gonio.fitting.allan.noise_processes import overlapping
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.solvable import solvable
@@ -18,7 +18,7 @@ from adis_gonio.handover.digital_twin import period_of, simulate_like
 from adis_gonio.model.records import Session
 from adis_gonio.page.parts import Figure, Section, Table
 from adis_gonio.page.svg import Role, Series, plot
-from adis_gonio.tracing import TraceResult
+from adis_gonio.tracing.trace_result import TraceResult
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from adis_gonio.faces.cli.show import check_page, working, write_page
 if TYPE_CHECKING:
     from adis_gonio.model import Session
     from adis_gonio.page.parts import Section
-    from adis_gonio.record.overrides import Overrides
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.record.loading import Overrides
+    from adis_gonio.tracing.trace_result import TraceResult
 
 
 @click.command("report")
