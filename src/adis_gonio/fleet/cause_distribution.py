@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.values import Value
 from adis_gonio.fleet.population_likelihood import (
     MEANS,
@@ -22,7 +24,6 @@ from adis_gonio.fleet.population_likelihood import (
     mixed,
 )
 from adis_gonio.fleet.population_selection import ChosenCause, Population, group_at, parameters_of
-from adis_gonio.fleet.population_trace import Reach
 from adis_gonio.tracing.thresholds import limits
 
 _LEVELS = (0.025, 0.975)
@@ -148,6 +149,25 @@ _POWER_90 = 1.2815515655446004
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
 _SIZES = np.geomspace(0.1, 30.0, 26)
 """Amplitudes that are tried, in typical standard uncertainties."""
+
+
+@dataclass(frozen=True)
+class Reach(JsonRecord):
+    """What a population would have shown of an effect.
+
+    The JSON document is one value of `detectable`.
+
+    Attributes
+    ----------
+    amplitude : mapping of str to float
+        By share of the sessions (`0.1`, `0.3`, `1`) the smallest amplitude, of one sign or not alike,
+        found with 90 % power; None where none would have been.
+    unit, parameter : str
+    """
+
+    amplitude: Mapping[str, float | None]
+    unit: str
+    parameter: str
 
 
 def reach_of(population: Population) -> dict[str, Reach]:

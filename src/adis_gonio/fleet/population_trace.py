@@ -16,7 +16,7 @@ from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.levels import POPULATION_SET
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.values import Value
-from adis_gonio.fleet.cause_distribution import means_of, reach_of, share_of
+from adis_gonio.fleet.cause_distribution import Reach, means_of, reach_of, share_of
 from adis_gonio.fleet.population_likelihood import Units, units_of
 from adis_gonio.fleet.population_selection import (
     LEAST_UNITS,
@@ -130,25 +130,6 @@ class Common(JsonRecord):
 
 def _p(value: float) -> str:
     return f"{max(value, 1e-99):.1g}"
-
-
-@dataclass(frozen=True)
-class Reach(JsonRecord):
-    """What a population would have shown of an effect.
-
-    The JSON document is one value of `detectable`.
-
-    Attributes
-    ----------
-    amplitude : mapping of str to float
-        By share of the sessions (`0.1`, `0.3`, `1`) the smallest amplitude, of one sign or not alike,
-        found with 90 % power; None where none would have been.
-    unit, parameter : str
-    """
-
-    amplitude: Mapping[str, float | None]
-    unit: str
-    parameter: str
 
 
 @dataclass(frozen=True)
