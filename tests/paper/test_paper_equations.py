@@ -31,7 +31,6 @@ from adis_gonio.handover.paper_study import (
     printed_verdicts,
     quantities,
     spread_of,
-    two_readings,
 )
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
@@ -188,7 +187,8 @@ def test_the_printed_table_has_mmpm_nearer_everywhere_but_for_the_sign_of_n():
 
 
 def test_equation_5_is_off_by_delta_phi_tan_alpha():
-    x1, _, _, y2 = two_readings(20.0)
+    at = by_readings(truth_of("x"), [0.0, 90.0], np.radians([20.0]), np.zeros((1, 2)), np.zeros((1, 2, 2)))
+    x1, _, _, y2 = at[0].ravel()
     off = x1 / -y2 - 1 - truth_of("x").delta_k
     assert off == pytest.approx(math.radians(0.0612) * math.tan(math.radians(20)), rel=0.01)
 

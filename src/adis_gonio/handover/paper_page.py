@@ -1,14 +1,12 @@
-"""The page: table 1, figure 3, the map, the effect of a bias, and the open questions of the paper."""
+"""The page of the reproduced seed paper: table 1, figure 3, the map, and the effect of a bias."""
 
 from __future__ import annotations
 
 from adis_gonio.base.numbers import (
-    DASH,
     NO_BREAK,
     counted,
     format_fixed,
     format_number,
-    with_unit,
 )
 from adis_gonio.handover.paper_map import BIASES_MG, FIXTURES_DEG, NOISES_MG, RMSD, TABLE, Point
 from adis_gonio.handover.paper_study import (
@@ -16,9 +14,7 @@ from adis_gonio.handover.paper_study import (
     DWELL_S,
     METHODS,
     TRACED,
-    Ambiguity,
     Cell,
-    LabelledValue,
     MethodSpread,
     Study,
     printed_verdicts,
@@ -63,7 +59,6 @@ def sections(done: Study) -> tuple[Section, ...]:
         _others(done),
         _map(done),
         _bias(done),
-        _open(done),
         _again(done),
     )
 
@@ -359,32 +354,6 @@ def _bias(done: Study) -> Section:
             ),
         ),
         notes=(f"Command: {done.command} --json (bias)",),
-    )
-
-
-def _open(done: Study) -> Section:
-    return Section(
-        "What the paper leaves open",
-        words=("The reading chosen, why, and what another would give.",),
-        parts=[_question(one) for one in done.ambiguities],
-        notes=(f"Command: {done.command} --json (ambiguities)",),
-    )
-
-
-def _question(one: Ambiguity) -> Section:
-    rows = [(value.name, value_text(value)) for value in one.values]
-    table = Table(("reading", "value"), rows, numeric=(1,))
-    return Section(one.what, words=(f"Read as: {one.reading}", one.why), tables=(table,) if rows else ())
-
-
-def value_text(value: LabelledValue) -> str:
-    """Number with its unit; a count as it is."""
-    if value.value is None:
-        return DASH
-    return (
-        format_fixed(value.value, 0)
-        if value.unit == ""
-        else with_unit(format_number(value.value), value.unit)
     )
 
 
