@@ -207,8 +207,8 @@ def test_offsets_that_stood_already_are_kept_in_the_sum_and_rounding_leaves_half
     words = gyro_offset_words(gyros(ZERO))
     assert [(word.number, word.before) for word in words] == [(12 - 66, 12), (-5 + 40, -5), (-21, 0)]
     for word in words:
-        assert word.left_dps == pytest.approx(word.bias_dps + (word.number - word.before) * LSB)
-        assert abs(word.left_dps) <= LSB / 2 + 1e-12
+        assert word.remainder == pytest.approx(word.bias + (word.number - word.before) * LSB)
+        assert abs(word.remainder) <= LSB / 2 + 1e-12
 
 
 def test_a_zero_rate_beyond_thirteen_bits_is_refused_with_what_the_register_holds():

@@ -21,8 +21,8 @@ def test_the_sign_is_against_the_bias_and_rounding_leaves_half_an_lsb():
     words = offset_words(calibration(PLANE))
     assert [(word.name, word.number) for word in words] == [("XACCL_OFF", -26), ("YACCL_OFF", 60)]
     for word in words:
-        assert word.left_mg == pytest.approx(word.bias_mg + word.number * LSB)
-        assert abs(word.left_mg) <= LSB / 2
+        assert word.remainder == pytest.approx(word.bias + word.number * LSB)
+        assert abs(word.remainder) <= LSB / 2
 
 
 def test_offsets_that_stood_already_are_kept_in_the_sum():

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import logsumexp
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
@@ -20,7 +21,6 @@ from adis_gonio.fleet.population_likelihood import (
     Block,
     Group,
     log_factor,
-    log_sum,
     mixed,
 )
 from adis_gonio.fleet.population_selection import ChosenCause, Population, group_at, parameters_of
@@ -47,7 +47,7 @@ def share_of(
                 for weight, block in blocks
             ]
             log_posterior.append([_at(factors, share) for share in _SHARES])
-    by_share = log_sum(np.array(log_posterior), axis=0)
+    by_share = logsumexp(np.array(log_posterior), axis=0)
     density = np.exp(by_share - by_share.max())
     weight = density * np.gradient(_SHARES)
     weight /= weight.sum()
@@ -58,7 +58,7 @@ def share_of(
 
 def _at(factors: Sequence[tuple[Floats, Floats]], share: float) -> float:
     rows = [weight + mixed(factor, share, MOST_OF_KNOWN) for weight, factor in factors]
-    return float(log_sum(np.stack(rows), axis=0).sum())
+    return float(logsumexp(np.stack(rows), axis=0).sum())
 
 
 def means_of(

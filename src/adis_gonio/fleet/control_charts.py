@@ -16,12 +16,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import JsonRecord, finite
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.values import Value
 
 CUSUM_K = 0.5
@@ -36,7 +35,7 @@ _NODES = 80
 
 
 @dataclass(frozen=True)
-class ControlChart:
+class ControlChart(JsonRecord):
     """A series of sessions against its own past; entries of the first session, which has none, are NaN.
 
     Attributes
@@ -59,6 +58,11 @@ class ControlChart:
         Of the CUSUM.
     """
 
+    document_keys = (
+        *("expected", "low", "high", "z", "up", "down"),
+        *("between", "k", "h", "outside", "signal", "since"),
+    )
+
     expected: Floats
     low: Floats
     high: Floats
@@ -80,19 +84,6 @@ class ControlChart:
         """First session, from 0, at which the CUSUM signals; None where it does not."""
         over = np.flatnonzero(np.maximum(self.up, self.down) > self.h)
         return int(over[0]) if len(over) else None
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        names = ("expected", "low", "high", "z", "up", "down")
-        return {
-            **{name: finite(getattr(self, name)) for name in names},
-            "between": self.between,
-            "k": self.k,
-            "h": self.h,
-            "outside": self.outside,
-            "signal": self.signal,
-            "since": self.since,
-        }
 
 
 def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM_H) -> ControlChart:

@@ -61,8 +61,13 @@ def build_page(
         _parameters(summary),
         _effects(summary),
         _outlying(summary),
-        _failures(summary),
-        _repeated(repeated),
+        _files("Failed sessions", "reason", summary.failures),
+        _files(
+            "Files that count once",
+            "same session as",
+            [(one.path, one.same_as) for one in repeated],
+            folded=True,
+        ),
     ]
     return render(
         "Fleet",
@@ -200,18 +205,11 @@ def _beside(one: Outlying, summary: Summary) -> Figure | None:
     return Figure(svg, f"{name} of each session by {one.kind}.")
 
 
-def _failures(summary: Summary) -> Section:
-    rows = [[path, reason] for path, reason in summary.failures[:_MOST_ROWS]]
-    more = len(summary.failures) - len(rows)
-    table = Table(["file", "reason"], rows, caption=f"{more} more." if more else "")
-    return Section("Failed sessions", tables=[table] if rows else [])
-
-
-def _repeated(repeated: Sequence[Repeated]) -> Section:
-    rows = [[one.path, one.same_as] for one in repeated[:_MOST_ROWS]]
-    more = len(repeated) - len(rows)
-    table = Table(["file", "same session as"], rows, caption=f"{more} more." if more else "")
-    return Section("Files that count once", tables=[table] if rows else [], folded=True)
+def _files(title: str, head: str, rows: Sequence[tuple[str, str]], *, folded: bool = False) -> Section:
+    """Table of files with a text each."""
+    more = len(rows) - _MOST_ROWS
+    table = Table(["file", head], rows[:_MOST_ROWS], caption=f"{more} more." if more > 0 else "")
+    return Section(title, tables=[table] if rows else [], folded=folded)
 
 
 def history_page(history: History) -> str:

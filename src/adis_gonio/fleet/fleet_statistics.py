@@ -314,7 +314,7 @@ def by_rank(kind: str, quantity: str, values: Floats, group: Codes, unit: Codes)
     """Every stage or operator against the others, by ranks of its units' medians."""
     good = np.isfinite(values) & (group >= 0)
     x, code = _by_unit(values[good], group[good], _own(unit)[good])
-    return _Stepwise(kind, quantity, x, code, _normal_scores, np.median).comparison
+    return _stepwise(kind, quantity, x, code, _normal_scores, np.median)
 
 
 def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) -> FamilyOfTests:
@@ -327,7 +327,7 @@ def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) ->
     if kind != "unit":
         shown, code = _by_unit(shown, code, _own(unit)[good])
         shown = (shown >= 0.5).astype(float)
-    return _Stepwise(kind, f"effect {effect}", shown, code, _hypergeometric, np.mean).comparison
+    return _stepwise(kind, f"effect {effect}", shown, code, _hypergeometric, np.mean)
 
 
 def _own(unit: Codes) -> Codes:
@@ -370,39 +370,35 @@ def _hypergeometric(values: Floats, index: Codes, count: Codes) -> tuple[Floats,
     return -ndtri(np.maximum(p, 1e-300)), p
 
 
-@dataclass(frozen=True)
-class _Stepwise:
-    """Compare all groups with the rest, take out the oddest, compare the others."""
+def _stepwise(
+    kind: str,
+    quantity: str,
+    values: Floats,
+    code: Codes,
+    score: Callable[[Floats, Codes, Codes], tuple[Floats, Floats]],
+    middle: Callable[[Floats], Any],
+) -> FamilyOfTests:
+    """Compare all groups with the rest, remove the oddest, compare the others."""
 
-    kind: str
-    quantity: str
-    values: Floats
-    code: Codes
-    score: Callable[[Floats, Codes, Codes], tuple[Floats, Floats]]
-    middle: Callable[[Floats], Any]
-
-    @property
-    def comparison(self) -> FamilyOfTests:
-        count = np.unique(self.code, return_counts=True)[1]
-        return FamilyOfTests(int(_able(count).sum()), self.find)
-
-    def find(self, level: float) -> list[Test]:
-        values, code = self.values, self.code
+    def find(level: float) -> list[Test]:
+        x, groups = values, code
         tests: list[Test] = []
         while True:
-            names, index, count = np.unique(code, return_inverse=True, return_counts=True)
+            names, index, count = np.unique(groups, return_inverse=True, return_counts=True)
             able = _able(count)
             if not able.any():
                 return tests
-            z, p = self.score(values, index, count)
+            z, p = score(x, index, count)
             # Of two that differ from each other alone, the smaller is the odd one.
             k = int(np.lexsort((names, count, np.where(able, p, 2.0)))[0])
             if not p[k] < level:
                 return tests
             own = index == k
-            middles = float(self.middle(values[own])), float(self.middle(values[~own]))
-            tests.append(Test(self.kind, int(names[k]), self.quantity, z[k], p[k], *middles, int(count[k])))
-            values, code = values[~own], code[~own]
+            middles = float(middle(x[own])), float(middle(x[~own]))
+            tests.append(Test(kind, int(names[k]), quantity, z[k], p[k], *middles, int(count[k])))
+            x, groups = x[~own], groups[~own]
+
+    return FamilyOfTests(int(_able(np.unique(code, return_counts=True)[1]).sum()), find)
 
 
 def _able(count: Codes) -> Flags:

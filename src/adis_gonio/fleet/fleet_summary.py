@@ -82,23 +82,24 @@ class QuantitySummary(JsonRecord):
 
 
 @dataclass(frozen=True)
-class Frequency:
+class Frequency(JsonRecord):
     """How many of the traced sessions showed an effect."""
+
+    document_keys = ("effect", "found", "traced", "share", "wilson_95")
 
     effect: str
     found: int
     traced: int
 
     @property
-    def interval(self) -> tuple[float, float]:
+    def share(self) -> float:
+        """Share of the traced sessions."""
+        return self.found / self.traced
+
+    @property
+    def wilson_95(self) -> tuple[float, float]:
         """Wilson's interval of 95 % for the share."""
         return wilson(self.found, self.traced)
-
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `effects`."""
-        share = self.found / self.traced
-        counts = {"found": self.found, "traced": self.traced, "share": share}
-        return {"effect": self.effect, **counts, "wilson_95": list(self.interval)}
 
 
 @dataclass(frozen=True)
@@ -396,8 +397,8 @@ def effect_rows(summary: Summary) -> list[list[str]]:
     """Rows under `EFFECT_HEAD`."""
     rows = []
     for one in summary.effects:
-        low, high = one.interval
-        share = format_percent(one.found / one.traced)
+        low, high = one.wilson_95
+        share = format_percent(one.share)
         between = f"{format_percent(low)} to {format_percent(high)}"
         rows.append([one.effect, f"{one.found} of {one.traced}", share, between])
     return rows

@@ -164,15 +164,8 @@ def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:
     return np.asarray(np.logaddexp(np.log1p(-share), np.log(share) + cut))
 
 
-def log_sum(values: Floats, axis: int | None = None) -> Floats:
-    """Log of a sum of exponentials."""
-    top = np.max(values, axis=axis, keepdims=True)
-    out: Floats = np.log(np.exp(values - top).sum(axis=axis)) + np.squeeze(top, axis=axis)
-    return out
-
-
 _FOREIGN = 1e-3
-"""Probability below which a session's χ² is none of the common noise."""
+"""Probability below which a session's χ² does not belong to the common noise."""
 
 
 @dataclass(frozen=True)

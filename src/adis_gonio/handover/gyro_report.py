@@ -149,7 +149,7 @@ def _offsets(session: Session) -> list[Table]:
             word.name,
             format_fixed(word.before, 0),
             format_fixed(word.number, 0),
-            format_fixed(word.left_dps, 4, sign=True),
+            format_fixed(word.remainder, 4, sign=True),
         ]
         for word in words
     ]

@@ -29,6 +29,7 @@ import numpy as np
 from scipy import optimize
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import label_quantity
 from adis_gonio.fitting.closed_form import DELTA_PHI, FOUR, SCALE_X, SCALE_Y, as_printed, turn_parameters
 from adis_gonio.sim.world import GREATEST_ALPHA_DEG
@@ -90,7 +91,7 @@ def row_of(key: str, axis: Axis) -> TableRow:
 
 
 @dataclass(frozen=True)
-class Truth:
+class Truth(JsonRecord):
     """Hidden parameters of simulated sessions.
 
     Attributes
@@ -99,14 +100,16 @@ class Truth:
         Gains, 1 is perfect.
     delta_phi_deg : float
         Misalignment of Y in the plane.
-    bias_mg : (float, float)
-        Of X and Y.
+    bias_x_mg, bias_y_mg : float
     """
+
+    document_keys = ("scale_x", "scale_y", "delta_k", "delta_phi_deg", "bias_x_mg", "bias_y_mg")
 
     scale_x: float
     scale_y: float
     delta_phi_deg: float
-    bias_mg: tuple[float, float]
+    bias_x_mg: float
+    bias_y_mg: float
 
     @property
     def delta_k(self) -> float:
@@ -116,8 +119,8 @@ class Truth:
     @property
     def natural(self) -> tuple[float, float, float, float, float]:
         """K_x, K_y, Δφ in rad, b_x and b_y in local gravity."""
-        b_x, b_y = (b / 1000 for b in self.bias_mg)
-        return self.scale_x, self.scale_y, float(np.radians(self.delta_phi_deg)), b_x, b_y
+        phi = float(np.radians(self.delta_phi_deg))
+        return self.scale_x, self.scale_y, phi, self.bias_x_mg / 1000, self.bias_y_mg / 1000
 
     @property
     def values(self) -> dict[str, float]:
@@ -125,8 +128,8 @@ class Truth:
         return {
             "scale_error_x": self.scale_x - 1,
             "scale_error_y": self.scale_y - 1,
-            "offset_x": self.bias_mg[0] / 1000,
-            "offset_y": self.bias_mg[1] / 1000,
+            "offset_x": self.bias_x_mg / 1000,
+            "offset_y": self.bias_y_mg / 1000,
             "non_orthogonality": self.delta_phi_deg,
             "delta_k": self.delta_k,
         }
@@ -134,18 +137,7 @@ class Truth:
     def with_bias(self, sigma_mg: float, rng: np.random.Generator) -> Truth:
         """The same gains and misalignment, with biases of a standard deviation."""
         b_x, b_y = sigma_mg * rng.standard_normal(2)
-        return replace(self, bias_mg=(float(b_x), float(b_y)))
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "scale_x": self.scale_x,
-            "scale_y": self.scale_y,
-            "delta_k": self.delta_k,
-            "delta_phi_deg": self.delta_phi_deg,
-            "bias_x_mg": self.bias_mg[0],
-            "bias_y_mg": self.bias_mg[1],
-        }
+        return replace(self, bias_x_mg=float(b_x), bias_y_mg=float(b_y))
 
 
 def truth_of(column: Axis) -> Truth:
@@ -154,7 +146,8 @@ def truth_of(column: Axis) -> Truth:
         1 + row_of("scale_error", "x").measured,
         1 + row_of("scale_error", "y").measured,
         row_of("non_orthogonality", column).measured,
-        (1000 * row_of("offset", "x").measured, 1000 * row_of("offset", "y").measured),
+        1000 * row_of("offset", "x").measured,
+        1000 * row_of("offset", "y").measured,
     )
 
 

@@ -1,5 +1,4 @@
-"""The seed paper reproduced from one seed: simulated sessions, table 1, the map, and the effect of a
-bias.
+"""The seed paper reproduced from one seed: simulated sessions, table 1, map, effect of a bias.
 
 Sessions are recorded through chip and driver, as by `adis-gonio simulate`. Every part is measured twice
 on its stage: at four positions, every 90°, and at nine, every 40°. The paper's method, the closed form
@@ -92,8 +91,8 @@ class Part:
             "scale_y": truth.scale_y,
             "delta_k": truth.delta_k,
             "delta_phi_deg": truth.delta_phi_deg,
-            "bias_x_mg": truth.bias_mg[0],
-            "bias_y_mg": truth.bias_mg[1],
+            "bias_x_mg": truth.bias_x_mg,
+            "bias_y_mg": truth.bias_y_mg,
             **self.settings,
         }
 
@@ -327,7 +326,7 @@ def parts_with_bias(rng: np.random.Generator, count: int) -> list[Part]:
 
 
 @dataclass(frozen=True)
-class BiasError:
+class BiasError(JsonRecord):
     """Error of Δφ with a bias, by method.
 
     Attributes
@@ -353,10 +352,7 @@ class BiasError:
     median: float
     sessions: int
     refused: int
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {"bias_mg": BIAS_MG, **asdict(self)}
+    bias_mg: float = BIAS_MG
 
 
 def errors_with_bias(results: Sequence[Results], rng: np.random.Generator, draws: int = 2000) -> BiasError:

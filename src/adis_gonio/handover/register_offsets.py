@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError
-from adis_gonio.base.jsonable import HIDDEN, JsonRecord
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.device.sensor.registers import register
 from adis_gonio.device.sensor.variants import VARIANTS
@@ -16,31 +18,73 @@ from adis_gonio.tracing.trace_calibrations import load_calibration, load_gyro_ca
 
 
 @dataclass(frozen=True)
-class OffsetWord:
-    """A number for an offset register.
+class OffsetWord(JsonRecord):
+    """A number for an offset register, which the part adds to its outputs.
+
+    The JSON document is the entry `calibration` of a register in `registers --json`.
 
     Attributes
     ----------
     name : str
         Register.
     number, before : int or None
-        What to write, and what it held while the session was recorded; None where the file does not say.
-    bias_mg, u_mg : float, float or None
-        Bias that is corrected.
-    left_mg : float
-        What rounding to whole numbers leaves of it.
+        Number to write, and the number during the session; None if the file does not state it.
+    bias, u : float, float or None
+        Bias or zero rate that is corrected, in `unit`.
+    lsb : float
+        Step of the register, in `unit`.
+    unit : {"mg", "°/s"}
     """
+
+    document_keys = ("number", "value", "u", "unit")
 
     name: str
     number: int
     before: int | None
-    bias_mg: float
-    u_mg: float | None
-    left_mg: float
+    bias: float
+    u: float | None
+    lsb: float
+    unit: str
+
+    @classmethod
+    def of(
+        cls, name: str, bias: Coefficient, offsets: Sequence[int] | None, k: int, lsb: float, unit: str
+    ) -> OffsetWord:
+        """Word of a register, the k-th of those that held `offsets` during the session.
+
+        Raises
+        ------
+        FitError
+            The number is beyond the register's range.
+        """
+        before = None if offsets is None else offsets[k]
+        number = round(-bias.value / lsb) + (before or 0)
+        low, high = register(name).range
+        if not low <= number <= high:
+            raise FitError(
+                f"{name} holds {low} to {high} ({low * lsb:.1f} to {high * lsb:.1f} {unit}), and "
+                f"{bias.name} of {bias.value:.4g} {unit} would need {number}: is the part broken, or did "
+                "it move?"
+            )
+        return cls(name, number, before, bias.value, bias.u, lsb, unit)
+
+    @property
+    def value(self) -> float:
+        """Offset that the number adds, in `unit`."""
+        return self.lsb * self.number
+
+    @property
+    def remainder(self) -> float:
+        """Part of the bias that rounding to integers leaves, in `unit`."""
+        return self.bias + (self.number - (self.before or 0)) * self.lsb
+
+    def __str__(self) -> str:
+        u = "" if self.u is None else f" (u {self.u:.2g})"
+        return f"{self.number} = {self.value:+.4g} {self.unit}{u}"
 
 
 def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
-    """Numbers that remove the bias from the part's outputs; the part adds them.
+    """Numbers that remove the bias from the part's outputs.
 
     Raises
     ------
@@ -61,119 +105,27 @@ def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
                 "(180° and 270°)"
             )
         bias = calibration[f"bias_{axis}"]
-        row = register(f"{axis.upper()}ACCL_OFF")
-        before = None if where.offsets_lsb is None else where.offsets_lsb[k]
-        step = round(-bias.value / lsb_mg)
-        number = step + (before or 0)
-        low, high = row.range
-        if not low <= number <= high:
-            raise FitError(f"{row.name} holds {low} to {high}, and bias_{axis} would need {number}")
-        words.append(OffsetWord(row.name, number, before, bias.value, bias.u, bias.value + step * lsb_mg))
+        words.append(OffsetWord.of(f"{axis.upper()}ACCL_OFF", bias, where.offsets_lsb, k, lsb_mg, "mg"))
     return tuple(words)
 
 
-@dataclass(frozen=True)
-class GyroOffsetWord:
-    """A number for a gyro's offset register.
-
-    Attributes
-    ----------
-    name : str
-        Register.
-    number, before : int or None
-        What to write, and what it held while the session was recorded; None where the file does not say.
-    bias_dps, u_dps : float, float or None
-        Zero rate that is corrected.
-    left_dps : float
-        What rounding to whole numbers leaves of it.
-    """
-
-    name: str
-    number: int
-    before: int | None
-    bias_dps: float
-    u_dps: float | None
-    left_dps: float
-
-
-def gyro_offset_words(gyro: GyroCalibration) -> tuple[GyroOffsetWord, ...]:
-    """Numbers that take the zero rates out of the gyros' outputs, which the part adds to them.
-
-    Raises
-    ------
-    FitError
-        A zero rate is larger than its register holds.
-    """
-    words = []
-    for k, axis in enumerate(AXES):
-        bias, row = gyro[f"gyro_bias_{axis}"], register(f"{axis.upper()}GYRO_OFF")
-        before = None if gyro.offsets_lsb is None else gyro.offsets_lsb[k]
-        step = round(-bias.value / GYRO_OFFSET_DPS)
-        number = step + (before or 0)
-        low, high = row.range
-        if not low <= number <= high:
-            raise FitError(
-                f"{row.name} holds {low} to {high} ({low * GYRO_OFFSET_DPS:.1f} to "
-                f"{high * GYRO_OFFSET_DPS:.1f} °/s), and {bias.name} of {bias.value:.4g} °/s would need "
-                f"{number}: is the gyro broken, or did the part turn?"
-            )
-        left = bias.value + step * GYRO_OFFSET_DPS
-        words.append(GyroOffsetWord(row.name, number, before, bias.value, bias.u, left))
-    return tuple(words)
-
-
-@dataclass(frozen=True)
-class WantedOffset(JsonRecord):
-    """What a calibration would write into an offset register, in the register's unit, with u."""
-
-    name: str = field(metadata=HIDDEN)
-    number: int
-    value: float
-    u: float | None
-    unit: str
-
-    def __str__(self) -> str:
-        u = "" if self.u is None else f" (u {self.u:.2g})"
-        return f"{self.number} = {self.value:+.4g} {self.unit}{u}"
-
-
-def wanted_offsets(calibration: Calibration) -> tuple[WantedOffset, ...]:
-    """Offsets of gyros and accelerometers that a calibration gives; of a half that it cannot give none.
-
-    Raises
-    ------
-    FitError
-        It gives none at all.
-    """
-    found = [] if calibration.gyro is None else list(wanted_gyro_offsets(calibration.gyro))
-    try:
-        lsb_mg = (
-            0.0
-            if calibration.provenance.counts
-            else VARIANTS[calibration.provenance.sensor].accel_mg_per_lsb
-        )
-        found += [
-            WantedOffset(one.name, one.number, lsb_mg * one.number, one.u_mg, "mg")
-            for one in offset_words(calibration)
-        ]
-    except (FitError, KeyError):
-        if not found:
-            raise FitError(
-                "the calibration gives no offsets: neither biases nor zero rates of a part"
-            ) from None
-    return tuple(found)
-
-
-def wanted_gyro_offsets(gyro: GyroCalibration) -> tuple[WantedOffset, ...]:
-    """Offsets of the gyros alone; `FitError` as `gyro_offset_words`."""
+def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:
+    """Numbers that remove the zero rates from the gyros' outputs; `FitError` if one is too large."""
     return tuple(
-        WantedOffset(one.name, one.number, GYRO_OFFSET_DPS * one.number, one.u_dps, "°/s")
-        for one in gyro_offset_words(gyro)
+        OffsetWord.of(
+            f"{axis.upper()}GYRO_OFF",
+            gyro[f"gyro_bias_{axis}"],
+            gyro.offsets_lsb,
+            k,
+            GYRO_OFFSET_DPS,
+            "°/s",
+        )
+        for k, axis in enumerate(AXES)
     )
 
 
-def wanted_offsets_in(path: str | Path) -> tuple[WantedOffset, ...]:
-    """Offsets by a calibration's file or a session, which may be of the gyros alone.
+def offset_words_in(path: str | Path) -> tuple[OffsetWord, ...]:
+    """Words of gyros and accelerometers by a calibration's file or a session, as far as it gives them.
 
     Raises
     ------
@@ -183,34 +135,33 @@ def wanted_offsets_in(path: str | Path) -> tuple[WantedOffset, ...]:
         It gives no offsets.
     """
     try:
-        return wanted_offsets(load_calibration(path))
+        calibration = load_calibration(path)
+        words = () if calibration.gyro is None else gyro_offset_words(calibration.gyro)
+        try:
+            return (*words, *offset_words(calibration))
+        except FitError:
+            if words:
+                return words
+            raise FitError(
+                "the calibration gives no offsets: neither biases nor zero rates of a part"
+            ) from None
     except (DataError, FitError) as error:
         try:
             gyro = load_gyro_calibration(path)
         except AdisGonioError:
             raise error from None
-        return wanted_gyro_offsets(gyro)
-
-
-def _gyro_lines(gyro: GyroCalibration) -> list[str]:
-    lines = []
-    for word in gyro_offset_words(gyro):
-        u = "unknown" if word.u_dps is None else f"{word.u_dps:.2g} °/s"
-        held = "" if word.before is None else f", {word.before} before"
-        lines.append(f"# zero rate {word.bias_dps:+.4f} °/s (u {u}), {word.left_dps:+.4f} °/s left{held}")
-        lines.append(f"{word.name}={word.number}")
-    return lines
+        return gyro_offset_words(gyro)
 
 
 def registers_text(calibration: Calibration) -> str:
-    """Lines `NAME=NUMBER` as `adis-gonio registers` takes them, with what they correct as comments.
+    """Lines `NAME=NUMBER` as `adis-gonio registers` takes them, with the corrected biases as comments.
 
     Raises
     ------
     FitError
         As `offset_words`.
     """
-    where = calibration.provenance
+    where, gyro = calibration.provenance, calibration.gyro
     lines = [
         f"# Offsets that take the bias out of an {where.sensor}, part {where.serial or 'not stated'}, "
         f"by {where.software}, from {where.source or 'a session'} (data {where.sha256[:16]}).",
@@ -222,15 +173,21 @@ def registers_text(calibration: Calibration) -> str:
         lines.append(
             "# The session does not say what the registers held: these numbers hold where that was 0."
         )
-    for word in words:
-        u = "unknown" if word.u_mg is None else f"{word.u_mg:.2g} mg"
-        held = "" if word.before is None else f", {word.before} before"
-        lines.append(f"# bias {word.bias_mg:+.3f} mg (u {u}), {word.left_mg:+.3f} mg left{held}")
-        lines.append(f"{word.name}={word.number}")
-    if calibration.gyro is not None:
-        if calibration.gyro.source != where.source:
-            lines.append(f"# Gyros from {calibration.gyro.source or 'a session not stated'}.")
-        if calibration.gyro.offsets_lsb is None and words[0].before is not None:
+    lines += _lines(words, "bias", 3)
+    if gyro is not None:
+        if gyro.source != where.source:
+            lines.append(f"# Gyros from {gyro.source or 'a session not stated'}.")
+        if gyro.offsets_lsb is None and words[0].before is not None:
             lines.append("# What their registers held is not stated: these numbers hold where that was 0.")
-        lines += _gyro_lines(calibration.gyro)
+        lines += _lines(gyro_offset_words(gyro), "zero rate", 4)
     return "\n".join(lines) + "\n"
+
+
+def _lines(words: Sequence[OffsetWord], label: str, digits: int) -> list[str]:
+    lines = []
+    for word in words:
+        u = "unknown" if word.u is None else f"{word.u:.2g} {word.unit}"
+        held = "" if word.before is None else f", {word.before} before"
+        bias, left = (f"{value:+.{digits}f} {word.unit}" for value in (word.bias, word.remainder))
+        lines += [f"# {label} {bias} (u {u}), {left} left{held}", f"{word.name}={word.number}"]
+    return lines

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.fitting.allan.noise_processes import overlapping
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
@@ -22,7 +22,7 @@ from adis_gonio.tracing.trace_result import TraceResult
 
 
 @dataclass(frozen=True)
-class TwinComparison:
+class TwinComparison(JsonRecord):
     """What the measured session and its twin have in common.
 
     Attributes
@@ -40,6 +40,11 @@ class TwinComparison:
     density_measured, density_twin : (f, axes) float
         One-sided amplitude densities within the dwells, mg/√Hz.
     """
+
+    document_keys = (
+        *("agrees", "residual_sd_measured", "residual_sd_twin", "p_residual", "p_variance"),
+        *("allan_ratio", "density_ratio"),
+    )
 
     residual_measured: Floats
     residual_twin: Floats
@@ -69,17 +74,15 @@ class TwinComparison:
         """Measured over twin, geometric mean over frequencies and axes."""
         return _ratio(self.density_measured, self.density_twin)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Figures, without the curves."""
-        return {
-            "agrees": self.agrees,
-            "residual_sd_measured": float(np.std(self.residual_measured)),
-            "residual_sd_twin": float(np.std(self.residual_twin)),
-            "p_residual": self.p_residual,
-            "p_variance": self.p_variance,
-            "allan_ratio": self.allan_ratio,
-            "density_ratio": self.density_ratio,
-        }
+    @property
+    def residual_sd_measured(self) -> float:
+        """Standard deviation of the measured session's residuals."""
+        return float(np.std(self.residual_measured))
+
+    @property
+    def residual_sd_twin(self) -> float:
+        """Standard deviation of the twin's residuals."""
+        return float(np.std(self.residual_twin))
 
 
 @solvable
@@ -252,8 +255,8 @@ def _share_below(values: Floats, label: str, role: Role) -> Series:
 
 def _table(found: TwinComparison) -> Table:
     rows = (
-        ("residuals, standard deviation: measured", f"{np.std(found.residual_measured):.2f}"),
-        ("residuals, standard deviation: twin", f"{np.std(found.residual_twin):.2f}"),
+        ("residuals, standard deviation: measured", f"{found.residual_sd_measured:.2f}"),
+        ("residuals, standard deviation: twin", f"{found.residual_sd_twin:.2f}"),
         ("same distribution (Kolmogorov-Smirnov), p", f"{found.p_residual:.3f}"),
         ("same variance (F), p", f"{found.p_variance:.3f}"),
         ("Allan deviation, measured over twin", f"{found.allan_ratio:.2f}"),
