@@ -14,7 +14,7 @@ from recorded import recorded
 
 from adis_gonio.faces.cli import main
 from adis_gonio.fleet.control_charts import drift_of
-from adis_gonio.fleet.sensor_history import Track, of_drift
+from adis_gonio.fleet.sensor_history import Track, drift_sentences
 from adis_gonio.fleet.session_record import record_of
 
 YEARS = range(2016, 2023)
@@ -153,7 +153,7 @@ def test_a_scatter_beyond_all_doubt_is_no_probability_of_zero():
     day, value = np.arange(8.0) * 90, np.array([0, 9, 1, 8, 0, 9, 1, 8.0])
     drift = drift_of(day, value, np.full(8, 0.01), "mg")
     track = Track("bias_x", "mg", tuple(range(8)), day, (), drift)
-    assert "p < 10⁻¹²" in " ".join(of_drift(track)).replace("\N{NO-BREAK SPACE}", " ").replace(
+    assert "p < 10⁻¹²" in " ".join(drift_sentences(track)).replace("\N{NO-BREAK SPACE}", " ").replace(
         "\u202f", " "
     )
 

@@ -59,8 +59,8 @@ def worst_deg(
     Parameters
     ----------
     difference, u : mapping of str to float
-        Of `PARAMETERS`, later minus earlier, with its standard uncertainty; what is left out is 0. The
-        parameters' covariances are left out.
+        Difference of `PARAMETERS`, later minus earlier, and its standard uncertainty; 0 for a missing
+        parameter. Covariances are neglected.
     k : float
         Coverage factor of U.
     """
@@ -72,27 +72,27 @@ def worst_deg(
 
 
 DEFAULT_LIMIT_DEG = 0.1
-"""Permissible error of the angle where none is given: an assumption, nobody's tolerance. Some four LSB of
-the ADIS16354 at the horizontal (0.027° each), or a change of a bias by 1.7 mg."""
+"""Permissible error of the angle if none is given: an assumption. It is about four LSB of the ADIS16354
+at the horizontal (0.027° each), or a change of a bias by 1.7 mg."""
 WITHIN = 0.8
 """Share of the permissible error within which an interval grows."""
 ROUTINE = 0.8
-"""Share of the interval that must have passed, for a calibration to speak for a longer one."""
+"""Share of the interval that must have passed before a calibration can lengthen it."""
 SHORTEST_DAYS, LONGEST_DAYS = 30.0, 5 * YEAR_DAYS
 
 
 @dataclass(frozen=True)
 class Rules(JsonRecord):
-    """What the user decides.
+    """Choices of the user.
 
     Attributes
     ----------
     limit_deg : float
         Permissible error of the angle.
     assumed : bool
-        True where nobody gave it.
+        True if the limit is the default.
     first_days : float
-        Interval before anything is known of the sensor.
+        Interval after the first calibration.
     longer, shorter : float
         Factors of the staircase.
     """
@@ -108,22 +108,22 @@ class Rules(JsonRecord):
     def __post_init__(self) -> None:
         if not (self.limit_deg > 0 and self.first_days > 0 and self.longer >= 1 and 0 < self.shorter <= 1):
             raise UsageError(
-                "due needs a limit and a first interval above 0, longer ≥ 1 and 0 < shorter ≤ 1"
+                "the limit and the first interval must be above 0, longer ≥ 1 and 0 < shorter ≤ 1"
             )
 
 
 @dataclass(frozen=True)
 class Stair(JsonRecord):
-    """One step of the staircase: what a calibration found of the one before.
+    """One step of the staircase: the error of the previous calibration, found by the next one.
 
     Attributes
     ----------
     when : str
         Date.
     elapsed_days, error_deg, interval_days : float
-        Since the calibration before; its largest error of an angle by now; the interval from here on.
+        Time since the previous calibration, its largest error of an angle, and the next interval.
     response : str
-        `longer`, `kept`, `shorter` or `early` (too soon to speak for a longer interval).
+        `longer`, `kept`, `shorter` or `early` (too early to lengthen the interval).
     """
 
     when: str
@@ -135,7 +135,7 @@ class Stair(JsonRecord):
 
 @dataclass(frozen=True)
 class Rule(JsonRecord):
-    """A date by one method, or what is lacking for one."""
+    """A date by one method, or the reason why there is none."""
 
     method: str
     date: str | None
@@ -150,9 +150,9 @@ class Due(JsonRecord):
     Attributes
     ----------
     date : str or None
-        The earlier one of the methods' dates; None where no session has a date.
+        Earliest date of the methods; None if no session has a date.
     by : str
-        The method that gave it.
+        Method of that date.
     rules : tuple of Rule
     stairs : tuple of Stair
     """
@@ -166,10 +166,10 @@ class Due(JsonRecord):
 
 
 def due_of(history: History, limits: Rules | None = None) -> Due:
-    """Next calibration of a sensor."""
+    """Date of the next calibration of a sensor."""
     limits = limits or Rules()
     if not len(history.sessions):
-        lacking = Rule("staircase", None, "lacks a session with a date and a result", "")
+        lacking = Rule("staircase", None, "no session has both a date and a result", "")
         return Due(history.serial, None, "", limits, (lacking,), ())
     stairs = tuple(staircase_of(history, limits))
     rules = (_staircase(history, limits, stairs), _control_chart(history, limits))
@@ -180,8 +180,8 @@ def due_of(history: History, limits: Rules | None = None) -> Due:
 def step(interval_days: float, elapsed_days: float, error_deg: float, limits: Rules) -> tuple[float, str]:
     """Next interval and the response to one calibration.
 
-    Outside of the limit it is shortened, from what had passed where that is less; within `WITHIN` of it
-    lengthened, if the calibration was a routine one (`ROUTINE`); kept between.
+    An error beyond the limit shortens the interval, or the elapsed time if that is less. An error within
+    `WITHIN` of the limit lengthens it, if enough of it has passed (`ROUTINE`). Otherwise it is kept.
     """
     if error_deg > limits.limit_deg:
         return max(min(interval_days, elapsed_days) * limits.shorter, SHORTEST_DAYS), "shorter"
@@ -193,7 +193,7 @@ def step(interval_days: float, elapsed_days: float, error_deg: float, limits: Ru
 
 
 def staircase_of(history: History, limits: Rules) -> list[Stair]:
-    """The steps so far, one a session from the second on."""
+    """Steps so far, one per session from the second on."""
     days, sessions = history.days, history.sessions
     interval, stairs = limits.first_days, []
     last = 0
@@ -224,21 +224,22 @@ def _staircase(history: History, limits: Rules, stairs: tuple[Stair, ...]) -> Ru
     assumes = (
         f"first interval {limits.first_days:.0f} d, "
         f"×{limits.longer:g} within {100 * WITHIN:.0f} % of the limit, "
-        f"×{limits.shorter:g} outside; every session renewed the calibration in use"
+        f"×{limits.shorter:g} outside; every session replaced the calibration in use"
     )
     date = date_of(history.days[-1] + interval)
     if not stairs:
-        why = f"one session only: the first interval of {interval:.0f} d; a second one shows how it holds"
+        why = f"only one session: the first interval of {interval:.0f} d; a second session will test it"
         return Rule("staircase", date, why, assumes)
     end = stairs[-1]
-    said = {
+    response = {
         "longer": f"within {100 * WITHIN:.0f} % of the limit, the interval grew to",
         "kept": f"within the limit but not within {100 * WITHIN:.0f} % of it, the interval stays",
         "shorter": f"outside the limit of {limits.limit_deg:g}°, the interval shrank to",
         "early": "within the limit, but too early to lengthen the interval of",
     }[end.response]
-    off = f"after {end.elapsed_days:.0f} d the calibration before was off by up to {end.error_deg:.3g}°"
-    why = f"{off}: {said} {interval:.0f} d"
+    elapsed, error = f"{end.elapsed_days:.0f} d", f"{end.error_deg:.3g}°"
+    off = f"after {elapsed} the error of the previous calibration was up to {error}"
+    why = f"{off}: {response} {interval:.0f} d"
     return Rule("staircase", date, why, assumes)
 
 
@@ -247,7 +248,7 @@ def _control_chart(history: History, limits: Rules) -> Rule:
     drifts = {n: t.drift for n, t in history.tracks.items() if n in PARAMETERS and t.drift is not None}
     if not drifts:
         there = counted(len(history.sessions), "session")
-        why = f"lacks sessions: a drift needs {LEAST} at different times that determine it, here: {there}"
+        why = f"a drift needs {LEAST} sessions at different times that determine it, here: {there}"
         return Rule(method, None, why, "")
     slope = {name: drift.slope.value / YEAR_DAYS for name, drift in drifts.items()}
     u_slope = {name: (drift.slope.u or 0.0) / YEAR_DAYS for name, drift in drifts.items()}
@@ -264,14 +265,14 @@ def _control_chart(history: History, limits: Rules) -> Rule:
 
     missing = [name for name in PARAMETERS if name not in drifts]
     assumes = (
-        "drift goes on as a straight line; errors of sessions are independent; the last one is in use"
+        "drift continues as a straight line; errors of sessions are independent; the last session is in use"
         + (f"; {', '.join(missing)} not known to drift" if missing else "")
     )
     last = float(history.days[-1])
     if reached(0.0) >= limits.limit_deg:
         why = (
-            f"U of a calibration and of its scatter between sessions is {reached(0.0):.3g}° already, "
-            f"no less than the limit of {limits.limit_deg:g}°: calibrate with more dwells, or allow more"
+            f"U of a calibration with its scatter between sessions is {reached(0.0):.3g}° already, not "
+            f"below the limit of {limits.limit_deg:g}°: calibrate with more dwells, or raise the limit"
         )
         return Rule(method, date_of(last), why, assumes)
     if reached(LONGEST_DAYS) <= limits.limit_deg:
@@ -281,10 +282,10 @@ def _control_chart(history: History, limits: Rules) -> Rule:
     from scipy.optimize import brentq
 
     days = float(brentq(lambda t: reached(t) - limits.limit_deg, 0.0, LONGEST_DAYS))
-    told = ", ".join(
+    drifts_text = ", ".join(
         f"{name} {drift.slope.value:+.2g} ± {drift.slope.U:.2g} {drift.slope.unit}"
         for name, drift in drifts.items()
     )
-    by = f"{days:.0f} d after the last calibration, by {told}"
+    by = f"{days:.0f} d after the last calibration, by {drifts_text}"
     why = f"error and U (k = {k:.2f}) reach {limits.limit_deg:g}° {by}"
     return Rule(method, date_of(last + days), why, assumes)

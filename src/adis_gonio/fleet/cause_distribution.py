@@ -29,7 +29,7 @@ from adis_gonio.tracing.thresholds import limits
 _LEVELS = (0.025, 0.975)
 _SHARES = np.concatenate([np.linspace(0.005, 0.2, 40), np.linspace(0.21, 1.0, 80)])
 _FACTORS = np.geomspace(0.4, 2.5, 9)
-"""Means and spreads about the most probable ones over which the share is averaged."""
+"""Factors on the most probable mean and spread; the share is averaged over them."""
 
 
 def share_of(
@@ -37,7 +37,7 @@ def share_of(
 ) -> tuple[float, float, float]:
     """Posterior mean of the share of affected sessions, and its 95 % interval; uniform prior."""
     inside = part.group.inside & population.units.seen(part.candidate.index)
-    blocks = population.beside(others, part.candidate.index, part.amplitudes.relative)
+    blocks = population.blocks_given(others, part.candidate.index, part.amplitudes.relative)
     log_posterior = []
     centred = bool((part.amplitudes.mean == 0).all())
     for spread in part.amplitudes.spread * _FACTORS:
@@ -66,7 +66,7 @@ def means_of(
 ) -> tuple[dict[str, Value], dict[str, float]]:
     """Mean amplitude with its uncertainty, and spread, by parameter in its unit.
 
-    The uncertainty is that of the curvature of the log likelihood in share, spread and mean together.
+    The uncertainty follows from the curvature of the log likelihood in share, spread and mean together.
     """
     units, start = population.units, part.amplitudes
     size = _sizes(population, others, part)
@@ -82,10 +82,10 @@ def means_of(
 
 
 def _sizes(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats:
-    """What an amplitude of one is in the unit of each column (d,).
+    """Size of an amplitude of one in the unit of each column (d,).
 
-    Where amplitudes are alike against each session's own uncertainty it is the median of that over the
-    sessions that are affected: those of one stage may be noisier by far than the rest.
+    If the amplitudes are relative to each session's own uncertainty, the size is the median of that
+    uncertainty over the affected sessions: the sessions of one stage may be much noisier than the rest.
     """
     units, index = population.units, list(part.candidate.index)
     typical = units.typical[index]
@@ -97,19 +97,19 @@ def _sizes(population: Population, others: Sequence[ChosenCause], part: ChosenCa
     for k, column in enumerate(index):
         length = units.length[chosen, column]
         if (length > 0).any():
-            # A length is typical/u without the weight of the column, which a size takes once.
+            # `length` is typical/u without the column's weight, so the weight is applied here once.
             out[k] *= units.columns[column].weight * np.median(1 / length[length > 0])
     return out
 
 
 def _uncertainty(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats | None:
-    """Of the mean (d,) in typical uncertainties; None where it is zero or the curvature says nothing."""
+    """Uncertainty of the mean (d,) in typical uncertainties; None for a zero mean or without curvature."""
     start = part.amplitudes
     at = parameters_of(start)
     if len(at) == 2:
         return None
     inside = part.group.inside
-    blocks = population.beside(others, part.candidate.index, part.amplitudes.relative)
+    blocks = population.blocks_given(others, part.candidate.index, part.amplitudes.relative)
 
     def value(parameters: Floats) -> float:
         group: Group = group_at(parameters, start)
@@ -120,7 +120,7 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
         return _at(factors, group.share)
 
     hessian = _curvature(value, at)
-    # A share at its end, or a spread near zero, has no curvature of its own: it is held.
+    # A share at its bound or a spread near zero has no curvature: it stays fixed.
     free = np.diagonal(hessian) > 1e-2
     free[2:] = True
     try:
@@ -132,7 +132,7 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
 
 
 def _curvature(value, at: Floats, step: float = 0.05) -> Floats:  # type: ignore[no-untyped-def]
-    """−∂² of a function by central differences, (p, p)."""
+    """Negative Hessian of a function by central differences, (p, p)."""
     count = len(at)
     moves = step * np.eye(count)
     out = np.zeros((count, count))
@@ -144,24 +144,24 @@ def _curvature(value, at: Floats, step: float = 0.05) -> Floats:  # type: ignore
 
 
 ASKED = (0.1, 0.3, 1.0)
-"""Shares of the sessions that are asked about."""
+"""Shares of the sessions for which the detectable amplitude is computed."""
 _POWER_90 = 1.2815515655446004
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
 _SIZES = np.geomspace(0.1, 30.0, 26)
-"""Amplitudes that are tried, in typical standard uncertainties."""
+"""Amplitudes to try, in typical standard uncertainties."""
 
 
 @dataclass(frozen=True)
 class Reach(JsonRecord):
-    """What a population would have shown of an effect.
+    """Smallest amplitude of an effect that a population would have shown.
 
     The JSON document is one value of `detectable`.
 
     Attributes
     ----------
     amplitude : mapping of str to float
-        By share of the sessions (`0.1`, `0.3`, `1`) the smallest amplitude, of one sign or not alike,
-        found with 90 % power; None where none would have been.
+        Smallest amplitude found with 90 % power, by the share of affected sessions (`0.1`, `0.3`, `1`);
+        None if no amplitude that was tried suffices.
     unit, parameter : str
     """
 
@@ -171,10 +171,10 @@ class Reach(JsonRecord):
 
 
 def reach_of(population: Population) -> dict[str, Reach]:
-    """By effect the smallest amplitude found with 90 % power, on the worst of its axes.
+    """Smallest amplitude found with 90 % power, by effect, on the worst of its axes.
 
-    The expected gain and its variance are those of units drawn from the very distribution; what the
-    search costs is the prior of candidate and grid.
+    The gain and its variance are expected values over units drawn from the distribution. The search
+    costs the prior of candidate and grid.
     """
     units = population.units
     by_name: dict[str, list[tuple[str, str, dict[str, float | None]]]] = defaultdict(list)
@@ -204,9 +204,9 @@ def reach_of(population: Population) -> dict[str, Reach]:
 
 
 def _smallest(block: Block, share: float, price: float) -> float | None:
-    """Smallest mean amplitude whose evidence exceeds a price in 90 % of populations."""
+    """Smallest mean amplitude with an evidence above `price` in 90 % of populations."""
     low, high = 0, len(_SIZES)
-    while low < high:  # power grows with the amplitude
+    while low < high:  # bisection: power grows with the amplitude
         middle = (low + high) // 2
         gain, variance = _expected(block, share, float(_SIZES[middle]))
         if gain - _POWER_90 * math.sqrt(variance) > price:
@@ -217,7 +217,7 @@ def _smallest(block: Block, share: float, price: float) -> float | None:
 
 
 def _expected(block: Block, share: float, size: float) -> tuple[float, float]:
-    """Mean and variance of the log likelihood gain of a population so distributed, by quadrature."""
+    """Mean and variance of the gain in log likelihood of a population, by Gauss–Hermite quadrature."""
     g = block.information[:, 0, 0]
     spread = RELATIVE_SPREAD * size
     weight = _WEIGHTS / _WEIGHTS.sum()

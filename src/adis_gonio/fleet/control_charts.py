@@ -1,14 +1,14 @@
 """Drift of a quantity between sessions, and control charts that compare a session with those before it.
 
-Drift is a weighted line with scatter between sessions that their u do not explain: y_i = a + b t_i + w_i
-+ e_i with e_i of standard deviation u_i and w_i of τ. τ² by Paule and Mandel (J. Res. NBS 87, 1982, 377):
-the residual is then as large as expected. Its uncertainty is that of Knapp and Hartung (Stat. Med. 22,
-2003, 2693), never smaller than the stated u allow, with Student's t at n − 2.
+Drift is a weighted line with additional scatter between sessions: y_i = a + b t_i + w_i + e_i, with e_i
+of standard deviation u_i and w_i of τ. τ² follows from Paule and Mandel (J. Res. NBS 87, 1982, 377): the
+residual is then as large as expected. The uncertainty is by Knapp and Hartung (Stat. Med. 22, 2003,
+2693), at least as large as the stated u require, with Student's t at n − 2.
 
 The charts compare each session with the weighted mean of all before it (recursive residuals; Brown,
-Durbin and Evans, J. R. Stat. Soc. B 37, 1975). While nothing changes the differences are independent and
-standard normal, so that neither chart needs a baseline of sessions that are known to be good, and the
-average run lengths of the textbooks hold. Shewhart's chart detects a session that is far off; the CUSUM
+Durbin and Evans, J. R. Stat. Soc. B 37, 1975). If nothing changes, the differences are independent and
+standard normal, so that neither chart needs a baseline of good sessions and the average run lengths of
+the textbooks apply. Shewhart's chart detects a session that is far off; the CUSUM
 (Page, Biometrika 41, 1954) detects a small shift that stays.
 """
 
@@ -24,7 +24,7 @@ from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.values import Value
 
 CUSUM_K = 0.5
-"""Half of the shift, in standard deviations, that the chart is to see soonest (Montgomery, chapter 9)."""
+"""Half of the shift, in standard deviations, for which the chart is tuned (Montgomery, chapter 9)."""
 CUSUM_H = 5.0
 """Decision interval in standard deviations: one false alarm in 465 sessions."""
 SHEWHART = 3.0
@@ -36,7 +36,7 @@ _NODES = 80
 
 @dataclass(frozen=True)
 class ControlChart(JsonRecord):
-    """A series of sessions against its own past; entries of the first session, which has none, are NaN.
+    """A series of sessions compared with its own past; entries of the first session are NaN.
 
     Attributes
     ----------
@@ -51,11 +51,10 @@ class ControlChart(JsonRecord):
     between : float
         Standard deviation between sessions, beyond their u.
     since : int or None
-        Session, from 0, from which a change that the CUSUM signals dates: the split of the sessions up to
-        the signal into two means that is most likely (Pignatiello and Samuel, J. Qual. Technol. 33,
-        2001).
+        Index of the first session after a change that the CUSUM signals, by the most likely split of the
+        sessions up to the signal into two means (Pignatiello and Samuel, J. Qual. Technol. 33, 2001).
     k, h : float
-        Of the CUSUM.
+        Slack and limit of the CUSUM.
     """
 
     document_keys = (
@@ -76,12 +75,12 @@ class ControlChart(JsonRecord):
 
     @property
     def outside(self) -> list[int]:
-        """Sessions, from 0, outside Shewhart's limits."""
+        """Indices of the sessions outside Shewhart's limits."""
         return [int(n) for n in np.flatnonzero(np.abs(self.z) > SHEWHART)]
 
     @property
     def signal(self) -> int | None:
-        """First session, from 0, at which the CUSUM signals; None where it does not."""
+        """Index of the first session at which the CUSUM signals, or None."""
         over = np.flatnonzero(np.maximum(self.up, self.down) > self.h)
         return int(over[0]) if len(over) else None
 
@@ -111,7 +110,7 @@ def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM
 
 
 def _split(value: Floats, weight: Floats, last: int) -> int:
-    """First session of the second part, where two means explain sessions up to `last` best."""
+    """First session of the second part, if two means explain the sessions up to `last` best."""
 
     def gain(at: int) -> float:
         one, other = slice(0, at), slice(at, last + 1)
@@ -122,7 +121,7 @@ def _split(value: Floats, weight: Floats, last: int) -> int:
 
 
 def between_neighbours(value: Floats, u: Floats) -> float:
-    """Standard deviation between sessions beyond u, by the moving range, which a step hardly moves."""
+    """Standard deviation between sessions beyond u, by the moving range, which a step hardly changes."""
     if len(value) < 3:
         return 0.0
     spread = float(np.abs(np.diff(value)).mean()) / _MOVING_RANGE
@@ -140,16 +139,16 @@ def cusum(z: Floats, k: float = CUSUM_K) -> tuple[Floats, Floats]:
 
 
 def average_run_length(h: float, shift: float = 0.0, k: float = CUSUM_K) -> float:
-    """Sessions until the two-sided CUSUM signals, on the average, from a sum of zero.
+    """Mean number of sessions until the two-sided CUSUM signals, from a sum of zero.
 
-    Page's integral equation by Gauss–Legendre quadrature; both sides by 1/L = 1/L₊ + 1/L₋.
+    Solves Page's integral equation by Gauss–Legendre quadrature; the sides combine by 1/L = 1/L₊ + 1/L₋.
 
     Parameters
     ----------
     h, k : float
-        In standard deviations.
+        Limit and slack in standard deviations.
     shift : float
-        Of the mean, in standard deviations.
+        Shift of the mean in standard deviations.
     """
     return 1 / (1 / _one_sided(h, k - shift) + 1 / _one_sided(h, k + shift))
 
@@ -167,7 +166,7 @@ def _one_sided(h: float, k: float) -> float:
 
 
 def limit_for(run_length: float, k: float = CUSUM_K) -> float:
-    """Decision interval h at which a sensor that does not change is called one in `run_length` sessions."""
+    """Decision interval h with one false alarm in `run_length` sessions."""
     from scipy.optimize import brentq
 
     return float(brentq(lambda h: math.log(average_run_length(h, 0.0, k) / run_length), 0.1, 20.0))
@@ -175,7 +174,7 @@ def limit_for(run_length: float, k: float = CUSUM_K) -> float:
 
 YEAR_DAYS = 365.25
 LEAST = 3
-"""Sessions that a line needs, so that its scatter can be seen."""
+"""Fewest sessions of a line with scatter."""
 
 
 @dataclass(frozen=True)
@@ -185,19 +184,19 @@ class Drift(JsonRecord):
     Attributes
     ----------
     slope : Value
-        A year, in `<unit>/a`.
+        Slope per year, in `<unit>/a`.
     level : Value
-        At `reference_day`.
+        Value at `reference_day`.
     reference_day : float
-        Weighted middle of the sessions, at which level and slope are independent; days of `when`.
+        Weighted mean time of the sessions in days, at which level and slope are independent.
     between : float
         Standard deviation τ between sessions beyond u.
     birge : float
         Birge's ratio: root of χ² per degree of freedom about the line, by the stated u alone.
     birge_p : float
-        Probability of so much scatter, were the stated u all there is.
+        Probability of this scatter, if the stated u are the only cause.
     p_value : float
-        Of a slope so large, were there none.
+        Probability of this slope without drift.
     """
 
     slope: Value
@@ -210,7 +209,7 @@ class Drift(JsonRecord):
 
 
 def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
-    """Line through sessions; None where they are fewer than `LEAST` or all of one moment.
+    """Line through sessions; None for fewer than `LEAST` sessions or a single time.
 
     Parameters
     ----------
@@ -243,7 +242,7 @@ def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
 def _line(
     day: Floats, value: Floats, variance: Floats
 ) -> tuple[float, float, float, tuple[float, float], float]:
-    """Weighted middle, level there, slope a day, their variances, χ²."""
+    """Weighted mean time, level at that time, slope per day, their variances, χ²."""
     weight = 1 / variance
     total = float(weight.sum())
     middle = float((weight * day).sum()) / total

@@ -31,24 +31,24 @@ if TYPE_CHECKING:
 
 _MOST_BINS = 40
 _MOST_GROUPS = 12
-"""Groups beside each other in one figure."""
+"""Most groups in one figure."""
 _MOST_FIGURES = 6
-"""Figures of outlying groups."""
+"""Most figures of outlying groups."""
 _MOST_ROWS = 200
-"""Rows of a table of the page; the JSON has all."""
+"""Most rows of a table of the page; the JSON has all."""
 
 
 def build_page(
     summary: Summary, repeated: Sequence[Repeated] = (), population: Sequence[str] = (), title: str = ""
 ) -> str:
-    """The page.
+    """Render the page of a fleet.
 
     Parameters
     ----------
     repeated : sequence of Repeated
         Files that do not count.
     population : sequence of str
-        What the population trace says, a paragraph each.
+        Paragraphs on the population trace.
 
     Raises
     ------
@@ -108,13 +108,13 @@ def _parameters(summary: Summary) -> Section:
 
 
 def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
-    """How many sessions lie where, beside what the median u alone would make of one true value."""
+    """Histogram of the sessions, with the density of one true value scattered by the median u."""
     x = values[np.isfinite(values)]
     spread = one.distribution
     width = 2 * (spread.quantiles["75"] - spread.quantiles["25"]) / len(x) ** (1 / 3)
     if len(x) < 5 or not width > 0:
         return None
-    # The few far away would press all others into one bin.
+    # A few far values would press all others into one bin.
     middle, reach = spread.quantiles["50"], 6 * spread.robust_sd
     low, high = max(spread.low, middle - reach), min(spread.high, middle + reach)
     edges = np.linspace(low, high, 1 + int(np.clip(np.ceil((high - low) / width), 4, _MOST_BINS)))
@@ -162,7 +162,7 @@ def _outlying(summary: Summary) -> Section:
     table = Table(fleet_summary.OUTLYING_HEAD, rows[:_MOST_ROWS], numeric=(2, 3, 4, 5), caption=caption)
     groups = [one for one in summary.outlying if one.kind != "unit" and one.quantity in summary.table]
     shown = {(one.kind, one.quantity): one for one in groups}
-    figures = [_beside(one, summary) for one in list(shown.values())[:_MOST_FIGURES]]
+    figures = [_group_plot(one, summary) for one in list(shown.values())[:_MOST_FIGURES]]
     return Section(
         "Standing out",
         words=[fleet_summary.outlying_text(summary)],
@@ -170,16 +170,16 @@ def _outlying(summary: Summary) -> Section:
         figures=[figure for figure in figures if figure is not None],
         notes=[
             "Units: robust z of the median of their sessions. Stages and operators: normal scores over"
-            " their units, effects by the hypergeometric tail. The oddest is taken out before the others"
-            " are compared."
+            " their units, effects by the hypergeometric tail. The group that stands out most is removed"
+            " before the others are compared."
         ]
         if summary.tests
         else (),
     )
 
 
-def _beside(one: Outlying, summary: Summary) -> Figure | None:
-    """Sessions by stage or operator."""
+def _group_plot(one: Outlying, summary: Summary) -> Figure | None:
+    """Values of all sessions by stage or operator."""
     names = summary.table[GROUPS[one.kind]]
     values = summary.table[one.quantity]
     known = [str(name) for name in np.unique(names[(names != "") & np.isfinite(values)])]
@@ -189,7 +189,7 @@ def _beside(one: Outlying, summary: Summary) -> Figure | None:
     odd = np.isin(
         names, [x.name for x in summary.outlying if (x.kind, x.quantity) == (one.kind, one.quantity)]
     )
-    # Side by side in the order of the sessions, so that points do not hide each other.
+    # Spread the points in the order of the sessions, so that they do not hide each other.
     place = at + np.linspace(-0.3, 0.3, len(at))
     name = NAMES.get(one.quantity, one.quantity)
     svg = plot(
@@ -206,18 +206,18 @@ def _beside(one: Outlying, summary: Summary) -> Figure | None:
 
 
 def _files(title: str, head: str, rows: Sequence[tuple[str, str]], *, folded: bool = False) -> Section:
-    """Table of files with a text each."""
+    """Section with a table of files, each with a text."""
     more = len(rows) - _MOST_ROWS
     table = Table(["file", head], rows[:_MOST_ROWS], caption=f"{more} more." if more > 0 else "")
     return Section(title, tables=[table] if rows else [], folded=folded)
 
 
 def history_page(history: History) -> str:
-    """One HTML page that loads nothing; every text is escaped."""
+    """Render the history of a sensor as one HTML page that loads nothing; every text is escaped."""
     head, rows = sensor_history.value_rows(history)
     sections = [
         Section(
-            "What became of it",
+            "Overview",
             words=(
                 f"{sensor_history.headline(history)[:1].upper()}{sensor_history.headline(history)[1:]}.",
             ),
@@ -227,7 +227,7 @@ def history_page(history: History) -> str:
         *(_section(track, history) for track in history.tracks.values()),
         Section(
             "Effects found",
-            tables=(Table(["date", "effects", "model"], sensor_history.of_effects(history)),),
+            tables=(Table(["date", "effects", "model"], sensor_history.effect_table(history)),),
         ),
     ]
     return render(
@@ -244,15 +244,18 @@ def _section(track: Track, history: History) -> Section:
     figures = [_over_time(track)]
     if track.chart is not None:
         figures.append(_cusum(track))
-    said = [
+    sentences = [
         f"{text[:1].upper()}{text[1:]}."
-        for text in (*sensor_history.of_drift(track), *sensor_history.of_chart(track, history))
+        for text in (
+            *sensor_history.drift_sentences(track),
+            *sensor_history.chart_sentences(track, history),
+        )
     ]
-    return Section(track.label, words=said, figures=figures)
+    return Section(track.label, words=sentences, figures=figures)
 
 
 def _years(track: Track) -> np.ndarray:
-    """Calendar years (n,) as fractions."""
+    """Dates (n,) as fractional calendar years."""
     return 1970.0 + track.day / 365.2425
 
 
@@ -270,7 +273,9 @@ def _over_time(track: Track) -> Figure:
             series.append(Series(x, limit, label, role="model", style="line"))
     name = track.label
     drawn = plot(series, "year", name, title=f"{name} over time")
-    caption = "Value of each session with U" + ("; limits from all before it." if track.chart else ".")
+    caption = "Value of each session with U" + (
+        "; limits from all previous sessions." if track.chart else "."
+    )
     return Figure(drawn, caption)
 
 
@@ -292,7 +297,7 @@ def _cusum(track: Track) -> Figure:
         zero=True,
     )
     return Figure(
-        drawn, f"Sums of differences beyond {chart.k:g} σ; over the limit the quantity has changed."
+        drawn, f"Sums of differences beyond {chart.k:g} σ; above the limit the quantity has changed."
     )
 
 
@@ -301,24 +306,24 @@ ENDINGS = (".parquet", ".json", ".html")
 
 @dataclass(frozen=True)
 class FleetResult:
-    """A fleet with its summary: the same whoever worked on it, and in whatever order."""
+    """A fleet with its summary, independent of the workers and of their order."""
 
     fleet: Fleet
     options: Options
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """One row a session (`adis_gonio.fleet.session_table.COLUMNS`)."""
+        """One row per session, with the columns `session_table.COLUMNS`."""
         return [record.row() for record in self.fleet.records]
 
     @cached_property
     def summary(self) -> Summary:
-        """Of these rows."""
+        """Summary of the rows."""
         return summarise(self.rows)
 
     @cached_property
     def population(self) -> PopulationResult | str | None:
-        """What the sessions have in common; why nothing can be said of it; None where it was not asked."""
+        """Result of the population trace, or the reason if it failed; None if it was not requested."""
         if not self.options.evidence:
             return None
         from adis_gonio.fleet.population_trace import trace_population
@@ -332,14 +337,14 @@ class FleetResult:
 
     @property
     def population_lines(self) -> tuple[str, ...]:
-        """The same in words."""
+        """Lines of text on the population trace."""
         found = self.population
         if found is None:
             return ()
         return (f"No population trace: {found}.",) if isinstance(found, str) else found.summary()
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON document: the summary, what was asked, and files that do not count."""
+        """The JSON document: the summary, the options, and files that do not count."""
         found = self.population
         population = {"reason": found} if isinstance(found, str) else found
         return self.summary.as_dict() | json_object(
@@ -349,12 +354,12 @@ class FleetResult:
         )
 
     def write(self, path: Path) -> None:
-        """Write to a file by its ending; a file that is there is replaced.
+        """Write a file in the format of its ending; an existing file is replaced.
 
         Raises
         ------
         OutputError
-            It cannot be written; what was there stays.
+            The file cannot be written; an existing file stays as it is.
         """
         with replacing(path) as beside:
             if path.suffix.lower() == ".parquet":
@@ -370,18 +375,18 @@ class FleetResult:
 
 
 def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
-    """Refuse before the work what could only fail after it.
+    """Check the output files before the work begins.
 
     Raises
     ------
     UsageError
-        An ending that is not known, or a file that is one of the sessions.
+        An unknown ending, or a file that is one of the sessions.
     OutputError, NotInstalledError
-        It could not be written.
+        A file cannot be written.
     """
     for path in paths:
         if path.suffix.lower() not in ENDINGS:
-            raise UsageError(f"{path}: the ending of the file says what it is: {', '.join(ENDINGS)}")
+            raise UsageError(f"{path}: unknown ending; use {', '.join(ENDINGS)}")
         if str(path) in files:
             raise UsageError(f"{path}: is one of the sessions; name another file")
         check_output(path, force=True)

@@ -20,16 +20,16 @@ from adis_gonio.record.database import is_archive
 from adis_gonio.record.provenance import digest_of_file
 
 ENDINGS = (".session", ".csv", ".csv.gz")
-"""Endings of session files; an archive is known by its content as well."""
+"""Endings of session files; archives are also recognised by their content."""
 
 
 def files_of(given: Iterable[str | Path]) -> list[str]:
-    """Files as given, and session files of each folder and below, in order; each name once.
+    """The given files, and the session files in each given folder and below it, sorted, each name once.
 
     Raises
     ------
     UsageError
-        There is none.
+        There is no file.
     """
     places = list(map(Path, given))
     found = {str(path) for place in places for path in _below(place)}
@@ -53,15 +53,15 @@ def session_files(places: Sequence[str | Path]) -> list[Path]:
         if not place.exists():
             raise DataError(f"{place}: there is no such folder")
         if not (place.is_dir() or place.is_file()):
-            raise DataError(f"{place}: is neither a folder nor a file; save what a pipe gives first")
+            raise DataError(f"{place}: is neither a folder nor a file; save the data of a pipe first")
         found |= dict.fromkeys(_below(place.resolve()))
     return list(found)
 
 
 def _below(place: Path) -> Iterator[Path]:
-    """Session files of a folder and below without hidden ones; a file itself.
+    """Session files in a folder and below it, except hidden ones; for a file the file itself.
 
-    A folder that cannot be read is yielded itself, so that it is reported.
+    An unreadable folder is yielded too, so that it is reported.
     """
     if not place.is_dir():
         yield place
@@ -71,7 +71,7 @@ def _below(place: Path) -> Iterator[Path]:
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in sorted(names):
             path = Path(folder) / name
-            # A link that leads nowhere counts by its name, so that it is reported.
+            # A broken link is judged by its name, so that it is reported.
             named = ends_in(path, *ENDINGS) or (path.is_file() and is_archive(path))
             if named and not name.startswith("."):
                 yield path
@@ -79,24 +79,24 @@ def _below(place: Path) -> Iterator[Path]:
 
 
 class Workers(Protocol):
-    """Whoever works on the jobs: `LocalPool`, `Cluster`, `ThisProcess`."""
+    """Interface of `LocalPool`, `Cluster` and `ThisProcess`."""
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-        """Each job once with its record, in any order."""
+        """Yield each job once with its record, in any order."""
 
 
 class ThisProcess:
-    """Works on one job after the other, here."""
+    """Works on one job after the other in this process."""
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-        """Each job with its record."""
+        """Yield each job with its record."""
         for job in told(jobs):
             yield job, record_of(job.path, **options.as_dict())
 
 
 @dataclass(frozen=True)
 class Repeated(JsonRecord):
-    """A file that holds the same session as another, which is the one that counts."""
+    """A file with the session of another file, which is counted instead."""
 
     path: str
     same_as: str
@@ -109,10 +109,10 @@ class Survey:
     Attributes
     ----------
     jobs : tuple of Job
-        By path.
+        Sorted by path.
     repeated : tuple of Repeated
     unreadable : tuple of SessionRecord
-        Of files without bytes to read.
+        Records of unreadable files.
     """
 
     jobs: tuple[Job, ...]
@@ -127,7 +127,7 @@ class Fleet:
     Attributes
     ----------
     records : tuple of SessionRecord
-        One a session, in the order of their paths.
+        One per session, sorted by path.
     repeated : tuple of Repeated
     again : int
         Sessions with a record in the store before the run.
@@ -139,16 +139,16 @@ class Fleet:
 
     @property
     def failed(self) -> int:
-        """Sessions without a result."""
+        """Number of sessions without a result."""
         return sum(record.status != "ok" for record in self.records)
 
 
 def survey(
     files: Sequence[str], share: Callable[[float], None] | None = None, store: Store | None = None
 ) -> Survey:
-    """Read every file once: the same bytes by two names are one session, that of the first name.
+    """Read every file once; files with equal bytes are one session, under the first name.
 
-    With a store only files that are new to it or have changed are read.
+    With a store, only new or changed files are read.
     """
     names: dict[str, str] = {}
     repeated, unreadable = [], []
@@ -157,7 +157,7 @@ def survey(
         if share is not None:
             share(done / len(files))
         if _special(Path(path)):
-            unreadable.append(lost(path, "is no regular file: save what comes through a pipe first"))
+            unreadable.append(lost(path, "is no regular file: save the data of a pipe first"))
             continue
         try:
             digest = digest_of(path)
@@ -188,7 +188,7 @@ def run_fleet(
     Raises
     ------
     OutputError
-        The store cannot be written; its records stay.
+        The store cannot be written; the records in it stay.
     FleetError
         There are no workers.
     """
@@ -209,14 +209,14 @@ def run_fleet(
 
 @dataclass(frozen=True)
 class Scan:
-    """Result of looking through folders.
+    """Result of a search for sessions in folders.
 
     Attributes
     ----------
     computed, known : int
         Files that were computed now, and files with a record in the store before.
     unreadable : tuple of SessionRecord
-        Files that could not even be read; they are not in the store.
+        Records of unreadable files, which are not in the store.
     """
 
     computed: int = 0
@@ -225,12 +225,12 @@ class Scan:
 
 
 def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> Scan:
-    """Look through folders; compute the sessions that are new or have changed since, here.
+    """Search folders, and compute new or changed sessions in this process.
 
     Parameters
     ----------
     trace : bool
-        Look for effects too; records that were made without are made again.
+        Trace the residual too; records without a trace are made again.
     """
     paths = session_files(places)
     store.mark_gone(places, paths)
@@ -242,12 +242,13 @@ def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> 
 
 
 class FleetProgress:
-    """How far a fleet is.
+    """Progress of a fleet.
 
     Attributes
     ----------
     total, done, failed, again : int
-        Sessions to do in this run; done; failed of these; not to be done again.
+        Number of sessions to compute in this run, of those computed, of failures among them, and of
+        sessions with a record from before.
     """
 
     def __init__(self, total: int, again: int, clock: Callable[[], float] = time.monotonic) -> None:
@@ -257,7 +258,7 @@ class FleetProgress:
         self._begun = clock()
 
     def arrived(self, record: SessionRecord) -> None:
-        """Count one."""
+        """Count a record."""
         self.done += 1
         self.failed += record.status != "ok"
 
@@ -270,5 +271,5 @@ class FleetProgress:
             parts.append(f"{rate:.1f} a second" if rate >= 1 else f"{1 / rate:.1f} s each")
             parts.append(f"{format_duration((self.total - self.done) / rate)} left")
         parts += [f"{self.failed} failed"] * bool(self.failed)
-        parts += [f"{self.again} were done before"] * bool(self.again)
+        parts += [f"{self.again} done before"] * bool(self.again)
         return ", ".join(parts)

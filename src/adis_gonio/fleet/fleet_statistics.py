@@ -27,7 +27,7 @@ from adis_gonio.fitting.estimation.robust import MAD_TO_SD, robust_sd
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 LEAST = 3
-"""Values below which nothing is said of their scatter."""
+"""Fewest values for a statement on scatter."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class Distribution(JsonRecord):
     Attributes
     ----------
     n : int
-        Sessions that have it.
+        Number of sessions with the quantity.
     mean, sd, robust_sd : float
     quantiles : mapping of str to float
-        By probability in percent, such as `50`.
+        Quantiles by probability in percent, such as `50`.
     low, high : float
         Extremes.
     """
@@ -55,7 +55,7 @@ class Distribution(JsonRecord):
 
     @classmethod
     def of(cls, values: Floats) -> Distribution:
-        """Of finite values (n,), at least one."""
+        """Distribution of finite values (n,), at least one."""
         probable = np.quantile(values, PROBABILITIES)
         quantiles = {f"{100 * p:g}": float(q) for p, q in zip(PROBABILITIES, probable, strict=True)}
         sd = float(values.std(ddof=1)) if len(values) > 1 else math.nan
@@ -65,21 +65,21 @@ class Distribution(JsonRecord):
 
 @dataclass(frozen=True)
 class Beyond(JsonRecord):
-    """Scatter against what the sessions' own uncertainties explain.
+    """Scatter compared with the uncertainties that the sessions state.
 
     Attributes
     ----------
     n : int
         Values with an uncertainty.
     u : float
-        Their median standard uncertainty.
+        Median standard uncertainty of the values.
     q, dof, p_value : float
-        Cochran's Q about the weighted mean, its degrees of freedom, and the probability of as much where
-        u explains all.
+        Cochran's Q about the weighted mean, its degrees of freedom, and the probability of this Q if u
+        explains the scatter.
     tau : float
-        Standard deviation of the true values by which the sessions differ in addition (Paule and Mandel).
+        Additional standard deviation between the true values of the sessions (Paule and Mandel).
     tau_95 : tuple of float
-        Its interval of 95 % (Q profile).
+        Interval of 95 % of tau (Q profile).
     """
 
     document_keys = ("n", "u", "q", "dof", "p_value", "birge_ratio", "tau", "tau_95")
@@ -94,16 +94,16 @@ class Beyond(JsonRecord):
 
     @property
     def birge_ratio(self) -> float:
-        """Birge ratio: scatter over what u explains."""
+        """Birge ratio: scatter over the scatter that u explains."""
         return math.sqrt(self.q / self.dof)
 
 
 def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
-    """Whether values (n,) scatter more than their standard uncertainties (n,) with `dof` (n,) explain.
+    """Compare the scatter of values (n,) with their standard uncertainties (n,) with `dof` (n,).
 
-    A deviation in units of u is Student's with its own degrees of freedom; it is counted as the normal
-    one of the same probability, so that Q is χ² where few degrees of freedom stand behind the u. None
-    with fewer than three values that have a u.
+    A deviation in units of u has Student's distribution. It is converted to the normal deviate of equal
+    probability, so that Q is χ² even if u has few degrees of freedom. Returns None for fewer than three
+    values with a u.
     """
     from scipy.stats import chi2
 
@@ -126,19 +126,19 @@ def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
 
 
 def as_normal(t: Floats, dof: Floats) -> Floats:
-    """Normal deviates of the same probability as Student's t (n,) with `dof` (n,)."""
+    """Normal deviates of equal probability to Student's t (n,) with `dof` (n,)."""
     from scipy.special import ndtri, stdtr
 
     few = np.isfinite(dof) & (dof < 1e6)
     out = np.array(t, dtype=float)
-    # By the lower tail, where small probabilities keep their digits.
+    # The lower tail keeps the digits of small probabilities.
     tail = np.maximum(stdtr(np.maximum(dof[few], 1.0), -np.abs(out[few])), 1e-300)
     out[few] = -np.sign(out[few]) * ndtri(tail)
     return out
 
 
 def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
-    """Paule's and Mandel's τ: Q there is as large as expected; 0 if Q is smaller without any τ."""
+    """τ by Paule and Mandel, at which Q is as large as expected; 0 if Q is smaller already without τ."""
     from scipy.optimize import brentq
 
     if q_at(0.0) <= goal:
@@ -151,16 +151,16 @@ def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float
 
 @dataclass(frozen=True)
 class Repeats(JsonRecord):
-    """How sessions of the same unit agree, in units of their u.
+    """Agreement of the sessions of one unit, in units of their u.
 
     Attributes
     ----------
     units, sessions : int
         Units with two sessions or more, and their sessions.
     ratio : float
-        Scatter within units over what u explains: 1 where u is honest.
+        Scatter within units over the scatter that u explains; 1 if u is right.
     p_value : float
-        Of as much scatter where u explains all.
+        Probability of this scatter if u explains it.
     """
 
     units: int
@@ -170,9 +170,9 @@ class Repeats(JsonRecord):
 
 
 def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> Repeats | None:
-    """Scatter of sessions about the mean of their unit; `unit` (n,) numbers them, negative is unknown.
+    """Scatter of sessions about the mean of their unit, by its number `unit` (n,); negative is unknown.
 
-    None where no unit has two sessions.
+    Returns None if no unit has two sessions.
     """
     from scipy.stats import chi2
 
@@ -192,13 +192,12 @@ def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> 
 
 
 FEWEST_UNITS = 5
-"""Units from which on one can stand out from the others."""
+"""Fewest units among which one can stand out."""
 FEWEST = 3
-"""Sessions or units that a group needs, and the rest of the fleet too."""
+"""Fewest sessions or units of a group, and of the rest of the fleet."""
 _MAD_EFFICIENCY = 0.37
-"""A robust z of n values has the tails of Student's distribution with about so many times n − 1 degrees
-of freedom: the median absolute deviation knows the scatter as well as that share of the values would by
-their standard deviation."""
+"""Efficiency of the median absolute deviation: a robust z of n values has the tails of Student's
+distribution with about this factor times n − 1 degrees of freedom."""
 
 Codes = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -217,13 +216,13 @@ class Test:
     quantity : str
         A parameter, or `effect NAME`.
     z : float
-        Robust z, or the normal deviate of as small a probability.
+        Robust z, or the normal deviate of equal probability.
     p_value : float
-        Two-sided for parameters; for effects of as many or more.
+        Two-sided for parameters, one-sided (as many or more) for effects.
     value, others : float
-        Median of the group and of the others; for effects the share that shows it.
+        Median of the group and of the others; for an effect the share that shows it.
     n : int
-        Sessions (of a unit) or units (of a stage or operator) that it has.
+        Number of sessions of a unit, or of units of a stage or operator.
     """
 
     kind: str
@@ -243,9 +242,9 @@ class FamilyOfTests:
     Attributes
     ----------
     count : int
-        Tests that it takes.
+        Number of tests.
     find : callable
-        From the largest p-value that counts to the tests that pass it.
+        Function from a level to the tests with a smaller p-value.
     """
 
     count: int
@@ -253,7 +252,7 @@ class FamilyOfTests:
 
 
 def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
-    """Number of tests, and the tests that pass the level `OUTLYING` over all of them; oddest first."""
+    """Number of tests, and those that pass the level `OUTLYING` in all, the smallest p-value first."""
     total = sum(one.count for one in comparisons)
     passed = [test for one in comparisons if one.count for test in one.find(OUTLYING / total)]
     return total, sorted(
@@ -262,12 +261,12 @@ def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
 
 
 def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTests:
-    """Every unit against all units, by the median of its sessions.
+    """Compare every unit with all units, by the median of its sessions.
 
     Parameters
     ----------
     values, u, unit : (n,)
-        One entry a session; unit negative where unknown: such a session is a unit of its own.
+        One entry per session. A negative unit is unknown; its session counts as a separate unit.
     """
     good = np.isfinite(values)
     codes = _own(unit)[good]
@@ -275,7 +274,7 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTe
 
     def find(level: float) -> list[Test]:
         median = _medians(values[good], index)
-        # Sessions of a unit may share their error: its own u is not reduced by their number.
+        # Sessions of a unit may share their error, so its u is not reduced by their number.
         doubt = np.sqrt(np.bincount(index, np.nan_to_num(u[good]) ** 2) / count)
         z, centre = robust_z(median, doubt)
         p = 2 * stdtr(_MAD_EFFICIENCY * (len(names) - 1), -np.abs(z))
@@ -290,7 +289,7 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTe
 def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
     """Distances (n,) from the median over √(τ² + u²), and the median.
 
-    τ makes the median distance that of a normal distribution; it is 0 where u alone explains as much.
+    τ is such that the median distance is as in a normal distribution; 0 if u alone explains it.
     """
     centre = float(np.median(values))
     away = np.abs(values - centre)
@@ -311,16 +310,16 @@ def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
 
 
 def by_rank(kind: str, quantity: str, values: Floats, group: Codes, unit: Codes) -> FamilyOfTests:
-    """Every stage or operator against the others, by ranks of its units' medians."""
+    """Compare every stage or operator with the others, by ranks of the medians of its units."""
     good = np.isfinite(values) & (group >= 0)
     x, code = _by_unit(values[good], group[good], _own(unit)[good])
     return _stepwise(kind, quantity, x, code, _normal_scores, np.median)
 
 
 def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) -> FamilyOfTests:
-    """Every group by how many of its units show an effect in half of their sessions or more.
+    """Compare every group by the number of its units with an effect in at least half of their sessions.
 
-    For units themselves (`kind` is `unit`) their sessions are counted.
+    If `kind` is `unit`, the sessions of each unit are counted.
     """
     good = group >= 0
     shown, code = found[good].astype(float), group[good]
@@ -331,12 +330,12 @@ def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) ->
 
 
 def _own(unit: Codes) -> Codes:
-    """Numbers of the units, another one for each session whose unit is not known."""
+    """Numbers of the units, with a new number for each session of an unknown unit."""
     return np.where(unit >= 0, unit, -1 - np.arange(len(unit)))
 
 
 def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
-    """Median of each unit in each group, and that group: many sessions of a unit are no many witnesses."""
+    """Median of each unit in each group, and the group; many sessions of a unit count as one value."""
     if not len(values):
         return values, group
     pairs, index = np.unique(np.stack([group, unit]), axis=1, return_inverse=True)
@@ -344,7 +343,7 @@ def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
 
 
 def _medians(values: Floats, index: Codes) -> Floats:
-    """Median of each group; `index` (n,) numbers them from 0 on without gaps."""
+    """Median of each group; `index` (n,) numbers the groups from 0 without gaps."""
     x = values[np.lexsort((values, index))]
     count = np.bincount(index)
     first = np.cumsum(count) - count
@@ -364,7 +363,7 @@ def _normal_scores(values: Floats, index: Codes, count: Codes) -> tuple[Floats, 
 
 
 def _hypergeometric(values: Floats, index: Codes, count: Codes) -> tuple[Floats, Floats]:
-    """Probability of as many or more by chance, and the normal deviate of it."""
+    """Normal deviate and probability of as many or more by chance."""
     here = np.bincount(index, values)
     p = np.minimum(hypergeom.sf(here - 1, len(values), int(values.sum()), count), 1.0)
     return -ndtri(np.maximum(p, 1e-300)), p
@@ -389,7 +388,7 @@ def _stepwise(
             if not able.any():
                 return tests
             z, p = score(x, index, count)
-            # Of two that differ from each other alone, the smaller is the odd one.
+            # Of two groups that differ only from each other, the smaller one is the outlier.
             k = int(np.lexsort((names, count, np.where(able, p, 2.0)))[0])
             if not p[k] < level:
                 return tests

@@ -53,9 +53,9 @@ KINDS = ("unit", "stage", "operator")
 GROUPS = {"unit": "serial", "stage": "stage", "operator": "operator"}
 """Column that names the groups of a kind."""
 _ALIKE = 0.9
-"""Share of common sessions from which on two groups are the same to a fleet."""
+"""Share of common sessions above which a fleet cannot distinguish two groups."""
 _RMS = "angle"
-"""A root mean square: its logarithm is compared, and its u is that of an angle, not its own."""
+"""A root mean square: its logarithm is compared, and the stated u belongs to an angle."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,9 @@ class QuantitySummary(JsonRecord):
     name, unit : str
     distribution : Distribution
     beyond : Beyond or None
-        None where fewer than three sessions state a u.
+        None if fewer than three sessions state a u.
     repeats : Repeats or None
-        None where no unit has two sessions.
+        None if no unit has two sessions.
     """
 
     name: str = field(metadata=HIDDEN)
@@ -83,7 +83,7 @@ class QuantitySummary(JsonRecord):
 
 @dataclass(frozen=True)
 class Frequency(JsonRecord):
-    """How many of the traced sessions showed an effect."""
+    """Number of the traced sessions that showed an effect."""
 
     document_keys = ("effect", "found", "traced", "share", "wilson_95")
 
@@ -112,17 +112,17 @@ class Outlying(JsonRecord):
     ----------
     kind : {"unit", "stage", "operator"}
     name : str
-        Of a session without a serial number its path.
+        Name of the group; the path of a session without a serial number.
     quantity, unit : str
         Parameter with its unit, or `effect NAME`.
     z, p_value, adjusted_p : float
-        Robust z (or normal deviate), its p-value, and that times the number of tests.
+        Robust z or normal deviate, its p-value, and the p-value times the number of tests.
     value, others : float
-        Median here and of the others; for an effect the share that shows it.
+        Median of the group and of the others; for an effect the share that shows it.
     n : int
-        Sessions of the unit; units that the stage or the operator had.
+        Number of sessions of the unit, or of units of the stage or operator.
     same_sessions_as : tuple of str
-        Other groups of which the fleet cannot tell whether it is they.
+        Other groups with nearly the same sessions, which may be the cause instead.
     """
 
     kind: str
@@ -152,9 +152,9 @@ class Summary:
     effects : tuple of Frequency
         The most frequent first.
     tests : int
-        Comparisons among which those in `outlying` were found.
+        Number of comparisons.
     outlying : tuple of Outlying
-        The oddest first.
+        Groups that stand out, the smallest p-value first.
     """
 
     sessions: dict[str, int]
@@ -164,7 +164,7 @@ class Summary:
     tests: int
     outlying: tuple[Outlying, ...]
     table: Table = field(repr=False, compare=False, default_factory=dict)
-    """What it was made of, for figures."""
+    """Columns of all sessions, for figures."""
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document."""
@@ -203,7 +203,7 @@ def summarise(rows: Sequence[Row] | Any) -> Summary:
 
 
 def _codes(names: Any) -> Codes:
-    """Number of each name; -1 where there is none."""
+    """Number of each name; -1 for an empty name."""
     _, codes = np.unique(names, return_inverse=True)
     return np.where(names == "", -1, codes)
 
@@ -227,7 +227,7 @@ def _quantities(table: Table) -> list[str]:
 
 
 def _doubt(table: Table, name: str) -> Floats:
-    """Standard uncertainty (n,) of the values themselves; NaN where nothing states it."""
+    """Standard uncertainty (n,) of the values; NaN if it is not stated."""
     return np.full(len(table[name]), np.nan) if name == _RMS else table[f"{name}_u"]
 
 
@@ -259,7 +259,7 @@ def _frequencies(table: Table, traced: int) -> list[Frequency]:
 
 
 def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[FamilyOfTests]:
-    """All units, stages and operators by all parameters and effects."""
+    """Comparisons of all units, stages and operators by all parameters and effects."""
     unit = groups["unit"]
     made = []
     for name in _quantities(table):
@@ -317,17 +317,17 @@ PARAMETER_HEAD = [
     "repeats / u",
 ]  # fmt: skip
 PARAMETER_NOTES = (
-    "sd beyond u: standard deviation of the true values that the scatter demands beside the sessions' own u"
-    " (Paule and Mandel), with its interval of 95 %; 0 where u explains all.",
-    "repeats / u: scatter of sessions of the same unit over what their u explains; 1 where u is honest.",
+    "sd beyond u: standard deviation between the true values, needed in addition to the sessions' u"
+    " (Paule and Mandel), with its interval of 95 %; 0 if u explains the scatter.",
+    "repeats / u: scatter of sessions of one unit over the scatter that their u explains; 1 if u is right.",
     "angle: error of the angle, rms over dwells left out; it has no u of its own.",
 )
 EFFECT_HEAD = ["effect", "sessions", "share", "95 % interval"]
-OUTLYING_HEAD = ["what", "quantity", "here", "the others", "z", "p × tests", "of"]
+OUTLYING_HEAD = ["group", "quantity", "here", "the others", "z", "p × tests", "of"]
 
 
 def headline(summary: Summary) -> str:
-    """How many there are, such as `998 of 1000 sessions have a result, of 334 units on 4 stages.`."""
+    """Headline such as `998 of 1000 sessions have a result, of 334 units on 4 stages.`."""
     n = summary.sessions
     verb = "has" if 1 in (n["ok"], n["n"]) else "have"
     text = f"{n['ok']} of {counted(n['n'], 'session')} {verb} a result"
@@ -341,22 +341,24 @@ def headline(summary: Summary) -> str:
 
 
 def remarks(summary: Summary) -> list[str]:
-    """What has to be known of the rest."""
+    """Sentences on failed, traced, doubtful and unnamed sessions."""
     n = summary.sessions
-    said = []
+    sentences = []
     if n["failed"]:
-        said.append(f"{counted(n['failed'], 'session')} failed.")
+        sentences.append(f"{counted(n['failed'], 'session')} failed.")
     if n["traced"]:
-        said.append(f"{n['traced']} were traced; the model is adequate in {n['adequate']} of them.")
+        sentences.append(f"{n['traced']} were traced; the model is adequate in {n['adequate']} of them.")
     else:
-        said.append("No session was traced: nothing is known of effects.")
+        sentences.append("No session was traced: effects are not known.")
     if n["doubted"]:
-        said.append(f"{counted(n['doubted'], 'session')} cannot be right by what the operator kept.")
+        sentences.append(
+            f"{counted(n['doubted'], 'session')} contain readings that the operator kept against a warning."
+        )
     if n["without_serial"]:
-        said.append(
+        sentences.append(
             f"{counted(n['without_serial'], 'session')} without a serial number: each counts as a unit."
         )
-    return said
+    return sentences
 
 
 def parameter_rows(summary: Summary) -> list[list[str]]:
@@ -380,7 +382,7 @@ def _parameter(one: QuantitySummary) -> list[str]:
 
 
 def _to_digit_of(sd: float, value: float) -> str:
-    """Value to the second digit of a standard deviation."""
+    """Value with the decimals of a standard deviation of two digits."""
     if not sd > 1e-6:
         return format_number(value)
     return format_fixed(value, count_decimals(sd))
@@ -429,15 +431,15 @@ def _outlying(one: Outlying) -> list[str]:
 
 
 def outlying_text(summary: Summary) -> str:
-    """What was compared and how sure a name is; who stands out where that is nobody."""
+    """Sentence on the comparisons and the probability of a false name."""
     if not summary.tests:
         return (
-            f"Nothing could be compared: that takes {FEWEST_UNITS} units, or {FEWEST} units on a stage or"
-            f" with an operator and {FEWEST} elsewhere."
+            f"Nothing could be compared: a comparison needs {FEWEST_UNITS} units, or {FEWEST} units on a stage"
+            f" or with an operator and {FEWEST} elsewhere."
         )
-    found = "" if summary.outlying else " None stands out."
+    found = "" if summary.outlying else " No group stands out."
     return (
         f"{counted(summary.tests, 'comparison')} of units, stages and operators with the rest of the fleet;"
-        f" the probability of naming anything falsely is at most {format_percent(OUTLYING)} in all"
+        f" the probability of any false name is at most {format_percent(OUTLYING)} in all"
         f" (Bonferroni).{found}"
     )

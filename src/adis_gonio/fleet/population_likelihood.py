@@ -1,25 +1,23 @@
 """The hierarchical likelihood of one cause over many sessions.
 
-A unit is affected with probability w; its amplitudes are then θ ~ N(μ, τ² 1), else zero: alike in their
-unit, or alike against what each session can show (amplitudes that differ by orders of magnitude between
-sessions of unlike length and noise; half of the prior each). With score s and information G of a unit,
+A unit (a session) is affected with probability w. The amplitudes of an affected unit are θ ~ N(μ, τ² 1),
+those of others are zero. μ and τ are either in the unit of the amplitudes or relative to each session's
+standard uncertainty (for amplitudes that differ by orders of magnitude between sessions); each has half
+of the prior. With score s and information G of a unit,
 
     ln B(μ, τ) = sᵀμ − ½ μᵀGμ + ½ (s − Gμ)ᵀ (G + 1/τ²)⁻¹ (s − Gμ) − ½ ln |1 + τ² G|
 
 is its Bayes factor for being affected, in closed form, and Σ ln(1 − w + w B) the log likelihood of the
 population (empirical Bayes: Efron, Large-Scale Inference, 2010, ch. 2). Averaged over a grid of (w, μ, τ)
-that was fixed before the data it is an e-value: its expectation is 1 where nobody is affected, so that it
+that was fixed before the data, B is an e-value: its expectation is 1 if no unit is affected, so that it
 exceeds 1/p with probability p at most (Markov; Vovk and Wang, Ann. Stat. 49, 2021), for any number of
-units.
-One unit counts as at most `MOST` to one: a factor that is cut is still an e-value.
+units. The factor of one unit is limited to `MOST`; a limited factor is still an e-value.
 
-All sessions of a population on one set of columns, with noise that suits each of them.
-
-A session's own χ² says whether its stated noise is right. Ratios χ²/ν scatter by √(2/ν) when it is; what
-they scatter beyond is the sessions' own. Each is drawn towards the common one by as much (moderated
-variances: Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004), a ratio that the common one cannot explain is
-taken as it is, and none is less than 1 where the noise was stated: a population with noise stated too
-small must not look like one with an effect.
+The noise of each session is checked by its own χ². Ratios χ²/ν scatter by √(2/ν) if the stated noise is
+right; any additional scatter is a difference between sessions. Each ratio is drawn towards the common
+ratio accordingly (moderated variances: Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004). A ratio that the
+common one cannot explain is used as it is. No ratio is less than 1 if the noise was stated, so that noise
+stated too small does not look like an effect.
 """
 
 from __future__ import annotations
@@ -35,15 +33,15 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.fleet.session_evidence import Column, SessionEvidence
 
 MOST = float(np.log(1000.0))
-"""Log of the largest Bayes factor of one unit: a gross session is a matter of that session."""
+"""Log of the largest Bayes factor of one unit, so that one extreme session proves no common cause."""
 MOST_OF_KNOWN = 100.0
-"""The same where the distribution of a cause that stands is estimated."""
+"""Like `MOST`, if the distribution of an accepted cause is estimated."""
 SHARES = (0.03, 0.1, 0.2, 0.35, 0.6, 1.0)
-"""Shares w of the units: below 3 % there is nothing common."""
+"""Shares w of the units; a cause in fewer than 3 % of them is not common."""
 SPREADS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.0)
 """Spreads τ about zero (sign not common), in typical standard uncertainties."""
 MEANS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.0)
-"""Lengths of the mean μ where the sign is common; the spread is then a third of it."""
+"""Lengths of the mean μ for a common sign; the spread is then a third of the length."""
 RELATIVE_SPREAD = 1 / 3
 
 
@@ -62,9 +60,9 @@ class Block:
 
 @dataclass(frozen=True)
 class Group:
-    """How the amplitudes of affected units are distributed: N(mean (d,), spread² 1), in a share of them.
+    """Distribution of the amplitudes of affected units: N(mean (d,), spread² 1), in a share of the units.
 
-    They are in the typical standard uncertainty of all sessions, or, where `relative`, in each one's own.
+    The unit is the typical standard uncertainty of all sessions or, if `relative`, that of each session.
     """
 
     share: float
@@ -74,12 +72,12 @@ class Group:
 
 
 def log_factor(block: Block, mean: Floats, spread: float | Floats) -> Floats:
-    """Log Bayes factor (n,) of each unit, not cut."""
+    """Log Bayes factor (n,) of each unit, not limited."""
     return log_factors(block, mean[None], spread)[:, 0]
 
 
 def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
-    """The same (n, h) for several means (h, d); the spread may be one for each amplitude (d,)."""
+    """Log Bayes factors (n, h) for several means (h, d); `spread` may have one value per amplitude (d,)."""
     score, information = block.score, block.information
     shifted = score[:, None, :] - means @ information  # (n, h, d)
     along = 0.5 * ((score[:, None, :] + shifted) * means).sum(axis=2)
@@ -88,6 +86,7 @@ def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
         denominator = 1 + wide[0] ** 2 * information[:, 0]
         square = shifted[:, :, 0] ** 2 * (wide[0] ** 2 / denominator)
         return np.asarray(along + 0.5 * (square - np.log(denominator)))
+    # Gaussian integral over the amplitudes: quadratic form and determinant of (G + 1/τ²).
     precision = information + np.diag(wide**-2.0)
     solved = np.linalg.solve(precision, shifted.transpose(0, 2, 1)).transpose(0, 2, 1)
     size = np.linalg.slogdet(precision)[1] + 2 * np.log(wide).sum()
@@ -96,13 +95,13 @@ def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Grid:
-    """Distributions (h of them) that were thought of before the data, with their prior.
+    """Distributions (h of them) fixed before the data, with their prior.
 
     Attributes
     ----------
     mean : (h, d) float
     spread, share, log_prior : (h,) float
-        The prior is that of either unit of the amplitudes: half of it stands for each.
+        Half of the prior is for amplitudes in their unit, half for relative amplitudes.
     """
 
     mean: Floats
@@ -111,18 +110,18 @@ class Grid:
     log_prior: Floats
 
     def group(self, k: int) -> Group:
-        """One of them; from h on the relative ones."""
+        """Distribution k; those from h on are relative."""
         relative, k = divmod(k, len(self.share))
         return Group(float(self.share[k]), self.mean[k], float(self.spread[k]), bool(relative))
 
     @property
     def log_priors(self) -> Floats:
-        """Of all (2 h,), the relative ones after the others."""
+        """Log prior of all distributions (2 h,), the relative ones last."""
         return np.tile(self.log_prior - np.log(2), 2)
 
 
 def grid_of(width: int) -> Grid:
-    """Half of the prior has no common sign, half has one."""
+    """Grid for a number of amplitudes; half of the prior has no common sign, half has one."""
     still = [(np.zeros(width), spread, 0.5 / len(SPREADS)) for spread in SPREADS]
     ways = _ways(width)
     moved = [
@@ -139,7 +138,7 @@ def grid_of(width: int) -> Grid:
 
 
 def _ways(width: int) -> list[Floats]:
-    """Directions of a common mean: each amplitude to either side; of two also both together."""
+    """Directions of a common mean: each amplitude with either sign, and two amplitudes together."""
     ways = [sign * row for row in np.eye(width) for sign in (1.0, -1.0)]
     if width == 2:
         ways += [np.array(signs) / np.sqrt(2) for signs in itertools.product((1.0, -1.0), repeat=2)]
@@ -150,14 +149,14 @@ def gains(block: Block, grid: Grid, most: float = MOST) -> Floats:
     """Log likelihood ln(1 − w + w B) of each unit (n,) at each distribution (h,) of the grid."""
     h = len(grid.share) // len(SHARES)
     factors = np.empty((len(block.score), h))
-    for spread in np.unique(grid.spread[:h]):
+    for spread in np.unique(grid.spread[:h]):  # all means of one spread in one call
         rows = np.flatnonzero(grid.spread[:h] == spread)
         factors[:, rows] = log_factors(block, grid.mean[rows], float(spread))
     return np.concatenate([mixed(factors, share, most) for share in SHARES], axis=1)
 
 
 def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:
-    """Log likelihood ln(1 − w + w B) with ln B cut at `most`."""
+    """Log likelihood ln(1 − w + w B) with ln B limited to `most`."""
     cut = np.minimum(log_factor, most)
     if share >= 1:
         return np.asarray(cut)
@@ -176,16 +175,16 @@ class Units:
     ----------
     evidence : tuple of SessionEvidence
     columns : tuple of Column
-        All that any session can see.
+        All columns that any session can determine.
     inflation : (n,) float
         Factor on each session's noise variance.
     typical : (m,) float
-        Median standard uncertainty of each amplitude over the sessions that see it, in its unit; times
-        `Column.weight`.
+        Median standard uncertainty of each amplitude over the sessions that determine it, in its unit,
+        times `Column.weight`.
     z : (n, m) float
-        Scores, inflated noise taken into account; zero where a session cannot see a column.
+        Scores with the inflated noise; zero if a session does not determine a column.
     length : (n, m) float
-        1/u of each amplitude in units of `typical`; zero where a session cannot see it.
+        1/u of each amplitude in units of `typical`; zero if a session does not determine it.
     directions : (n, k, m) float32
         As in `SessionEvidence`, padded with zeros.
     """
@@ -202,13 +201,13 @@ class Units:
         return len(self.evidence)
 
     def seen(self, index: Sequence[int]) -> NDArray[np.bool_]:
-        """Sessions (n,) that see any of the columns."""
+        """Mask (n,) of the sessions that determine any of the columns."""
         return np.asarray((self.length[:, list(index)] > 0).any(axis=1))
 
     def joint(self, index: Sequence[int], relative: Sequence[bool] | bool = False) -> Block:
-        """Score and information by some of the columns.
+        """Score and information for some of the columns.
 
-        Amplitudes are in `typical`, or, where `relative`, in each session's own standard uncertainty.
+        Amplitudes are in `typical` or, if `relative`, in each session's standard uncertainty.
         """
         chosen = list(index)
         length = self.length[:, chosen]
@@ -220,7 +219,7 @@ class Units:
 
 
 def units_of(evidence: Sequence[SessionEvidence]) -> Units:
-    """Sessions side by side, in an order that does not depend on the one they come in."""
+    """Arrays of all sessions, sorted so that the order of the argument does not matter."""
     evidence = sorted(evidence, key=lambda one: (one.digest, one.source))
     keys = sorted({key for one in evidence for key in one.keys})
     number = {key: k for k, key in enumerate(keys)}
@@ -250,7 +249,7 @@ def units_of(evidence: Sequence[SessionEvidence]) -> Units:
 
 
 def inflations(evidence: Sequence[SessionEvidence]) -> Floats:
-    """Factor (n,) on each session's noise variance; of two directions of the readings the larger."""
+    """Factor (n,) on each session's noise variance, the larger one of its two directions."""
     known = np.array([one.noise_known for one in evidence], dtype=bool)
     ways = max((len(one.scatter) for one in evidence), default=1)
     out = np.zeros(len(evidence))
@@ -268,7 +267,7 @@ def inflations(evidence: Sequence[SessionEvidence]) -> Floats:
 
 
 def _moderated(ratio: Floats, dof: Floats) -> Floats:
-    """Ratios drawn towards the common one by what they scatter beyond χ²."""
+    """Ratios χ²/ν drawn towards the common ratio, the less the more they scatter beyond χ²."""
     from scipy.stats import chi2
 
     ratio = np.maximum(ratio, 1e-12)
@@ -286,5 +285,5 @@ def _moderated(ratio: Floats, dof: Floats) -> Floats:
 
 
 def _median_of(dof: Floats) -> Floats:
-    """Median of χ²/ν (Wilson and Hilferty)."""
+    """Median of χ²/ν by Wilson and Hilferty."""
     return np.asarray(np.maximum(1 - 2 / (9 * dof), 0.1) ** 3)

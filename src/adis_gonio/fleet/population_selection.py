@@ -1,10 +1,9 @@
-"""Which causes a population has: forward selection on the joint evidence of all sessions.
+"""Forward selection of the causes of a population, on the joint evidence of all sessions.
 
-A step weighs every candidate in every group of sessions beside what was chosen before. What was chosen
-may or may not be present in a unit, and its amplitude there is not known: both are averaged out, so that
-a candidate which another one explains has nothing left to explain.
-
-Candidates of a population: causes on some axes, each with its share of the prior.
+A candidate is a cause on some axes with its share of the prior. Each step compares every candidate in
+every group of sessions, given the causes that were chosen before. A chosen cause may or may not be
+present in a unit, with an unknown amplitude; both are averaged out, so that a candidate gains nothing
+from readings that a chosen cause explains.
 """
 
 from __future__ import annotations
@@ -43,14 +42,14 @@ class Candidate:
     Attributes
     ----------
     cause : str
-        Name of the catalogue, or what a function without a name depends on.
+        Name of the catalogue, or the quantity that an unnamed function depends on.
     named : bool
     variant : str
         As in `Column`.
     axes : str
-        Letters; empty for the stage.
+        Letters of the axes; empty for the stage.
     index : tuple of int
-        Its columns among those of the population.
+        Its columns among the population's columns.
     log_prior : float
     """
 
@@ -63,14 +62,14 @@ class Candidate:
 
     @property
     def kind(self) -> tuple[str, bool]:
-        """Cause, and whether it is a name."""
+        """Cause, and whether it is a name of the catalogue."""
         return self.cause, self.named
 
 
 def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
-    """Every cause on each axis and on all; prior shares as in the trace of one session.
+    """Every cause on each axis and on all axes, with prior shares as in the trace of one session.
 
-    A name's share is divided evenly among its variants, among numbers of cycles by 1/n.
+    The share of a name is divided evenly among its variants, or by 1/n among numbers n of cycles.
     """
     by_kind: dict[tuple[str, bool], list[int]] = defaultdict(list)
     for k, column in enumerate(columns):
@@ -105,7 +104,7 @@ def _blocks(
     below: dict[str, list[int]] = defaultdict(list)
     for variant in sorted(variants):
         by_axis = variants[variant]
-        if variant.startswith("degree="):  # a polynomial holds its lower powers
+        if variant.startswith("degree="):  # a polynomial includes its lower powers
             for letter, own in by_axis.items():
                 below[letter] += own
             by_axis = {letter: list(below[letter]) for letter in by_axis}
@@ -116,25 +115,25 @@ def _blocks(
 
 
 FOLDS = 5
-"""Parts of the units; each takes no part in what is checked on it."""
+"""Parts of the units for cross-validation."""
 LEAST_UNITS = 5
-"""Fewest sessions of which something is said in common."""
+"""Fewest sessions of a population or a group."""
 WHOLE = 0.5
-"""Prior share of all sessions against those of one stage, operator, serial number or variant."""
+"""Prior share of causes in all sessions; the rest is for one stage, operator, serial number or variant."""
 
 Kind = tuple[str, bool]
 
 
 @dataclass(frozen=True)
 class Membership:
-    """Sessions that share something.
+    """Sessions with a common stage, operator, serial number or variant.
 
     Attributes
     ----------
     by : str
         `all`, `stage`, `operator`, `serial` or `sensor`.
     value : str
-        What they share; empty for all.
+        Common value; empty for all sessions.
     inside : (n,) bool
     log_prior : float
     """
@@ -146,7 +145,7 @@ class Membership:
 
 
 def memberships(units: Units, by: Sequence[str]) -> list[Membership]:
-    """All sessions, and those of each value of what they are grouped by."""
+    """All sessions, and the sessions of each value of the groupings `by`."""
     n = len(units)
     found: list[list[tuple[str, str, NDArray[np.bool_]]]] = []
     for name in by:
@@ -168,7 +167,7 @@ def memberships(units: Units, by: Sequence[str]) -> list[Membership]:
 
 @dataclass(frozen=True)
 class ChosenCause:
-    """A cause that was chosen: where, and how its amplitudes are distributed."""
+    """A chosen cause: its group of sessions, and the distribution of its amplitudes."""
 
     candidate: Candidate
     group: Membership
@@ -177,16 +176,16 @@ class ChosenCause:
 
 @dataclass(frozen=True)
 class Scores:
-    """Candidates (k) in groups (g) beside a model.
+    """Scores of candidates (k) in groups (g), given a model.
 
     Attributes
     ----------
     log_evidence : (k, g) float
-        Of each candidate in each group against the model, averaged over the grid.
+        Log evidence of each candidate in each group against the model, averaged over the grid.
     trained, foreseen : (k, g, folds) float
-        The same without a fold, and what is then foreseen of the fold.
+        Log evidence without a fold, and the log score that it predicts for the fold.
     best : (k, g) int
-        Distribution of the grid of greatest likelihood.
+        Most probable distribution of the grid.
     """
 
     log_evidence: Floats
@@ -202,15 +201,15 @@ class SelectionStep:
     Attributes
     ----------
     part : ChosenCause
-        Best candidate of the most probable cause, its distribution that of the grid.
+        Best candidate of the most probable cause, with its distribution of the grid.
     log_evidence : float
-        Of any cause at all against the model before, averaged over all candidates by their prior.
+        Log evidence of any further cause against the model, averaged over all candidates by their prior.
     posterior : mapping of (cause, named) to float
-        Given that there is any cause; sums to 1.
+        Probability of each cause, if there is one; sums to 1.
     places : mapping of (by, value) to float
-        The same of the group, given the cause.
+        Probability of each group, given the cause.
     heldout : float
-        Log score of the units of each fold by the cause that the other folds choose.
+        Log score of the units of each fold, by the cause that the other folds choose.
     """
 
     part: ChosenCause
@@ -232,10 +231,10 @@ class Population:
         folds = self.fold[None, :] == np.arange(FOLDS)[:, None]
         self._sums = (inside[:, None, :] & folds[None, :, :]).reshape(-1, len(units)).astype(float)
 
-    def beside(
+    def blocks_given(
         self, parts: Sequence[ChosenCause], index: Sequence[int], relative: bool = False
     ) -> list[tuple[Floats, Block]]:
-        """Log probability (n,) of each combination of parts, and the block (columns) left beside it."""
+        """Log probability (n,) of each combination of present parts, and the block of columns given it."""
         own = self.units.joint(index, relative)
         if not parts:
             return [(np.zeros(len(self.units)), own)]
@@ -249,11 +248,11 @@ class Population:
                     inside, np.log(share if there else 1 - share), -np.inf if there else 0.0
                 )
             chosen = [part for part, there in zip(parts, present, strict=True) if there]
-            out.append(self._given(chosen, index, own, log_prior, relative))
+            out.append(self._block_given(chosen, index, own, log_prior, relative))
         norm = logsumexp(np.stack([weight for weight, _ in out]), axis=0)
         return [(weight - norm, block) for weight, block in out]
 
-    def _given(
+    def _block_given(
         self,
         chosen: Sequence[ChosenCause],
         index: Sequence[int],
@@ -261,7 +260,7 @@ class Population:
         log_prior: Floats,
         relative: bool,
     ) -> tuple[Floats, Block]:
-        """The block where some parts are present, their amplitudes averaged out."""
+        """Block of columns if some parts are present, with their amplitudes averaged out."""
         if not chosen:
             return log_prior, own
         held = [k for part in chosen for k in part.candidate.index]
@@ -274,6 +273,7 @@ class Population:
         a = len(held)
         first = Block(both.score[:, :a], both.information[:, :a, :a])
         across = both.information[:, :a, a:]
+        # Schur complement: the chosen amplitudes are integrated over their distribution.
         precision = first.information + np.diag(spread**-2.0)
         linear = (first.score + mean / spread**2)[:, :, None]
         solved = np.linalg.solve(precision, np.concatenate([linear, across], axis=2))
@@ -286,13 +286,13 @@ class Population:
         grid = grid_of(len(candidate.index))
         out = []
         for relative in (False, True):
-            blocks = self.beside(parts, candidate.index, relative)
+            blocks = self.blocks_given(parts, candidate.index, relative)
             rows = [weight[:, None] + gains(block, grid, most) for weight, block in blocks]
             out.append(rows[0] if len(rows) == 1 else logsumexp(np.stack(rows), axis=0))
         return np.concatenate(out, axis=1)
 
     def scores(self, parts: Sequence[ChosenCause], only: Sequence[Candidate] | None = None) -> Scores:
-        """All candidates, or some, in all groups beside a model."""
+        """Score candidates, by default all, in all groups, given a model."""
         candidates = self.candidates if only is None else only
         shape = (len(candidates), len(self.groups))
         evidence, best = np.zeros(shape), np.zeros(shape, dtype=np.intp)
@@ -308,7 +308,7 @@ class Population:
         return Scores(evidence, trained, foreseen, best)
 
     def step(self, parts: Sequence[ChosenCause]) -> SelectionStep:
-        """The most probable further cause."""
+        """Choose the most probable further cause."""
         scores = self.scores(parts)
         prior = self.log_prior
         weighed = scores.log_evidence + prior
@@ -335,19 +335,19 @@ class Population:
 
     @property
     def log_prior(self) -> Floats:
-        """Of each candidate in each group (k, g)."""
+        """Log prior of each candidate in each group (k, g)."""
         own = np.array([candidate.log_prior for candidate in self.candidates])
         return np.asarray(own[:, None] + np.array([group.log_prior for group in self.groups]))
 
-    def sharpened(self, parts: Sequence[ChosenCause], part: ChosenCause) -> ChosenCause:
-        """The part with the distribution of greatest likelihood beside the others."""
+    def refine(self, parts: Sequence[ChosenCause], part: ChosenCause) -> ChosenCause:
+        """Return the part with the most likely distribution of its amplitudes, given the other parts."""
         from scipy.optimize import minimize
 
         likely = self.by_unit(parts, part.candidate, MOST_OF_KNOWN)[part.group.inside].sum(axis=0)
         start = grid_of(len(part.candidate.index)).group(int(likely.argmax()))
         blocks = [
             (weight[part.group.inside], Block(b.score[part.group.inside], b.information[part.group.inside]))
-            for weight, b in self.beside(parts, part.candidate.index, start.relative)
+            for weight, b in self.blocks_given(parts, part.candidate.index, start.relative)
         ]
 
         def at(amplitudes: Group) -> float:
@@ -372,7 +372,7 @@ class Population:
         amplitudes = part.amplitudes
         share = min(amplitudes.share, 1 - 1e-9)
         with_, without = [], []
-        for weight, block in self.beside(parts, part.candidate.index, part.amplitudes.relative):
+        for weight, block in self.blocks_given(parts, part.candidate.index, part.amplitudes.relative):
             factor = log_factor(block, amplitudes.mean, amplitudes.spread)
             with_.append(weight + np.log(share) + factor)
             without.append(weight + np.log1p(-share))
@@ -380,25 +380,25 @@ class Population:
         return np.where(part.group.inside, 1 / (1 + np.exp(-np.clip(odds, -500, 500))), 0.0)
 
     def without_foremost(self, parts: Sequence[ChosenCause], part: ChosenCause, count: int) -> float:
-        """Log likelihood that a part adds, without the units that add most to it."""
+        """Gain in log likelihood by a part, without the `count` units that gain most."""
         amplitudes = part.amplitudes
         rows = [
             w + mixed(log_factor(b, amplitudes.mean, amplitudes.spread), amplitudes.share)
-            for w, b in self.beside(parts, part.candidate.index, part.amplitudes.relative)
+            for w, b in self.blocks_given(parts, part.candidate.index, part.amplitudes.relative)
         ]
         own = np.sort(logsumexp(np.stack(rows), axis=0)[part.group.inside])
         return float(own[: max(len(own) - count, 0)].sum())
 
 
 def parameters_of(group: Group) -> Floats:
-    """Unbounded parameters: logit of the share, log of the spread, and the mean where it is not zero."""
+    """Unbounded parameters: logit of the share, log of the spread, and the mean if it is not zero."""
     odds = np.log(group.share / max(1 - group.share, 1e-3))
     centred = bool((group.mean == 0).all())
     return np.array([odds, np.log(group.spread), *([] if centred else group.mean)])
 
 
 def group_at(parameters: Floats, like: Group) -> Group:
-    """The reverse of `parameters_of`."""
+    """Inverse of `parameters_of`."""
     share = 1 / (1 + np.exp(-np.clip(parameters[0], -8, 12)))
     spread = float(np.exp(np.clip(parameters[1], -4, 5)))
     mean = like.mean if len(parameters) == 2 else parameters[2:]
@@ -406,7 +406,7 @@ def group_at(parameters: Floats, like: Group) -> Group:
 
 
 def _heldout(scores: Scores, prior: Floats) -> float:
-    """What each fold's units say of the cause that the other folds choose."""
+    """Log score of each fold's units for the cause that the other folds choose, summed."""
     gain = 0.0
     for fold in range(FOLDS):
         chosen = int((scores.trained[:, :, fold] + prior).argmax())

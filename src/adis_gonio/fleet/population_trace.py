@@ -1,6 +1,6 @@
 """`trace_population`: from the evidence of many sessions to the causes that they have in common.
 
-evidence ─ units ─▶ candidates ─▶ selection ─▶ causes that hold, and in which sessions
+evidence ─ units ─▶ candidates ─▶ selection ─▶ accepted causes, and the sessions that they affect
 """
 
 from __future__ import annotations
@@ -50,37 +50,37 @@ class Common(JsonRecord):
     Attributes
     ----------
     effects : tuple of str
-        Names that cannot be told apart, the most probable first; one where it is certain. Empty for what
-        is common and has no name.
+        Names that the data cannot distinguish, the most probable first; a single one if it is certain.
+        Empty for an unnamed cause.
     depends_on : str
-        What it depends on, where it has no name.
+        Quantity that an unnamed cause depends on.
     variant : str
         Choice or time constant of the most probable form.
     axes : tuple of str
-        Its axes.
+        Axes on which it acts.
     posterior : mapping of str to float
-        Of each name, given that there is a cause; what has no name stands as `unnamed: …`.
+        Probability of each name, if there is a cause; unnamed causes are `unnamed: …`.
     by, value : str
-        Group that shows it: `all`, or `stage` and which.
+        Group of sessions that shows it: `all`, or a grouping such as `stage` with its value.
     groups : mapping of str to float
-        Posterior of the groups that come into question.
+        Probability of each group.
     sessions : int
-        Sessions of the group that can see it.
+        Number of sessions of the group that could show it.
     share : mapping of str to float
-        Share of these sessions that are affected, as `value`, and its 95 % interval, `low` and `high`.
-        If the sign is not common, the interval begins with those that are affected for themselves:
-        only the shape of the normal distribution then tells share and spread apart.
+        Share of these sessions that are affected (`value`), with its 95 % interval (`low`, `high`). If
+        the sign is not common, only the shape of the normal distribution separates share and spread; the
+        interval then begins at the share of sessions that are affected with certainty.
     mean : mapping of str to Value
-        Mean amplitude of affected sessions by parameter; zero where its sign is not common.
+        Mean amplitude of affected sessions by parameter; zero if the sign is not common.
     spread : mapping of str to float
-        Standard deviation of the amplitudes about it, in the same units.
+        Standard deviation of the amplitudes about the mean, in its unit.
     relative : bool
-        True where amplitudes are alike against what each session can show rather than in their unit;
-        `mean` and `spread` are then those of a session of median uncertainty among the affected ones.
+        True if the amplitudes are similar relative to each session's uncertainty rather than in their
+        unit; `mean` and `spread` then hold for an affected session of median uncertainty.
     p_value : float
-        At most this probable where no session has any cause (beside those found before).
+        Upper bound of the probability of this evidence without a further cause in any session.
     heldout_gain : float
-        Log likelihood of sessions that took no part in choosing the cause, against the model without it.
+        Gain in log likelihood on sessions that were not used to choose the cause.
     affected : tuple of Affected
         Sessions affected with a probability above one half, the most probable first.
     """
@@ -104,11 +104,11 @@ class Common(JsonRecord):
 
     @property
     def common_sign(self) -> bool:
-        """True where the amplitudes have a mean that differs from zero."""
+        """True if the mean amplitude differs from zero."""
         return any(value.value != 0 for value in self.mean.values())
 
     def sentence(self) -> str:
-        """In one sentence."""
+        """Describe the cause in one sentence."""
         what = " or ".join(self.effects) if self.effects else f"something that follows {self.depends_on}"
         axes = f" of {', '.join(self.axes)}" if self.axes else ""
         where = "" if self.by == "all" else f" of {self.by} {self.value}"
@@ -117,7 +117,7 @@ class Common(JsonRecord):
         return (
             f"{what}{axes}: in {share['value']:.0%} ({share['low']:.0%} to {share['high']:.0%}) of"
             f" {counted(self.sessions, 'session')}{where}, {sign} ({sizes}); p < {_p(self.p_value)},"
-            f" on sessions that took no part the log likelihood gains {self.heldout_gain:.1f}"
+            f" on held-out sessions the log likelihood gains {self.heldout_gain:.1f}"
         )
 
     def _size(self, name: str) -> str:
@@ -134,7 +134,7 @@ def _p(value: float) -> str:
 
 @dataclass(frozen=True)
 class PopulationResult(JsonRecord):
-    """What many sessions have in common.
+    """Causes that many sessions have in common.
 
     Attributes
     ----------
@@ -142,16 +142,16 @@ class PopulationResult(JsonRecord):
     found : tuple of Common
         Causes with one name.
     sets : tuple of Common
-        Causes of several names that cannot be told apart.
+        Causes with several names that the data cannot distinguish.
     unnamed : tuple of Common
-        What is common and has no name, or may have none.
+        Causes without a name, or perhaps without one.
     detectable : mapping of str to Reach
     missing : mapping of str to str
-        Effects that no session could be asked for, with the reason.
+        Effects for which no session gives evidence, with the reason.
     open : mapping of str to str
-        Causes that did not stand, with the reason.
+        Causes that were rejected, with the reason.
     inflation : mapping of str to float
-        `median` and `largest` factor on a session's noise variance.
+        `median` and `largest` factor on the noise variance of a session.
     notes : tuple of str
     """
 
@@ -166,68 +166,68 @@ class PopulationResult(JsonRecord):
     notes: tuple[str, ...] = ()
 
     def summary(self) -> tuple[str, ...]:
-        """Lines for a reader."""
+        """Lines of text, one for each cause and note."""
         lines = [f"Population of {counted(self.sessions, 'session')}:"]
         for title, every in (
             ("found", self.found),
-            ("cannot be told apart", self.sets),
-            ("no name", self.unnamed),
+            ("one of several names", self.sets),
+            ("unnamed", self.unnamed),
         ):
             lines += [f"  {title}: {one.sentence()}" for one in every]
         if not (self.found or self.sets or self.unnamed):
-            lines.append("  nothing that the sessions have in common")
-        lines += [f"  {name} does not stand: {reason}" for name, reason in self.open.items()]
+            lines.append("  no common cause found")
+        lines += [f"  {name} was rejected: {reason}" for name, reason in self.open.items()]
         lines += [f"  {note}" for note in self.notes]
         return tuple(lines)
 
 
 GROUPINGS = ("stage", "operator", "serial", "sensor")
-"""What sessions can share."""
+"""Groupings of sessions."""
 MOST_PARTS = 4
 """Most causes of one population."""
 FOREMOST = 0.02
-"""Share of the sessions, at least one, without which a common cause still has to be likely."""
+"""Share of the sessions, at least one, without which a common cause must remain probable."""
 
 
 def trace_population(
     evidence: Sequence[SessionEvidence], *, by: Sequence[str] = GROUPINGS
 ) -> PopulationResult:
-    """Name the causes that are common to sessions, though too weak in each.
+    """Find the causes that sessions have in common, even if each is too weak in one session.
 
     Parameters
     ----------
     evidence : sequence of SessionEvidence
-        Of each session, in any order; the same session (by its digest) counts once.
+        Evidence of each session, in any order; sessions with equal digests count once.
     by : sequence of str
-        What sessions may share: `stage`, `operator`, `serial`, `sensor`.
+        Groupings to search: `stage`, `operator`, `serial`, `sensor`.
 
     Raises
     ------
     UsageError
-        Fewer than five different sessions, or a grouping that there is not.
+        Fewer than five different sessions, or an unknown grouping.
     """
     wrong = [name for name in by if name not in GROUPINGS]
     if wrong:
-        raise UsageError(f"sessions cannot be grouped by '{wrong[0]}'; there are {', '.join(GROUPINGS)}")
+        raise UsageError(f"sessions cannot be grouped by '{wrong[0]}'; use {', '.join(GROUPINGS)}")
     once = list({one.digest or f"{k}": one for k, one in enumerate(evidence)}.values())
     if len(once) < LEAST_UNITS:
         raise UsageError(
-            f"a population trace of {len(once)} different sessions: it needs {LEAST_UNITS} at least"
+            f"a population trace needs at least {LEAST_UNITS} different sessions, here are {len(once)}"
         )
     units = units_of(once)
     population = Population(units, candidates_of(units.columns), memberships(units, by))
     steps, open_ = _chosen(population)
-    steps, dropped = _standing(population, steps)
+    steps, dropped = _keep_supported(population, steps)
     open_ |= dropped
     commons = _merged(population, steps)
     notes = []
     if len(once) < len(evidence):
-        notes.append(f"{len(evidence) - len(once)} sessions stood twice and count once")
+        notes.append(f"{len(evidence) - len(once)} sessions occur twice and count once")
     inflated = float(np.median(units.inflation))
     if inflated > 1.2:
         notes.append(
-            f"residuals scatter more than their stated noise: by a factor of {inflated:.2g} in variance in"
-            " the median session, which is taken into account"
+            f"residuals scatter more than the stated noise, by a factor of {inflated:.2g} in variance in"
+            " the median session; the result takes this into account"
         )
     return PopulationResult(
         sessions=len(units),
@@ -235,7 +235,7 @@ def trace_population(
         sets=tuple(one for one in commons if len(one.effects) > 1),
         unnamed=tuple(one for one in commons if not one.effects),
         detectable=reach_of(population),
-        missing=_missing(units),
+        missing=_without_evidence(units),
         open=open_,
         inflation={"median": inflated, "largest": float(units.inflation.max())},
         notes=tuple(notes),
@@ -243,36 +243,36 @@ def trace_population(
 
 
 def _chosen(population: Population) -> tuple[list[SelectionStep], dict[str, str]]:
-    """Steps of the forward selection, each sharpened, and why the last one is none."""
+    """Steps of the forward selection, each refined, and the reason if the last step was rejected."""
     steps: list[SelectionStep] = []
     for _ in range(MOST_PARTS):
         parts = [step.part for step in steps]
         step = population.step(parts)
         if step.log_evidence < -math.log(limits.adequate):
             break
-        step = replace(step, part=population.sharpened(parts, step.part))
+        step = replace(step, part=population.refine(parts, step.part))
         reason = _objection(population, parts, step)
         if reason:
-            return steps, {_word(step.part.candidate.kind): reason}
+            return steps, {_label(step.part.candidate.kind): reason}
         steps.append(step)
     return steps, {}
 
 
 def _objection(population: Population, parts: Sequence[ChosenCause], step: SelectionStep) -> str:
-    """Why a step that the likelihood asks for is not taken; empty where nothing speaks against it."""
+    """Reason against a step that the likelihood supports, or an empty text."""
     if step.heldout <= 0:
-        return "sessions that took no part do not agree with it"
+        return "held-out sessions do not agree with it"
     seen = population.units.seen(step.part.candidate.index) & step.part.group.inside
     few = max(1, math.ceil(FOREMOST * int(seen.sum())))
     if population.without_foremost(parts, step.part, few) <= 0:
-        return f"it stands on {few} of the sessions alone: trace these"
+        return f"it depends on {few} of the sessions alone: trace these"
     return ""
 
 
-def _standing(
+def _keep_supported(
     population: Population, steps: Sequence[SelectionStep]
 ) -> tuple[list[SelectionStep], dict[str, str]]:
-    """Steps that the others do not explain after all."""
+    """Drop the steps that the other steps explain; return the kept steps and the reasons."""
     kept = list(steps)
     dropped: dict[str, str] = {}
     for step in list(steps)[:-1]:
@@ -284,16 +284,16 @@ def _standing(
         group = population.groups.index(step.part.group)
         if own[0, group] + step.part.candidate.log_prior + step.part.group.log_prior < least:
             kept = [one for one in kept if one is not step]
-            dropped[_word(step.part.candidate.kind)] = "causes that were found after it explain it"
+            dropped[_label(step.part.candidate.kind)] = "causes that were found later explain it"
     return kept, dropped
 
 
-def _word(kind: Kind) -> str:
+def _label(kind: Kind) -> str:
     return kind[0] if kind[1] else f"unnamed: {kind[0]}"
 
 
 def _merged(population: Population, steps: Sequence[SelectionStep]) -> list[Common]:
-    """One entry a cause: a second axis of the same name belongs to the first."""
+    """One entry per cause; a further axis of a name is added to the first entry."""
     commons: dict[tuple[str, str, str], Common] = {}
     for k, step in enumerate(steps):
         others = [one.part for j, one in enumerate(steps) if j != k]
@@ -321,8 +321,8 @@ def _common(population: Population, others: Sequence[ChosenCause], step: Selecti
     part, units = step.part, population.units
     kind = part.candidate.kind
     ranked = sorted(step.posterior.items(), key=lambda entry: -entry[1])
-    # A function without a name may hold a named one as a part: it has to be likely itself to take the name.
-    told = kind[1] and sum(p for one, p in ranked if one[1]) >= limits.sure
+    # An unnamed function may contain a named one, so the name must be probable itself.
+    by_name = kind[1] and sum(p for one, p in ranked if one[1]) >= limits.sure
     names, sum_ = [], 0.0
     for one, probability in ranked:
         names.append(one)
@@ -333,16 +333,16 @@ def _common(population: Population, others: Sequence[ChosenCause], step: Selecti
     mean, spread = means_of(population, others, part)
     probable = population.affected(others, part)
     if (part.amplitudes.mean == 0).all():
-        # Without a common sign many small amplitudes and few large ones look alike.
+        # Without a common sign, many small amplitudes look like few large ones.
         seen = units.seen(part.candidate.index) & part.group.inside
         low = min(low, float((probable[seen] > 0.5).mean()))
     order = [int(i) for i in np.argsort(-probable) if probable[i] > 0.5]
     return Common(
-        effects=tuple(name for name, named in names if named) if told else (),
-        depends_on="" if told else _depends(names, kind),
+        effects=tuple(name for name, named in names if named) if by_name else (),
+        depends_on="" if by_name else _dependence(names, kind),
         variant=part.candidate.variant,
         axes=tuple(part.candidate.axes),
-        posterior={_word(one): probability for one, probability in ranked if probability > 1e-3},
+        posterior={_label(one): probability for one, probability in ranked if probability > 1e-3},
         by=part.group.by,
         value=part.group.value,
         groups={" ".join(filter(None, place)): p for place, p in step.places.items() if p > 1e-3},
@@ -357,8 +357,8 @@ def _common(population: Population, others: Sequence[ChosenCause], step: Selecti
     )
 
 
-def _depends(names: Sequence[Kind], best: Kind) -> str:
-    """What a cause without a name depends on; names that it may be stand in brackets."""
+def _dependence(names: Sequence[Kind], best: Kind) -> str:
+    """Quantity that an unnamed cause depends on, with its possible names in brackets."""
     nameless = [name for name, named in names if not named]
     also = [name for name, named in names if named]
     what = best[0] if not best[1] else nameless[0]
@@ -370,8 +370,8 @@ def _unit(units: Units, index: int, probability: float) -> Affected:
     return Affected(one.source, one.serial, one.digest, probability)
 
 
-def _missing(units: Units) -> dict[str, str]:
-    """Effects that no session shows."""
+def _without_evidence(units: Units) -> dict[str, str]:
+    """Effects without evidence in any session, with the reason."""
     shown = {column.cause for column in units.columns if column.named}
     return {
         name: reason for one in units.evidence for name, reason in one.missing.items() if name not in shown

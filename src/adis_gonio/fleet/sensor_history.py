@@ -46,16 +46,16 @@ class Track(JsonRecord):
     ----------
     name, unit : str
     sessions : tuple of int
-        Which of the history's sessions, from 0.
+        Indices of the sessions in the history, from 0.
     day : (n,) float
         Days since 1970.
     values : tuple of Value
     drift : Drift or None
-        None with fewer than three sessions, and for the error of the angle, which is no signed quantity.
+        None with fewer than three sessions, and for the error of the angle, which has no sign.
     chart : ControlChart or None
-        None with fewer than two.
+        None with fewer than two sessions.
     drifts : bool
-        True where the slope differs from zero at `DRIFTING` over all quantities.
+        True if the slope differs from zero at the level `DRIFTING` over all quantities.
     """
 
     document_keys = ("unit", "sessions", "values", "drift", "drifts", "chart")
@@ -98,10 +98,10 @@ class History:
     ----------
     serial : str
     sessions : tuple of SessionRecord
-        In the order of time.
+        Sessions in the order of time.
     tracks : mapping of str to Track
     left_out : tuple of (SessionRecord, str)
-        Sessions that cannot be placed or trusted, and why.
+        Sessions without a date or with a doubtful result, and the reason.
     """
 
     serial: str
@@ -111,7 +111,7 @@ class History:
 
     @property
     def days(self) -> Floats:
-        """When each session began, days since 1970, (n,)."""
+        """Begin of each session in days since 1970, (n,)."""
         return np.array([day_of(record.when or "") for record in self.sessions])
 
     def as_dict(self) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def history_of(
     Parameters
     ----------
     k, h : float
-        Of the CUSUM, in standard deviations.
+        Slack and limit of the CUSUM, in standard deviations.
     """
     left_out = tuple((record, reason) for record in records if (reason := _unfit(record)))
     good = sorted((r for r in records if not _unfit(r)), key=lambda r: (day_of(r.when or ""), r.path))
@@ -147,12 +147,12 @@ def history_of(
 
 
 def known_serial(serial: str, known: Sequence[str]) -> str:
-    """The serial number, checked.
+    """Check a serial number and return it.
 
     Raises
     ------
     UsageError
-        It is not among those known; the message lists those like it.
+        It is unknown; the message lists similar serial numbers.
     """
     if serial in known:
         return serial
@@ -160,9 +160,9 @@ def known_serial(serial: str, known: Sequence[str]) -> str:
     close = difflib.get_close_matches(serial.lower(), sorted(lower), n=5, cutoff=0.5)
     near = [name for one in close for name in known if name.lower() == one]
     if near:
-        hint = f"there is {', '.join(near)}"
+        hint = f"similar: {', '.join(near)}"
     elif known:
-        hint = f"known are {', '.join(known[:5])}{' …' if len(known) > 5 else ''}"
+        hint = f"known: {', '.join(known[:5])}{' …' if len(known) > 5 else ''}"
     else:
         hint = (
             "no session in these folders has a serial number (calibrate --serial, or '# serial:' in a CSV)"
@@ -171,7 +171,7 @@ def known_serial(serial: str, known: Sequence[str]) -> str:
 
 
 def alike(serial: str, known: Sequence[str]) -> list[str]:
-    """Other serial numbers that differ in capitals and spaces only."""
+    """Serial numbers that differ from this one in capitals and spaces only."""
 
     def bare(text: str) -> str:
         return "".join(text.split()).casefold()
@@ -196,12 +196,12 @@ def _unfit(record: SessionRecord) -> str:
     if record.status != "ok":
         return record.reason
     if record.when is None:
-        return "no date: a samples CSV does not say when it was recorded"
+        return "no date: a samples CSV does not state its time of recording"
     return f"the result cannot be right: {record.doubts[0]}" if record.doubts else ""
 
 
 def _names(records: Sequence[SessionRecord]) -> list[str]:
-    """Quantities to follow: in the plane gains as ΔK only, since their common part is gravity."""
+    """Quantities to track; in the plane only ΔK of the gains, since their common part is gravity."""
     if any("delta_k" in record.values for record in records):
         return [*_IN_PLANE, ANGLE]
     return [name for name in QUANTITIES if name.startswith(("bias_", "scale_", "skew_"))]
@@ -239,8 +239,8 @@ def format_expanded(value: Value) -> str:
     return format_uncertain(value.value, value.U)
 
 
-def of_drift(track: Track) -> list[str]:
-    """What the line and the scatter say, one sentence each."""
+def drift_sentences(track: Track) -> list[str]:
+    """Sentences on drift and on scatter between sessions."""
     drift = track.drift
     if drift is None:
         return []
@@ -256,8 +256,8 @@ def of_drift(track: Track) -> list[str]:
     return lines
 
 
-def of_chart(track: Track, history: History) -> list[str]:
-    """What the control charts signal, one sentence each."""
+def chart_sentences(track: Track, history: History) -> list[str]:
+    """Sentences on the signals of the control charts."""
     chart = track.chart
     if chart is None:
         return []
@@ -272,8 +272,8 @@ def of_chart(track: Track, history: History) -> list[str]:
     return lines
 
 
-def of_effects(history: History) -> list[list[str]]:
-    """Rows of date, effects found with their axes, whether the model is adequate."""
+def effect_table(history: History) -> list[list[str]]:
+    """Rows of date, effects found with their axes, and adequacy of the model."""
     return [[_date(record), _effects(record), _adequate(record)] for record in history.sessions]
 
 
@@ -293,7 +293,7 @@ def _date(record: SessionRecord) -> str:
 
 
 def headline(history: History) -> str:
-    """One sentence: how many sessions, and what moves."""
+    """Headline: number of sessions, drifting quantities, signals of control charts."""
     moving = [NAMES.get(name, name) for name, track in history.tracks.items() if track.drifts]
     signals = [
         NAMES.get(name, name)
@@ -307,7 +307,7 @@ def headline(history: History) -> str:
 
 
 def chart_lines(track: Track, width: int = 80) -> list[str]:
-    """Values over time in characters, at most `width` wide: `●` value, `│` its U, `·` weighted mean."""
+    """Character plot of values over time, at most `width` wide: `●` value, `│` U, `·` weighted mean."""
     if not track.values:
         return []
     value, half = track.value, np.nan_to_num(track.expanded)
@@ -339,7 +339,7 @@ def chart_lines(track: Track, width: int = 80) -> list[str]:
 
 
 def value_rows(history: History) -> tuple[list[str], Sequence[list[str]]]:
-    """Head and rows: date, every quantity ± U."""
+    """Head and rows of a table with date and every quantity ± U."""
     tracks = list(history.tracks.values())
     rows = []
     for n, record in enumerate(history.sessions):

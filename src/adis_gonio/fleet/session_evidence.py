@@ -40,24 +40,24 @@ from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import TraceResult
 
 TAUS_S = tuple(float(f"{tau:.3g}") for tau in np.geomspace(10.0, 3160.0, 11))
-"""Time constants, a quarter of a decade apart: between two a course loses less than 1 % of its square."""
+"""Time constants, a quarter of a decade apart: a course between two loses less than 1 % of its square."""
 MOST_CYCLES = 12
-"""Most cycles a turn of a stage that are asked for."""
+"""Most cycles per turn of a stage."""
 HARMONICS = (2, 3, 4, 5, 6)
-"""Harmonics of gravity's direction that stand for a response without a name."""
+"""Harmonics of gravity's direction in the part, for an unnamed response."""
 COURSES = 4
-"""Cosines over the session's length that stand for a course in time without a name."""
+"""Cosines over the session's length, for an unnamed course in time."""
 NUISANCE = ("bias", "position_slip", "outlier_dwell")
 
 
 @dataclass(frozen=True)
 class Column:
-    """One amplitude that a session is asked for.
+    """One amplitude for which a session gives evidence.
 
     Attributes
     ----------
     cause : str
-        Name of the catalogue, or what a function without a name depends on.
+        Name of the catalogue, or the quantity that an unnamed function depends on.
     named : bool
     variant : str
         Choice and time constant: `degree=2`, `cycles=5`, `tau=316`; or the number of a function.
@@ -76,24 +76,24 @@ class Column:
 
     @property
     def key(self) -> str:
-        """Its name among all columns: `warm_up|tau=316|x|warm_up_x|mg`, `~time|2|x|2_x|mg`."""
+        """Unique name, such as `warm_up|tau=316|x|warm_up_x|mg`, `~time|2|x|2_x|mg`."""
         mark = "" if self.named else "~"
         return "|".join([mark + self.cause, self.variant, self.axes, self.parameter, self.unit])
 
     @property
     def weight(self) -> float:
-        """Size expected beside the others of its cause: a random walk has 1/k of cosine k in time."""
+        """Expected relative size within its cause: a random walk in time has 1/k of cosine k."""
         return 1.0 if self.named or self.cause != "time" else 1 / int(self.parameter.split("_")[0])
 
     @classmethod
     def of(cls, key: str) -> Column:
-        """The column of a key; `ValueError` where it is none."""
+        """Column of a key; `ValueError` for any other text."""
         cause, variant, axes, parameter, unit = key.split("|")
         return cls(cause.removeprefix("~"), not cause.startswith("~"), variant, axes, parameter, unit)
 
 
 def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[str, str]]:
-    """Terms with their columns, one a column of the term, and why other effects have none."""
+    """Terms, each with its columns, and the reason of each effect without columns."""
     missing: dict[str, str] = {}
     out: list[tuple[Term, list[Column]]] = []
     for name, kind in catalogue("accelerometer").items():
@@ -106,7 +106,7 @@ def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[st
             parameters = [one.parameters[k] for k in term.amplitudes]
             chosen = list(range(len(parameters)))
             if "degree" in kind.choices():
-                chosen = chosen[-1:]  # lower powers are columns already
+                chosen = chosen[-1:]  # the lower powers have their own columns
             made = [
                 Column(name, True, variant, "".join(one.axes), parameters[k].name, parameters[k].unit)
                 for k in chosen
@@ -155,7 +155,7 @@ def _variants(
 
 
 class _Part(NamedTerm):
-    """A named term of which some amplitudes only are asked for."""
+    """A named term with only some of its amplitudes."""
 
     def __init__(self, term: NamedTerm, chosen: list[int]) -> None:
         super().__init__(term.label, term.covariates, term.cost, term.effect, term.shapes)
@@ -168,7 +168,7 @@ class _Part(NamedTerm):
 
 
 def _nameless(data: Readings) -> Iterator[tuple[Term, list[Column]]]:
-    """Functions without a name, each axis by itself."""
+    """Unnamed functions, axis by axis."""
     conditions = data.conditions
     for cause, gain, basis in _functions(conditions, data.planar):
         probe = (
@@ -201,7 +201,7 @@ def _functions(conditions: Conditions, planar: bool) -> Iterator[tuple[str, bool
     ):
         if rows is not None and np.ptp(rows) > 0:
             centred = (rows - rows.mean()) / scale
-            # Lines have names.
+            # A linear dependence is an effect of the catalogue.
             yield name, False, over(centred**2)
             yield name, True, over(centred**2)
     previous = conditions.previous_angle_rad
@@ -224,12 +224,12 @@ def _harmonic(n: int) -> Callable[[Floats, int], Floats]:
 
 FORMAT = "adis-gonio population evidence 1"
 _STEP = 2.0**-15
-"""Step in which directions of columns are kept: 3·10⁻⁵ of a column."""
+"""Resolution of the stored directions: 3·10⁻⁵ of a column."""
 
 
 @dataclass(frozen=True)
 class ResidualChi2:
-    """χ² of the residual and its degrees of freedom, of one direction of the readings."""
+    """χ² of the residual in one direction of the readings, and its degrees of freedom."""
 
     chi2: float
     dof: float
@@ -242,21 +242,21 @@ class SessionEvidence:
     Attributes
     ----------
     keys : tuple of str
-        Columns that this session can see (`columns.Column.key`), m of them.
+        Columns that this session determines (`Column.key`), m of them.
     z : (m,) float
-        Score of each in its standard uncertainty: N(0, 1) where the effect is absent.
+        Score of each in its standard uncertainty: N(0, 1) if the effect is absent.
     length : (m,) float
         1/u of each amplitude alone, in 1/unit.
     directions : (k, m) float
-        Unit vectors: products of two columns are the correlations of their scores.
+        Unit vectors; the product of two columns is the correlation of their scores.
     scatter : tuple of ResidualChi2
-        Of the residual beside base and bias, along the turn and across it; one where attitudes are free.
+        Residual after base model and bias, along the turn and across it; one entry if attitudes are free.
     noise_known : bool
-        False where nothing states the uncertainty, so that the residual alone does.
+        False if the noise is estimated from the residual alone.
     missing : mapping of str to str
-        Effects that cannot be asked for, with the reason.
+        Reason of each effect without columns.
     digest, source, serial, operator, stage, sensor : str
-        Of the session, as in `Provenance`.
+        Facts of the session, as in `Provenance`.
     """
 
     keys: tuple[str, ...]
@@ -276,7 +276,7 @@ class SessionEvidence:
     def estimate(self, key: str) -> tuple[float, float]:
         """Amplitude by least squares with this column alone, and its standard uncertainty, in its unit.
 
-        `KeyError` where the session cannot see the column.
+        `KeyError` if the session does not determine the column.
         """
         if key not in self.keys:
             raise KeyError(key)
@@ -284,7 +284,7 @@ class SessionEvidence:
         return float(self.z[k] / self.length[k]), float(1 / self.length[k])
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON; directions as base64 of 16-bit integers (k, m), in steps of 2⁻¹⁵."""
+        """JSON document, with directions as base64 of 16-bit integers (k, m) in steps of 2⁻¹⁵."""
         packed = np.clip(np.round(self.directions / _STEP), -32767, 32767).astype("<i2")
         return {
             "format": FORMAT,
@@ -301,15 +301,15 @@ class SessionEvidence:
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> SessionEvidence:
-        """The evidence of a document.
+        """Evidence from its JSON document.
 
         Raises
         ------
         DataError
-            It is no evidence of this version, or damaged.
+            The document is of another version, or damaged.
         """
         if document.get("format") != FORMAT:
-            raise DataError(f"no evidence of a session: its format is {document.get('format')!r}")
+            raise DataError(f"unknown format of a session's evidence: {document.get('format')!r}")
         try:
             keys = tuple(str(key) for key in document["keys"])
             packed = np.frombuffer(base64.b64decode(document["directions"]), dtype="<i2")
@@ -338,14 +338,14 @@ _TEXTS = ("digest", "source", "serial", "operator", "stage", "sensor")
 
 
 def evidence_of(session: Session, result: TraceResult | None = None) -> SessionEvidence:
-    """Evidence of a session: one fit of base model and bias, and its columns; milliseconds.
+    """Evidence of a session, by one fit of base model and bias; takes milliseconds.
 
     Parameters
     ----------
     session : Session
     result : TraceResult, optional
-        Its trace, where it was traced: dwells that slipped or stand out are then taken out, scatter is
-        part of the noise, and effects that it found are evidence at their size.
+        Its trace, if it was traced. Slipped and outlying dwells are then excluded, scatter is part of the
+        noise, and the effects found are evidence at their size.
 
     Raises
     ------
@@ -366,7 +366,7 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
 
 
 def _begun(data: Readings) -> Fit:
-    """Base model and bias."""
+    """Fit of base model and bias."""
     bias = _bias(data)
     return Fit.begin(data).having((bias,), (np.zeros(data.axes),)).refit()
 
@@ -388,13 +388,14 @@ def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
     base = orthonormal(np.concatenate(beside, axis=1))
     target = fit.white(left[:, :, None])[:, 0]
     target = target - base @ (base.T @ target)
-    # χ² of the model as it is fitted: a large effect that a trace has found is no scatter.
+    # χ² of the fitted model: a large effect that a trace has found is no scatter.
     rest = fit.residual.ravel()
     rest = rest - base @ (base.T @ rest)
 
     columns = fit.white(np.concatenate([fit.candidate(term) for term, _ in asked], axis=2))
     keys = [column.key for _, made in asked for column in made]
     before = np.linalg.norm(columns, axis=0)
+    # Project base model, bias and single dwells out of the candidates' columns.
     columns = columns - base @ (base.T @ columns)
     length = np.linalg.norm(columns, axis=0)
     seen = np.isfinite(length) & (length**2 > limits.independent * before**2) & (length > 0)
@@ -421,14 +422,14 @@ def _unit(directions: Floats) -> Floats:
 
 
 def _reduced(unit: Floats) -> Floats:
-    """The same products of columns (rows, m) with as few rows (k, m) as there are directions."""
+    """Reduce columns (rows, m) to the fewest rows (k, m) with the same products."""
     _, s, vt = np.linalg.svd(unit, full_matrices=False)
     kept = s > 1e-5 * (s[0] if s.size else 1.0)
     return _unit(s[kept, None] * vt[kept])
 
 
 def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[ResidualChi2, ...]:
-    """χ² along the turn and across it, with the degrees of freedom that the nuisance parameters leave."""
+    """χ² along the turn and across it, with the degrees of freedom after the nuisance parameters."""
     data = fit.data
     rows = rest.reshape(len(data), -1)
     held = base.reshape(len(data), -1, base.shape[1])

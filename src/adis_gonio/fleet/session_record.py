@@ -1,6 +1,7 @@
 """The record of one session: its row in the store, and the job that computes it.
 
-The numbers are those of the answer (`adis_gonio.tracing.traced_answer`), as `fit` and the report show them.
+The numbers are those of the answer (`adis_gonio.tracing.traced_answer`), as `fit` and the report show
+them.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from adis_gonio.tracing.trace_result import TraceResult
 
 ANGLE = "angle"
-"""Error of the angle, rms; its u and U are those of an angle that is shown."""
+"""Error of the angle, rms; its u and U belong to a displayed angle."""
 QUANTITIES = {
     "delta_k": "1",
     "delta_phi": "deg",
@@ -53,7 +54,7 @@ class FoundEffect(JsonRecord):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> FoundEffect:
-        """The inverse of `as_dict`."""
+        """Inverse of `as_dict`."""
         values = {name: value_from(entry) for name, entry in data["parameters"].items()}
         return cls(data["effect"], tuple(data["axes"]), data["p_value"], values)
 
@@ -69,7 +70,7 @@ class SessionRecord(JsonRecord):
     sha256 : str or None
         Digest of the file; None if it could not be read.
     data_sha256 : str or None
-        Of the dwells' data: the same for an archive and for the CSV exported from it.
+        Digest of the dwells' data, equal for an archive and the CSV exported from it.
     serial, operator, stage : str or None
         Text of the operator.
     sensor : str or None
@@ -77,13 +78,13 @@ class SessionRecord(JsonRecord):
     plan : str or None
         Name of the plan; None for a CSV.
     when : str or None
-        When the session began (UTC, ISO 8601); None for a CSV.
+        Begin of the session (UTC, ISO 8601); None for a CSV.
     simulated : bool or None
     dwells : int or None
     measuring_s : float or None
         Time in the dwells, s.
     temperature_c : float or None
-        Mean over all samples.
+        Mean over all samples, °C.
     gravity_mps2 : float or None
     method : str or None
         Recommended method, which gave these numbers.
@@ -94,19 +95,19 @@ class SessionRecord(JsonRecord):
     angle_max_deg : float or None
         Largest error of the angle over the dwells, each left out of the fit.
     traced : bool
-        True if a trace ran; otherwise nothing is known of effects.
+        True if a trace ran; otherwise the effects are not known.
     effects : tuple of FoundEffect
     adequate : bool or None
-        Whether the traced model explains the readings; None without a trace.
+        True if the traced model explains the readings; None without a trace.
     doubts : tuple of str
         Reasons why the result cannot be right: readings that were kept against a guard.
     status : {"ok", "failed"}
     reason : str
-        Why it failed, one line.
+        Reason of a failure, one line.
     software : str
         Program that computed it.
     evidence : mapping or None
-        Of `SessionEvidence.as_dict`, if it was asked for and the session has any.
+        `SessionEvidence.as_dict()`, if it was requested and the session has evidence.
     """
 
     path: str
@@ -138,7 +139,7 @@ class SessionRecord(JsonRecord):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> SessionRecord:
-        """The inverse of `as_dict`."""
+        """Inverse of `as_dict`."""
         return cls(
             **{
                 **data,
@@ -153,8 +154,8 @@ class SessionRecord(JsonRecord):
         """One row with the columns of `adis_gonio.fleet.session_table.COLUMNS`; unknown values are None.
 
         Each of `QUANTITIES` takes five columns (`PARTS`): `delta_k`, `delta_k_u`, `delta_k_u95` (U, since
-        names of columns do not tell capitals apart), `delta_k_k`, `delta_k_dof`. A value in another unit
-        than that of its column (counts of unknown scale) is left out. `effects` and `model_effects` are
+        names of columns ignore capitals), `delta_k_k`, `delta_k_dof`. A value in another unit than its
+        column (counts of unknown scale) is left out. `effects` and `model_effects` are
         lists of names.
         """
         row = {name: value for name, value in vars(self).items() if name not in ("values", "evidence")}
@@ -169,9 +170,9 @@ class SessionRecord(JsonRecord):
 
 
 def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], dict[str, str]]:
-    """Records by path, each data once, and the paths left out with the path of the same data.
+    """Remove records of equal data; return the others by path, and the kept path of each removed one.
 
-    Of an archive and the CSV exported from it that one is kept that states more.
+    Of an archive and the CSV exported from it, the file that states more facts is kept.
     """
     kept, copies, names = [], {}, dict[str, str]()
     for record in sorted(records, key=_unstated):
@@ -210,7 +211,8 @@ class Options(JsonRecord):
     Attributes
     ----------
     trace : bool
-        Trace the residual too: seconds to half a minute a session; a fit takes tenths.
+        Trace the residual too. A trace takes seconds to half a minute per session, a fit tenths of a
+        second.
     evidence : bool
         Compute the session's evidence for `population_trace`.
     """
@@ -220,7 +222,7 @@ class Options(JsonRecord):
 
     @property
     def key(self) -> str:
-        """Options and version: if this text changes, a file may give another result."""
+        """Options and version as a text; if it changes, a file may give another result."""
         return json.dumps([self.as_dict(), __version__])
 
 
@@ -233,7 +235,7 @@ class Job:
 
 
 def lost(path: str, reason: str) -> SessionRecord:
-    """Record of a session that was not computed; without a digest, so that the next run tries again."""
+    """Record of a session that was not computed; it has no digest, so that the next run tries again."""
     return SessionRecord(path, status="failed", reason=f"{path}: {reason}")
 
 
@@ -243,20 +245,20 @@ def work(path: str, digest: str, options: dict[str, bool], version: str) -> Sess
     Parameters
     ----------
     path, digest : str
-        As in `Job`; a file that is not that one is not worked on.
+        As in `Job`; a file with another digest is refused.
     options : mapping
         `Options.as_dict()`.
     version : str
         Version of adis-gonio that runs the fleet.
     """
     if version != __version__:
-        return lost(path, f"the worker has adis-gonio {__version__}, the fleet is run by {version}")
+        return lost(path, f"the worker has adis-gonio {__version__}, the fleet {version}")
     try:
         own = digest_of_file(path)
     except OSError as error:
-        return lost(path, f"cannot be read where the worker is: {error.strerror or error}")
+        return lost(path, f"cannot be read by the worker: {error.strerror or error}")
     if own != digest:
-        return lost(path, "is not the same file where the worker is, or was changed meanwhile")
+        return lost(path, "is another file at the worker, or was changed meanwhile")
     return record_of(path, **options)
 
 
@@ -273,7 +275,7 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
     path = Path(path)
     known: dict[str, Any] = {"path": str(path), "software": f"adis-gonio {__version__}"}
     try:
-        # Before it is read: a file that changes meanwhile has another digest next time.
+        # Digest before reading: a file that changes meanwhile has another digest in the next run.
         known["sha256"] = digest_of_file(path) if path.is_file() else None
         session = load_session(path)
         known |= _facts(session)
@@ -281,13 +283,13 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
         return SessionRecord(**known, **found, evidence=_evidence(session) if evidence else None)
     except (AdisGonioError, OSError) as error:
         reason = as_it_is(str(error))
-    except Exception as error:  # among thousands of files there may be an unforeseen one
+    except Exception as error:  # one file among thousands must not stop the others
         reason = f"{path}: {type(error).__name__}: {error}"
     return SessionRecord(**known, status="failed", reason=" ".join(reason.split()))
 
 
 def _facts(session: Session) -> dict[str, Any]:
-    """Facts of the file, which hold whether a fit succeeds or not."""
+    """Facts of the file, known even if the fit fails."""
     origin = provenance_of(session)
     return {
         "data_sha256": origin.sha256,
@@ -307,7 +309,7 @@ def _facts(session: Session) -> dict[str, Any]:
 
 
 def _utc(text: str) -> str | None:
-    """The same moment in UTC, to the second; a time without a zone is UTC already."""
+    """Time in UTC to the second; a time without a zone is in UTC already."""
     if not text:
         return None
     try:

@@ -16,8 +16,7 @@ from adis_gonio.fleet.session_record import QUANTITIES
 Kind = Literal["text", "number", "integer", "flag", "names"]
 Row = Mapping[str, Any]
 Table = dict[str, NDArray[Any]]
-"""Columns (n,) by name: float with NaN where unknown, str with "" where unknown; of `effects` see
-`table_of`."""
+"""Columns (n,) by name: float with NaN if unknown, str with "" if unknown; for `effects` see `table_of`."""
 
 _FACTS: dict[str, tuple[Kind, str, str]] = {
     "path": ("text", "", "file of the session, as it was given"),
@@ -34,15 +33,15 @@ _FACTS: dict[str, tuple[Kind, str, str]] = {
     "measuring_s": ("number", "s", "time in the dwells"),
     "temperature_c": ("number", "degC", "mean temperature"),
     "gravity_mps2": ("number", "m/s2", "local gravity"),
-    "method": ("text", "", "recommended method, whose values these are"),
-    "model_effects": ("names", "", "effects of the model whose values these are"),
+    "method": ("text", "", "recommended method, source of the values"),
+    "model_effects": ("names", "", "effects of the model that gave the values"),
     "angle_max_deg": ("number", "deg", "largest error of the angle over the dwells, each left out"),
-    "traced": ("flag", "", "a trace ran; else nothing is known of effects"),
+    "traced": ("flag", "", "a trace ran; otherwise effects are not known"),
     "adequate": ("flag", "", "the traced model leaves no more than the noise"),
     "effects": ("names", "", "effects that the trace found"),
-    "doubts": ("text", "", "why the result cannot be right"),
+    "doubts": ("text", "", "reasons why the result is doubtful"),
     "status": ("text", "", "ok or failed"),
-    "reason": ("text", "", "why it failed"),
+    "reason": ("text", "", "reason of the failure"),
     "software": ("text", "", "program that computed it"),
 }
 
@@ -50,14 +49,14 @@ _FACTS: dict[str, tuple[Kind, str, str]] = {
 def _of_quantities() -> dict[str, tuple[Kind, str, str]]:
     columns: dict[str, tuple[Kind, str, str]] = {}
     for name, unit in QUANTITIES.items():
-        what = "error of the angle, rms over dwells left out" if name == "angle" else name
-        own = "an angle that is shown" if name == "angle" else name
+        what = "error of the angle, rms over held-out dwells" if name == "angle" else name
+        own = "a displayed angle" if name == "angle" else name
         columns |= {
             name: ("number", unit, what),
             f"{name}_u": ("number", unit, f"standard uncertainty of {own}"),
             f"{name}_u95": ("number", unit, f"expanded uncertainty U of {own}, 95 %"),
             f"{name}_k": ("number", "1", f"coverage factor of {own}"),
-            f"{name}_dof": ("number", "1", f"degrees of freedom of {own}; null where unlimited"),
+            f"{name}_dof": ("number", "1", f"degrees of freedom of {own}; null if unlimited"),
         }
     return columns
 
@@ -76,8 +75,8 @@ _USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("",
 def table_of(rows: Sequence[Row] | Any) -> Table:
     """Columns of rows, or of a pyarrow table such as `read_parquet` gives.
 
-    In place of `effects` stand `effect_row` (m,) and `effect_name` (m,): each effect found with the
-    number of its row. Rows are put into the order of their paths.
+    `effect_row` (m,) and `effect_name` (m,) replace `effects`: each effect found, with the number of its
+    row. Rows are sorted by path.
     """
     columns = (
         {name: [row.get(name) for row in rows] for name in _USED}
@@ -102,7 +101,7 @@ def table_of(rows: Sequence[Row] | Any) -> Table:
 
 
 def require_pyarrow() -> Any:
-    """The package pyarrow.
+    """Import pyarrow.
 
     Raises
     ------
@@ -117,7 +116,7 @@ def require_pyarrow() -> Any:
 
 
 def write_parquet(rows: Sequence[Row], path: str | Path, about: Mapping[str, Any]) -> None:
-    """Write rows; each column says `unit` and `meaning`, the file `adis_gonio` (`about` as JSON).
+    """Write rows; metadata are `unit` and `meaning` of each column, and `adis_gonio` (`about` as JSON).
 
     Raises
     ------
@@ -153,7 +152,7 @@ def read_parquet(path: str | Path) -> Any:
     NotInstalledError
         pyarrow is not installed.
     DataError
-        The file is not there, or is no table of a fleet.
+        The file does not exist, or is no table of a fleet.
     """
     pa = require_pyarrow()
     try:
@@ -162,5 +161,5 @@ def read_parquet(path: str | Path) -> Any:
         raise DataError(f"{path}: cannot be read as Parquet: {' '.join(str(error).split())}") from error
     missing = [name for name in ("path", "status", "effects") if name not in table.column_names]
     if missing:
-        raise DataError(f"{path}: is no table of a fleet: it has no column {', '.join(missing)}")
+        raise DataError(f"{path}: is no table of a fleet: it lacks column {', '.join(missing)}")
     return table

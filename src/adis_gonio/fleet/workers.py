@@ -38,18 +38,18 @@ if TYPE_CHECKING:
 
 COMMAND = (sys.executable, "-P", "-m", "adis_gonio.fleet.workers")
 ATTEMPTS = 2
-"""Processes that a session may cost."""
+"""Number of processes that may die from one session."""
 STARTS = 3
-"""Processes that may die before their first word, one after the other, before starting more is no use."""
+"""Number of processes that may die in succession before their first answer."""
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _LOOK_S = 0.5
-"""How often a wait looks whether it is still wanted, in s."""
+"""Interval of checks while waiting, in s."""
 
 Arrival = tuple[Job, SessionRecord]
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -61,7 +61,7 @@ class LocalPool:
     Attributes
     ----------
     workers : int
-        Processes at most.
+        Largest number of processes.
     """
 
     def __init__(self, workers: int | None = None, command: Sequence[str] = COMMAND) -> None:
@@ -79,11 +79,11 @@ class LocalPool:
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Processes that run now."""
+        """Identifiers of the running processes."""
         return tuple(hand.worker.pid for hand in self._hands if hand.worker is not None)
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[Arrival]:
-        """Each job with its record, as they come.
+        """Yield each job with its record, as they arrive.
 
         Raises
         ------
@@ -125,11 +125,11 @@ def _next(arrived: queue.SimpleQueue[Arrival | BaseException]) -> Arrival:
 
 
 class _StoppedError(Exception):
-    """Nobody waits for the answer any more."""
+    """The answer is no longer needed."""
 
 
 class _Hand(threading.Thread):
-    """Gives a process job after job; a job that lost its process is given to another."""
+    """Gives jobs to a process, one after the other; a job whose process died is given to a new one."""
 
     def __init__(
         self,
@@ -144,7 +144,7 @@ class _Hand(threading.Thread):
         self._over = False
 
     def run(self) -> None:
-        """Until no job is left, or `stop`."""
+        """Work until there are no more jobs, or until `stop`."""
         try:
             while True:
                 job = self._waiting.get_nowait()
@@ -157,7 +157,7 @@ class _Hand(threading.Thread):
             self._end()
 
     def stop(self) -> None:
-        """Called by another thread: kill the process; whatever it was at is not answered."""
+        """Kill the process, from another thread; its present job gets no answer."""
         self._over = True
         if self.worker is not None:
             self.worker.kill()
@@ -171,10 +171,10 @@ class _Hand(threading.Thread):
             how = self._end()
             if self._over:
                 raise _StoppedError
-        return lost(job.path, f"the process that worked on it {how}, {ATTEMPTS} times")
+        return lost(job.path, f"its process {how}, {ATTEMPTS} times")
 
     def _ready(self) -> _Worker:
-        """The process, or a new one."""
+        """Return the process, or start a new one."""
         how = ""
         for _ in range(STARTS):
             if self.worker is None:
@@ -187,7 +187,7 @@ class _Hand(threading.Thread):
         raise FleetError(f"no worker can be started: the process {how}")
 
     def _end(self) -> str:
-        """End the process where there is one; how it ended, in words."""
+        """End the process, if any, and describe how it ended."""
         worker, self.worker = self.worker, None
         return "" if worker is None else worker.end()
 
@@ -196,20 +196,20 @@ class _Worker:
     """A process and its pipes."""
 
     def __init__(self, command: Sequence[str]) -> None:
-        self._complaints: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed in `end`)
+        self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed in `end`)
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._complaints,
+            stderr=self._stderr,
             env=_environment(),
-            start_new_session=True,  # Ctrl-C in the terminal is its parent's affair
+            start_new_session=True,  # the parent handles Ctrl-C in the terminal
         )
         self.pid = self._process.pid
         self._ready = False
 
     def ready(self) -> bool:
-        """Wait for its first word; False where it ended before."""
+        """Wait for its first answer; False if it ended before."""
         self._ready = self._ready or self._answer() is not None
         return self._ready
 
@@ -227,21 +227,21 @@ class _Worker:
         return None if answer is None else SessionRecord.from_dict(answer)
 
     def kill(self) -> None:
-        """End it in the midst of its work."""
+        """Kill the process."""
         self._process.kill()
 
     def end(self) -> str:
-        """Wait for its end, which is brought about where it lives; how it ended, in words."""
+        """Kill the process if it runs, wait for its end, and describe how it ended."""
         self._process.kill()
         status = self._process.wait(30)
         for pipe in (self._process.stdin, self._process.stdout):
-            with suppress(OSError):  # what could not be written
+            with suppress(OSError):  # unwritten data
                 if pipe is not None:
                     pipe.close()
-        with self._complaints as file:
+        with self._stderr as file:
             file.seek(0)
-            said = file.read().decode(errors="replace").split("\n")
-        last = next((line.strip() for line in reversed(said) if line.strip()), "")
+            lines = file.read().decode(errors="replace").split("\n")
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
         return _how(status) + (f" ({last})" if last else "")
 
     def _answer(self) -> dict[str, Any] | None:
@@ -254,7 +254,7 @@ class _Worker:
 
 
 def _environment() -> dict[str, str]:
-    """That of a worker: this package before others, and one thread a process, since each has a core."""
+    """Environment of a worker: this package first, and one thread per process, since each has a core."""
     home = str(Path(__file__).parents[2])
     paths = [home, *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**dict.fromkeys(_ONE_THREAD, "1"), **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
@@ -270,8 +270,8 @@ def _how(status: int) -> str:
 
 
 def main() -> None:
-    """Answer each line until there are no more."""
-    # What a library prints must not stand among the answers.
+    """Answer jobs, one line of JSON each, until standard input ends."""
+    # Output of libraries must not mix with the answers.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     jobs: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
@@ -290,9 +290,9 @@ def _read(jobs: queue.SimpleQueue[dict[str, Any]]) -> None:
 
 
 CONNECT_S = 10.0
-"""How long a scheduler may take to answer."""
+"""Time limit for the answer of a scheduler."""
 ALONE_S = 60.0
-"""How long a cluster may be without any worker before the run ends: others may be on their way."""
+"""Time for which a cluster may be without a worker before the run ends; others may still start."""
 _ASK_VERSION = "__import__('adis_gonio').__version__"
 """Evaluated on the workers, which may not have the package at all."""
 
@@ -312,7 +312,7 @@ class Cluster:
     NotInstalledError
         dask.distributed is not installed.
     UsageError
-        The address is none.
+        The address is invalid.
     FleetError
         No scheduler answers, it has no worker, or a worker has another version of adis-gonio.
     """
@@ -338,11 +338,11 @@ class Cluster:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with suppress(Exception):  # a scheduler that has gone cannot be taken leave of
+        with suppress(Exception):  # the scheduler may have gone
             self._client.close(timeout=CONNECT_S)
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-        """Each job with its record, as they come.
+        """Yield each job with its record, as they arrive.
 
         Raises
         ------
@@ -354,7 +354,7 @@ class Cluster:
         running: dict[str, tuple[Job, Future]] = {}
         try:
             while True:
-                # Few at a time: what waits here is lost by nobody, and does not slow the scheduler.
+                # Submit few jobs at a time: waiting jobs cannot be lost here and do not slow the scheduler.
                 wanted = max(1, 2 * self._threads()) - len(running)
                 for job in islice(waiting, max(0, wanted)):
                     future = self._submit(job, options)
@@ -380,7 +380,7 @@ class Cluster:
                 self._threads()
 
     def _record(self, job: Job, future: Future) -> SessionRecord:
-        """What a future that is done holds; fetched again where its worker has died since."""
+        """Record of a finished future, fetched again if its worker has died since."""
         while True:
             if future.status == "cancelled":
                 raise FleetError(f"the scheduler at {self.address} has gone")
@@ -389,17 +389,17 @@ class Cluster:
             except TimeoutError:
                 self._threads()
             except Exception as error:  # KilledWorker, or a worker that cannot import this package
-                return lost(job.path, f"lost by its workers: {_words(error)}")
+                return lost(job.path, f"its workers failed: {_error_text(error)}")
             else:
                 return record
 
     def _threads(self) -> int:
-        """How many sessions the cluster can have at once; looked up now and then.
+        """Number of sessions that the cluster can compute at once, looked up from time to time.
 
         Raises
         ------
         FleetError
-            Nobody has been there for too long.
+            The cluster has had no worker for too long.
         """
         now = time.monotonic()
         if now - self._looked >= _LOOK_S:
@@ -414,11 +414,11 @@ class Cluster:
         try:
             threads: dict[str, int] = self._client.nthreads()
         except (OSError, RuntimeError, TimeoutError) as error:
-            raise FleetError(f"the scheduler at {self.address} has gone: {_words(error)}") from error
+            raise FleetError(f"the scheduler at {self.address} has gone: {_error_text(error)}") from error
         return threads
 
     def _check(self, limit_s: float) -> None:
-        """See that there are workers and that they compute what is computed here."""
+        """Check that there are workers and that they have this version."""
         try:
             self._client.wait_for_workers(1, timeout=limit_s)
         except TimeoutError:
@@ -429,9 +429,9 @@ class Cluster:
         versions = self._client.run(eval, _ASK_VERSION, on_error="return")
         for worker, version in sorted(versions.items()):
             if version != __version__:
-                has = _words(version) if isinstance(version, Exception) else f"adis-gonio {version}"
+                has = _error_text(version) if isinstance(version, Exception) else f"adis-gonio {version}"
                 raise FleetError(
-                    f"worker {worker}: {has}, here is adis-gonio {__version__}: install the same"
+                    f"worker {worker}: {has}, here is adis-gonio {__version__}: install the same version"
                 )
 
 
@@ -440,24 +440,24 @@ def _connected(address: str, limit_s: float) -> Client:
     from distributed.comm import parse_address
     from distributed.comm.registry import get_backend
 
-    try:  # a client of an address that is none would complain once more when the program ends
+    try:  # a client with an invalid address would report it again at the end of the program
         get_backend(parse_address(address, strict=True)[0])
     except ValueError as error:
         raise UsageError(
-            f"--scheduler {address}: {_words(error)}; an address is such as tcp://10.0.0.1:8786"
+            f"--scheduler {address}: {_error_text(error)}; an address is such as tcp://10.0.0.1:8786"
         ) from error
-    for name in ("distributed", "tornado"):  # what has to be said is said in an error of ours
+    for name in ("distributed", "tornado"):  # this module reports the errors
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         return Client(address, timeout=limit_s, set_as_default=False)
     except (OSError, ValueError, TypeError, TimeoutError) as error:
         raise FleetError(
-            f"no scheduler answers at {address}: {_words(error)}; start one with dask scheduler"
+            f"no scheduler answers at {address}: {_error_text(error)}; start one with dask scheduler"
         ) from error
 
 
-def _words(error: BaseException) -> str:
-    """An error in one line."""
+def _error_text(error: BaseException) -> str:
+    """Text of an error in one line."""
     return " ".join(str(error).split()) or type(error).__name__
 
 

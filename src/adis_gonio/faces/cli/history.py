@@ -71,11 +71,11 @@ def _show(found: History) -> None:
         screen.print(track.label, style="bold cyan")
         for line in words.chart_lines(track, min(screen.width, _WIDTH)):
             screen.print(line)
-        for text in (*words.of_drift(track), *words.of_chart(track, found)):
+        for text in (*words.drift_sentences(track), *words.chart_sentences(track, found)):
             screen.print(f"  {text}")
     screen.print()
     screen.print("Effects found", style="bold cyan")
-    for row in words.of_effects(found):
+    for row in words.effect_table(found):
         screen.print(f"  {'  '.join(row)}")
     for record, reason in found.left_out:
         screen.print(f"left out: {record.path}: {reason}")
