@@ -434,8 +434,8 @@ def outlying_text(summary: Summary) -> str:
     """Sentence on the comparisons and the probability of a false name."""
     if not summary.tests:
         return (
-            f"Nothing could be compared: a comparison needs {FEWEST_UNITS} units, or {FEWEST} units on a stage"
-            f" or with an operator and {FEWEST} elsewhere."
+            f"Nothing could be compared: a comparison needs {FEWEST_UNITS} units, or {FEWEST} units on a"
+            f" stage or with an operator and {FEWEST} elsewhere."
         )
     found = "" if summary.outlying else " No group stands out."
     return (
