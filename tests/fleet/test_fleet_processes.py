@@ -79,10 +79,10 @@ def test_a_worker_of_another_version_or_before_another_file_does_not_answer_for_
             work(path, digest, asked, "0.0.1"),
             f"the worker has adis-gonio {__version__}, the fleet is run by 0.0.1",
         ),
-        (work(path, "0" * 64, asked, __version__), "is not the same file where the worker is"),
+        (work(path, "0" * 64, asked, __version__), "is another file"),
         (
             work(f"{path}.not", digest, asked, __version__),
-            "cannot be read where the worker is: No such file",
+            "cannot be read by the worker: No such file",
         ),
     ):
         assert record.status == "failed"

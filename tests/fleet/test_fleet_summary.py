@@ -169,7 +169,7 @@ def test_another_parquet_file_is_refused(tmp_path):
     import pyarrow.parquet as pq
 
     pq.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
-    with pytest.raises(DataError, match="is no table of a fleet: it has no column path"):
+    with pytest.raises(DataError, match=r"is no table of a fleet: .* column path"):
         read_parquet(tmp_path / "a.parquet")
     with pytest.raises(DataError, match=r"none\.parquet: cannot be read as Parquet"):
         read_parquet(tmp_path / "none.parquet")

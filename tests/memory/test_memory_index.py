@@ -148,7 +148,7 @@ def test_a_damaged_index_is_set_aside_and_made_anew(folder, harm):
     path.write_bytes(content)
     found, rows, problems = listed(folder)
     assert (found.computed, rows) == (3, before)
-    assert "set aside" in problems[0]
+    assert "is damaged" in problems[0]
     assert (folder / f"{NAME}.damaged-1").read_bytes() == bytes(content)
     assert listed(folder)[2] == []
 

@@ -181,7 +181,7 @@ def test_a_ratio_that_the_common_noise_cannot_explain_is_taken_as_it_is() -> Non
 
 def test_too_few_sessions_and_unknown_groupings_are_refused() -> None:
     every = drawn(np.random.default_rng(2), 4)
-    with pytest.raises(UsageError, match="5 at least"):
+    with pytest.raises(UsageError, match="at least 5"):
         trace_population(every)
     with pytest.raises(UsageError, match="moon"):
         trace_population(every, by=("moon",))

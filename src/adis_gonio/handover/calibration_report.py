@@ -1,4 +1,4 @@
-"""The calibration report: sections from results, and the page that they make."""
+"""The calibration report: its sections, and the page."""
 
 from __future__ import annotations
 
@@ -60,13 +60,13 @@ _COVARIATES = {
 }
 _ROLES: tuple[Role, Role] = ("before", "after")
 _MOST_PLACES = 24
-"""Lines of the table of single dwells that one finding may take."""
+"""Most lines of one finding in the table of single dwells."""
 _SIDES = {-1.0: "from above", 1.0: "from below"}
 _ORDER = ("delta_k", "delta_phi")
 
 
 def summary_section(traced: TraceResult | str, fits: Sequence[FitResult], views: Views | None) -> Section:
-    """The outcome in words."""
+    """Summary of the trace in sentences."""
     best = fits[-1] if fits else None
     by_method = ""
     if best is not None:
@@ -82,36 +82,36 @@ def summary_section(traced: TraceResult | str, fits: Sequence[FitResult], views:
         names = "With the effects found" if traced.steps else "By the base model"
         lines.append(f"{names} (± u): {_pair(final)}{beside if traced.steps else ''}.")
     if traced.confounded:
-        lines.append(f"This session cannot tell apart: {'; '.join(words.confounded(traced))}.")
+        lines.append(f"This session cannot distinguish: {'; '.join(words.confounded(traced))}.")
     return Section("Summary", words=lines)
 
 
 def answer_section(given: Answer) -> Section:
-    """The one answer, before everything else: values with u, U and k, why, budget, scores."""
+    """The recommended answer: values with u, U and k, and its reason."""
     table = Table(
         HEAD,
         [line.cells for line in given.lines],
         numeric=(2, 3, 4, 5),
         caption="u: standard uncertainty; U = k·u covers 95 %. The error of the angle is the root mean "
-        "square over dwells left out; its u is that of any angle shown.",
+        "square over held-out dwells; its u belongs to a displayed angle.",
     )
     said = [*given.doubts, f"By method {given.title}.", given.why, *given.remarks]
     return Section("Answer", words=said, tables=[table], key=_key(given.values))
 
 
 def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
-    """ΔK, Δφ and the angle's error in large numerals; nothing of a session in space."""
+    """ΔK, Δφ and the error of the angle in large numerals; empty for a session in space."""
     wanted = [name for name in (*_ORDER, "angle") if name in values]
     return [_large(name, values[name]) for name in wanted if len(wanted) > 1]
 
 
 def _large(name: str, value: Value) -> KeyFigure:
-    """Value with U; the error of the angle is a figure of its own, which U of an angle does not bound."""
+    """Value with U; for the error of the angle, U belongs to a displayed angle and is shown separately."""
     if value.k is None:
         return KeyFigure(NAMES[name], with_unit(format_number(value.value, 4), value.unit), UNKNOWN)
     factor = f"k{NO_BREAK}={NO_BREAK}{value.k:.2f}"
     if name == "angle":
-        of_angle = f"U of an angle shown: {with_unit(format_number(value.U, 2), value.unit)} ({factor})"
+        of_angle = f"U of a displayed angle: {with_unit(format_number(value.U, 2), value.unit)} ({factor})"
         return KeyFigure(NAMES[name], with_unit(format_number(value.value, 2), value.unit), of_angle)
     return KeyFigure(
         NAMES[name], format_uncertain(value.value, value.U, value.unit), f"± U = k·u covers 95 % ({factor})"
@@ -122,7 +122,7 @@ _ANGLES = ("position", "declared", "by gravity", "by the gyro", "found", "how su
 
 
 def positions_section(findings: Sequence[PositionFinding]) -> list[Section]:
-    """Table of the three angles of each accused position, and what to do."""
+    """Section on wrong positions: declared and measured angles of each, and advice; empty without any."""
     if not findings:
         return []
     rows = [
@@ -138,7 +138,7 @@ def positions_section(findings: Sequence[PositionFinding]) -> list[Section]:
     ]
     said = list(dict.fromkeys(found.sentence for found in findings))
     table = Table(_ANGLES, rows, numeric=(1, 2, 3, 5), caption="Angles with their standard uncertainties.")
-    return [Section("Positions that are not right", words=said, tables=[table])]
+    return [Section("Wrong positions", words=said, tables=[table])]
 
 
 def _angle(angle: Angle | None) -> str:
@@ -146,7 +146,7 @@ def _angle(angle: Angle | None) -> str:
 
 
 def budget_section(given: Answer) -> Section:
-    """What each source contributes to ΔK, Δφ and the angle."""
+    """Uncertainty budget of ΔK, Δφ and the angle."""
     tables = []
     for name, rows in given.budget.items():
         cells = [
@@ -173,7 +173,7 @@ def budget_section(given: Answer) -> Section:
 
 
 def scores_section(given: Answer) -> Section:
-    """Every method on the same readings."""
+    """Scores of every method on equal readings."""
     head, rows = given.score_rows()
     table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(0,))
     return Section("Methods on the same readings", words=[given.scored_on], tables=[table] if rows else [])
@@ -184,23 +184,19 @@ def _pair(values: Mapping[str, Value]) -> str:
 
 
 _BESIDE = 3
-"""Methods beside each other in one table: more would be wider than the page."""
+"""Most methods in one table; more would be wider than the page."""
 
 
 def fitted_section(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
-    """Parameters by method, ΔK and Δφ first; a table for every few methods."""
+    """Tables of the parameters by method, ΔK and Δφ first."""
     said: dict[str, list[str]] = {}
     for fit in fits:
         for warning in fit.warnings:
             said.setdefault(warning, []).append(fit.method)
     notes = [f"{', '.join(methods)}: {warning}" for warning, methods in said.items()]
     notes += [f"{method}: {reason}" for method, reason in failures.items()]
-    none = (
-        []
-        if fits or failures
-        else ["The session supports none of the methods: it has one pose or too few."]
-    )
-    # The best stands last among the fits, and is read first.
+    none = [] if fits or failures else ["No method applies: the session has too few poses."]
+    # The best fit is last in the list and first on the page.
     order = list(reversed(fits))
     tables = [_by_method(order[k : k + _BESIDE]) for k in range(0, len(order), _BESIDE)]
     return Section("Results by method", words=none, tables=tables, notes=notes, folded=bool(tables))
@@ -233,7 +229,7 @@ def _by_method(fits: Sequence[FitResult]) -> Table:
 
 
 def found_section(traced: TraceResult) -> Section:
-    """What was found, what it is confounded with, what has no name."""
+    """Effects found, their alternatives, and unnamed causes."""
     inside = words.inside_only(traced)
     rows = []
     for finding in words.ordered(traced):
@@ -249,12 +245,12 @@ def found_section(traced: TraceResult) -> Section:
     tables = []
     if rows:
         head = ["effect", "parameters", "explains", "probability", "test"]
-        caption = "“Explains” is the share of what the base model leaves beyond the measured noise."
+        caption = "“Explains” is the share of the base model's residual beyond the measured noise."
         tables.append(Table(head, rows, caption=caption, numeric=(2, 3)))
     parts = [
         Section("Which this session cannot tell apart", points=words.confounded(traced, most=8)),
-        Section("Without a name", points=[words.unnamed(traced)] if traced.unnamed else []),
-        Section("Not called found", points=words.open_names(traced)),
+        Section("Unnamed causes", points=[words.unnamed(traced)] if traced.unnamed else []),
+        Section("Candidates not accepted", points=words.open_names(traced)),
     ]
     causes = {finding.effect: finding.cause for finding in words.ordered(traced)}
     return Section(
@@ -267,7 +263,7 @@ def found_section(traced: TraceResult) -> Section:
 
 
 def within_section(traced: TraceResult) -> Section:
-    """What the samples inside the dwells show: sentences, a figure each, a table of single dwells."""
+    """Findings inside the dwells: sentences, figures, and a table of single dwells."""
     if not traced.within:
         nothing = (
             "Spikes, stuck values, spectral lines, changes of the noise, drift, settling, steps: none."
@@ -277,7 +273,7 @@ def within_section(traced: TraceResult) -> Section:
     for finding in traced.within:
         view = finding.view
         if view is not None:
-            # A line of the role "before" is dashed: with lines that is for what was fitted.
+            # The role "before" has dashed lines; if the samples are a line, it is used for the fit.
             seen, fit = _ROLES if view.points else _ROLES[::-1]
             style: Style = "points" if view.points else "line"
             series = [Series(view.x, view.y, "samples", role=seen, style=style)]
@@ -330,7 +326,7 @@ def errors_section(traced: TraceResult) -> Section:
 
 
 def steps_section(traced: TraceResult, views: Views) -> Section:
-    """A figure a step: residual against the covariate that explains it, before and after."""
+    """A figure per step: residual against the covariate that explains it, before and after."""
     parts = []
     for number_, (step, view) in enumerate(zip(traced.steps, views.steps, strict=True), 1):
         before = "without it, the others kept" if view.beside_all else "before"
@@ -347,12 +343,12 @@ def steps_section(traced: TraceResult, views: Views) -> Section:
 
 
 def left_section(views: Views) -> Section:
-    """What the final model leaves, against each covariate."""
+    """Residual of the final model against each covariate."""
     roles: tuple[Role, ...] = ("after", "third", "fourth")
     figures = []
     for covariate in dict.fromkeys(panel.covariate for panel in views.left):
         panels = [panel for panel in views.left if panel.covariate == covariate]
-        # Axes side by side, so that their bars do not hide each other.
+        # Shift the axes sideways, so that their bars do not hide each other.
         aside = 0.012 * float(np.ptp(panels[0].x)) if len(panels) > 1 else 0.0
         series = [
             Series(
@@ -372,13 +368,13 @@ def left_section(views: Views) -> Section:
 
 
 def rivals_section(traced: TraceResult) -> Section:
-    """Models near the best with their probability."""
+    """Probable models with their probability."""
     rows = [
         [" + ".join(rival.terms) or "base model", format_percent(rival.probability)]
         for rival in traced.rivals
     ]
     same = [
-        f"{finding.effect}: {'; '.join(finding.equivalents)} would predict the same in this session"
+        f"{finding.effect}: {'; '.join(finding.equivalents)} would give equal readings in this session"
         for finding in traced.found
         if finding.equivalents
     ]
@@ -390,15 +386,15 @@ def rivals_section(traced: TraceResult) -> Section:
 
 
 def sight_section(traced: TraceResult) -> Section:
-    """What would have shown and what could not."""
+    """Smallest amplitude of each effect that the session would have shown, and the verdict."""
     seen = words.sight(traced)
     found_ = {finding.effect for finding in traced.found}
     rows = []
     for names, verdict in (
         (sorted(found_ & set(traced.detectable)), "found"),
-        ([name for name, _ in seen.open], "open: cannot be told from others here"),
+        ([name for name, _ in seen.open], "open: not distinguishable from others here"),
         ([name for name, _ in seen.visible], words.absent(traced)),
-        ([name for name, _ in seen.weak], "not there, or smaller than that"),
+        ([name for name, _ in seen.weak], "absent or smaller"),
     ):
         for name in names:
             entry = traced.detectable[name]

@@ -1,7 +1,8 @@
 """Digital calibration certificate: the schema of PTB (https://ptb.de/dcc, version 3.2.1) with D-SI 2.1.0.
 
-Values are in SI units (D-SI's notation), with expanded uncertainties at 95 %. What nobody stated says so:
-the schema wants a laboratory, a customer and a country, and no program may invent them. It is not signed.
+Values are in SI units (D-SI's notation), with expanded uncertainties at 95 %. The schema requires a
+laboratory, a customer and a country; if they are not stated, the certificate says `not stated`. It is not
+signed.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
 NOT_STATED = "not stated"
 NO_COUNTRY = "ZZ"
-"""ISO 3166-1 leaves it to users; here: nobody stated a country."""
+"""Country code for users in ISO 3166-1; here it means that no country is stated."""
 PROBABILITY = 0.95
 NORMAL = 1.959963984540054
-"""Quantile of the normal distribution at 97.5 %: the coverage factor where degrees of freedom are many."""
+"""Quantile of the normal distribution at 97.5 %: the coverage factor for many degrees of freedom."""
 
 _G = STANDARD_GRAVITY_MPS2
 _PER_S2 = r"\metre\second\tothe{-2}"
 _DPS = r"\degree\second\tothe{-1}"
-# Unit of a result → unit of D-SI, and the factor.
+# Unit of a result → unit of D-SI, and the conversion factor.
 _UNITS: dict[str, tuple[str, float]] = {
     "1": (r"\one", 1.0),
     "deg": (r"\degree", 1.0),
@@ -75,17 +76,17 @@ _TURN_DEG = tuple(range(0, 360, 30))
 
 
 def certificate_text(calibration: Calibration, issued: date | None = None) -> str:
-    """Certificate as XML.
+    """Render a calibration as a certificate in XML.
 
     Parameters
     ----------
     issued : date, optional
-        Stands for the date of the calibration where the session does not say it; by default today.
+        Date of the calibration if the session does not state it; by default today.
 
     Raises
     ------
     FitError
-        A parameter has a unit that D-SI's notation has no word for here.
+        A parameter has a unit without a known D-SI notation.
     """
     for prefix, space in (("dcc", DCC), ("si", SI), ("xsi", XSI)):
         ET.register_namespace(prefix, space)
@@ -104,12 +105,12 @@ def _add(parent: ET.Element, name: str, text: str | None = None, space: str = DC
 
 
 def _clean(text: str) -> str:
-    """Words with one space between them, without the control characters that XML cannot hold."""
+    """Text in one line, without control characters, which XML forbids."""
     return one_line(text.encode("utf-8", "replace").decode("utf-8")) or NOT_STATED
 
 
 def _named(parent: ET.Element, name: str, text: str, element: str = "name") -> ET.Element:
-    """A child that begins with a name (or another text) in one language."""
+    """Add a child that begins with a name or another text in one language."""
     child = _add(parent, name)
     _add(_add(child, element), "content", text)
     return child
@@ -236,7 +237,7 @@ def _condition(parent: ET.Element, name: str, value: float, unit: str) -> None:
 
 
 def _label(name: str) -> str:
-    """Words for a parameter, its name in brackets."""
+    """Description of a parameter, with its name in brackets."""
     stem, _, axes = name.rpartition("_") if kind_of(name) else name.partition("_")
     words = _NAMES.get(name) or (f"{_NAMES[stem]} {axes.upper()}" if stem in _NAMES else "Coefficient")
     return f"{words} ({name})"
@@ -252,7 +253,7 @@ def _coverage(one: Coefficient) -> float:
 
 def _real(parent: ET.Element, one: Coefficient) -> None:
     if one.unit not in _UNITS:
-        raise FitError(f"{one.name} is in {one.unit}, which a certificate has no SI unit for")
+        raise FitError(f"{one.name} is in {one.unit}: no SI unit for the certificate is known")
     unit, factor = _UNITS[one.unit]
     real = _add(parent, "real", space=SI)
     _add(real, "value", repr(one.value * factor), SI)
@@ -268,7 +269,7 @@ def _real(parent: ET.Element, one: Coefficient) -> None:
 
 
 def _turn(parent: ET.Element, calibration: Calibration) -> None:
-    """What the calibration lends to angles of gravity in the plane of x and y."""
+    """Add the uncertainty of angles in the plane of x and y that comes from the calibration."""
     psi = np.radians(_TURN_DEG)
     gravity = np.zeros((len(psi), calibration.axes))
     gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)

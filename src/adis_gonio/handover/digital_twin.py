@@ -1,4 +1,4 @@
-"""The digital twin: a simulated world that is like a measured session, measured as the session was."""
+"""The digital twin: a simulated world with the model of a session, measured like the session."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 
 @dataclass(frozen=True)
 class SamplesNoise:
-    """Noise of single samples, as the chip would have to make it.
+    """Noise of single samples, as settings of the simulated chip.
 
     Attributes
     ----------
     smpl_prd, filter_m : int
-        Settings of the chip whose output is correlated like the samples.
+        Settings of the chip with a correlation like that in the samples.
     white_mg : (axes,) float
-        rms before the filter.
+        White noise before the filter, rms.
     floor_mg : (axes,) float
         Allan deviation of the 1/f noise.
     """
@@ -51,21 +51,21 @@ class SamplesNoise:
 
 
 def period_of(dwells: Iterable[Dwell]) -> float:
-    """Sample period in s; by the length of dwells, since coarse times may stand still between samples."""
+    """Sample period in s, from the length of dwells, since coarse times may repeat between samples."""
     lengths = [np.ptp(dwell.time_s) / (len(dwell) - 1) for dwell in dwells if len(dwell) > 1]
     period_s = float(np.median(lengths)) if lengths else 0.0
     if not period_s > 0:
-        raise DataError("a twin needs times: those of the samples stand still")
+        raise DataError("a twin needs sample times: all times of a dwell are equal")
     return period_s
 
 
 def noise_of(session: Session, unit: Unit) -> SamplesNoise:
-    """Noise of a session's samples on the axes of its readings, whose unit it has.
+    """Noise of a session's samples on the axes of its readings, in their unit.
 
-    The white noise before the filter has the spectral density that the samples have at zero, which is
-    what readings are made of (the filter passes it on unchanged). An archive says how the chip was set. A
-    CSV does not: the rate is then the nearest that the chip has, and the filter the one that leaves the
-    samples nearest to their variance.
+    The white noise before the filter has the spectral density of the samples at frequency zero, which the
+    filter does not change and which determines the readings. An archive states the settings of the chip.
+    For a CSV the rate is the nearest one of the chip, and the filter is the one with the variance nearest
+    to that in the samples.
     """
     dwells = [dwell for dwell in session.dwells if len(dwell) > 8]
     if not dwells:
@@ -79,17 +79,19 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     diagonals = np.diagonal(means.covariance, axis1=1, axis2=2)
     density = np.median(diagonals * counts[:, np.newaxis], axis=0) * period_s
     variance = np.mean([part.var(axis=0, ddof=1) for part in samples], axis=0)
-    told = session.facts.get("configuration")
-    told = told if isinstance(told, dict) and "smpl_prd" in told else None  # a generic sensor has none
-    if told is not None:
-        smpl_prd, filter_m = int(told["smpl_prd"]), int(told["filter_m"])
+    stated = session.facts.get("configuration")
+    stated = (
+        stated if isinstance(stated, dict) and "smpl_prd" in stated else None
+    )  # a generic sensor has no settings
+    if stated is not None:
+        smpl_prd, filter_m = int(stated["smpl_prd"]), int(stated["filter_m"])
     else:
         slowest, fastest = 1 / sample_period_s(0xFF), 1 / sample_period_s(1)
         smpl_prd = smpl_prd_for(min(max(1 / period_s, slowest), fastest))
         filter_m = 0
     white = np.sqrt(density / sample_period_s(smpl_prd))
-    if told is None:
-        noisy = (variance > 0) & (white > 0)  # an axis that stands still shows no filter
+    if stated is None:
+        noisy = (variance > 0) & (white > 0)  # a constant axis shows no filter
         wanted = float(np.mean(np.log(variance[noisy] / white[noisy] ** 2))) if noisy.any() else 0.0
         filter_m = min(range(7), key=lambda m: abs(math.log((bartlett(m) ** 2).sum()) - wanted))
     return SamplesNoise(smpl_prd, filter_m, white, np.sqrt(means.flicker))
@@ -97,21 +99,21 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
 
 @dataclass(frozen=True)
 class TermEffect(Effect):
-    """A term of a traced model as an effect of the world: named or not, at the values that were fitted.
+    """A named or unnamed term of a traced model as an effect of the world, with its fitted values.
 
     Attributes
     ----------
     term : Term
     columns : int
-        Axes that the model knows; the others are left alone.
+        Number of axes of the model; other axes stay unchanged.
     history : tuple or None
-        Measured history of the temperature, which the term sees instead of the world's.
+        Measured history of the temperature, used instead of the world's temperature.
     loads : tuple or None
-        The same of what the axes read.
+        Measured history of the readings, used instead of the world's readings.
     offset_s : float
         Time of the world at which the session begins.
     variance_mg2 : (d, axes) float or None
-        Measured variance of each dwell, which the term sees instead of the world's.
+        Measured variance of each dwell, used instead of the world's variance.
     """
 
     term: Term = field(kw_only=True)
@@ -129,12 +131,12 @@ class TermEffect(Effect):
 
     @classmethod
     def choices(cls) -> tuple[str, ...]:
-        """None: its fields are no choices of a user."""
+        """No choices: the fields are not set by a user."""
         return ()
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Values of the term, without units: they are what the trace fitted."""
+        """Parameters of the term, without units, since the values are as fitted."""
         return tuple(
             Parameter(f"value_{k}", "", float(low), float(high), 0.0)
             for k, (low, high) in enumerate(self._bounds())
@@ -145,12 +147,12 @@ class TermEffect(Effect):
         return np.zeros((0, 2)) if bounds is None else bounds
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
-        """What the term adds to the angle, (n,) in rad."""
+        """Contribution of the term to the angle, (n,) in rad."""
         zeros = np.zeros((len(conditions), self.columns))
         return np.asarray(self.term.added(values, zeros, self._seen(conditions)), np.float64)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """What the term adds to the readings, (n, axes) in mg."""
+        """Contribution of the term to the readings, (n, axes) in mg."""
         added = np.zeros_like(ideal)
         known = ideal[:, : self.columns]
         added[:, : self.columns] = self.term.added(values, known, self._seen(conditions))
@@ -191,7 +193,7 @@ class LikeWorld(World):
     offset_s : float
         Time of the world at which the session begins.
     gyro : GyroCalibration or None
-        Faults of the gyros, for the offsets with which the session was recorded; None leaves them drawn.
+        Errors of the gyros with the offsets of the session; None for random errors.
     """
 
     def __init__(
@@ -237,14 +239,14 @@ class LikeWorld(World):
         self._temperature_offset = np.zeros(3)
 
     def temperature_c(self, time_s: Floats) -> Floats:
-        """Temperature (n,) in °C as it was measured; 25 °C where it was not."""
+        """Measured temperature (n,) in °C; 25 °C if it was not measured."""
         history = self._data.conditions.temperature_history
         if history is None:
             return np.full(len(time_s), 25.0)
         return np.interp(time_s - self._offset_s, *history)
 
     def supply_v(self, time_s: Floats) -> Floats:
-        """Supply (n,) in V as it was measured; 5 V where it was not."""
+        """Measured supply (n,) in V; 5 V if it was not measured."""
         conditions = self._data.conditions
         if conditions.supply_v is None:
             return np.full(len(time_s), 5.0)
@@ -252,10 +254,10 @@ class LikeWorld(World):
 
 
 def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, float]:
-    """Settings of a world whose gyros have the faults of a calibration; what it does not know is nominal.
+    """Settings of a world with the gyro errors of a calibration; unknown parameters are nominal.
 
-    The world's gyros feel what ideal accelerometers read, those of a calibration what the part's do: the
-    accelerometers' bias (3,) goes into the zero rates.
+    The gyros of the world respond to ideal readings of acceleration, the gyros of a calibration to the
+    part's readings. The zero rates therefore include the effect of the accelerometers' bias (3,).
     """
     moved = gyro.with_force_moved(-accel_bias_mg / 1000)
     held = {one.name: one.value for one in moved.parameters}
@@ -278,7 +280,7 @@ def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, flo
 
 
 def _accel_bias_mg(fit: Fit) -> Floats:
-    """Biases (3,) that the model has."""
+    """Biases (3,) of the model."""
     found = np.zeros(3)
     for term, values in zip(fit.terms, fit.values.terms, strict=True):
         if isinstance(term, NamedTerm) and term.name == "bias":
@@ -318,30 +320,30 @@ def _settings(fit: Fit, gyro: GyroCalibration | None = None) -> WorldSettings:
 
 
 _OPENING_S = 5.0
-"""Time of the world at which the session begins: the driver has opened the sensor by then."""
+"""Time of the world at which the session begins, after the driver has opened the sensor."""
 _REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 
 
 @solvable
 def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
-    """Session from the simulator whose world is a traced model, gyros and all where these are calibrated.
+    """Simulate a session whose world is a traced model, with its gyros if they are calibrated.
 
-    The sensor is read through the driver, frame by frame. Where the session gives no time for a move, the
-    twin is that much later.
+    The sensor is read through the driver, frame by frame. If the session has no time for a move, the twin
+    is later by the duration of the move.
 
     Parameters
     ----------
     session : Session
-        The measured one.
+        The measured session.
     traced : Fit
-        Final model of its trace; dwells for checking stand where they fit it best.
+        Final model of its trace; check dwells have the attitude that fits best.
     seed : int
-        Of noise and fixture errors.
+        Seed of noise and fixture errors.
 
     Raises
     ------
     DataError
-        A dwell is too short to have a noise, or the session is one pose.
+        A dwell is too short to show noise, or the session has one pose only.
     """
     if len(session.dwells) < 2:
         raise DataError("a twin needs a session of several positions")
@@ -393,7 +395,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
 
 
 def _gyros_of(session: Session) -> GyroCalibration | None:
-    """Faults of the gyros; None where the session has none or does not calibrate them."""
+    """Errors of the gyros; None if the session does not determine them."""
     try:
         return gyros_as_recorded(session)
     except AdisGonioError:
@@ -401,7 +403,7 @@ def _gyros_of(session: Session) -> GyroCalibration | None:
 
 
 def _attitude(fit: Fit, k: int) -> list[float]:
-    """What an ideal sensor reads in dwell k, as a direction."""
+    """Direction of gravity in dwell k, as an ideal sensor would read it."""
     if fit.data.planar:
         psi = float(fit.values.base[0] + fit.values.attitude[k])
         return [float(np.cos(psi)), float(np.sin(psi)), 0.0]

@@ -31,13 +31,13 @@ _ROLES: tuple[Role, ...] = ("after", "third", "fourth")
 
 
 def gyro_section(session: Session) -> Section | None:
-    """Parameters, residuals, what is not determined; None where nothing calibrates the gyros."""
+    """Section on the gyros: parameters, residuals, remarks; None if the session does not calibrate them."""
     try:
         result = fit_gyro(session)
     except AdisGonioError:
         return None
     said = [
-        how_well(result),
+        uncertainty_sentence(result),
         f"By the mean rates of {result.held}: a gyro reads K D ω + b + G f, with ω the rate of turn, b its "
         "zero rate, K its gain, D its axis in the accelerometers' frame, f what these read.",
         f"Residual {format_number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
@@ -51,13 +51,13 @@ def gyro_section(session: Session) -> Section | None:
         words=said,
         points=tuple(result.warnings),
         figures=[_residuals(result)],
-        tables=[by_gyro(result), *_offsets(session), *_scores(result)],
+        tables=[gyro_table(result), *_offsets(session), *_scores(result)],
         parts=[Section("Every parameter of the gyros", tables=_every(result), folded=True)],
     )
 
 
-def how_well(result: GyroFit) -> str:
-    """What was determined, and how well, in a sentence."""
+def uncertainty_sentence(result: GyroFit) -> str:
+    """Sentence on the determined parameters and their uncertainties."""
     largest: dict[str, list[float]] = {}
     for name, value in result.parameters.items():
         if value.u is not None:
@@ -66,7 +66,7 @@ def how_well(result: GyroFit) -> str:
         "gyro_bias": "zero rates to {} °/s",
         "gyro_scale": "gains to {} %",
         "gyro_misalignment": "directions of axes to {}°",
-        "g_sensitivity": "what force adds to {} °/s/g",
+        "g_sensitivity": "sensitivity to acceleration to {} °/s/g",
     }
     parts = [
         text.format(format_number(max(largest[kind]) * (100 if kind == "gyro_scale" else 1), 2))
@@ -85,16 +85,15 @@ _KINDS = {
 }
 
 
-def by_gyro(result: GyroFit) -> Table:
-    """What is wrong with each gyro, one beside the other; rows of which nothing is known are left out."""
+def gyro_table(result: GyroFit) -> Table:
+    """Table of the errors of each gyro in a column, without rows of unknown quantities."""
     rows = []
     for pattern, title in _KINDS.items():
         names = [pattern.format(axis) for axis in "xyz"]
         if any(name in result for name in names):
             rows.append([title, *(_cell(result, name) for name in names)])
     caption = (
-        "Value ± standard uncertainty. – was not determined and counts as that of a perfect gyro: "
-        "see the remarks above."
+        "Value ± standard uncertainty. A dash: not determined, taken as ideal (see the remarks above)."
     )
     return Table(["quantity", "gyro X", "gyro Y", "gyro Z"], rows, caption=caption, numeric=(1, 2, 3))
 
@@ -107,9 +106,9 @@ def _cell(result: GyroFit, name: str) -> str:
 
 
 def _every(result: GyroFit) -> list[Table]:
-    """Parameters by name, and how the triad stands to the accelerometers'."""
+    """Tables of the parameters, and of the triad's orientation to the accelerometers."""
     captions = (
-        "First letter the gyro, second the axis of the accelerometers. u: standard uncertainty; U = k·u.",
+        "First letter: gyro, second letter: axis of the accelerometers. u: standard uncertainty; U = k·u.",
         "Rotation of the gyros' triad against the accelerometers', and 90° minus its own angles.",
     )
     return [
@@ -120,7 +119,7 @@ def _every(result: GyroFit) -> list[Table]:
 
 
 def _scores(result: GyroFit) -> list[Table]:
-    """Residuals of dwells that were left out."""
+    """Table of the residuals of held-out dwells."""
     if not result.scores:
         return []
     rows = [
@@ -137,7 +136,7 @@ def _scores(result: GyroFit) -> list[Table]:
 
 
 def _offsets(session: Session) -> list[Table]:
-    """What the chip's registers held, and what would take the zero rates out."""
+    """Table of the offset registers: their numbers, and the numbers that remove the zero rates."""
     if session.sensor not in VARIANTS:
         return []
     try:
@@ -153,7 +152,7 @@ def _offsets(session: Session) -> list[Table]:
         ]
         for word in words
     ]
-    head = ["register", "while recorded", "takes the zero rate out", "left / (°/s)"]
+    head = ["register", "while recorded", "removes the zero rate", "remainder / (°/s)"]
     return [Table(head, rows, caption="One LSB is 0.018315 °/s at every range.", numeric=(1, 2, 3))]
 
 
@@ -179,13 +178,13 @@ def _residuals(result: GyroFit) -> Figure:
 
 
 LONG_S = 30.0
-"""Rests from which a gyro's floor shows (docs/allan.md): shorter ones know white noise and little else."""
+"""Length of a rest that shows a gyro's floor (docs/allan.md); shorter ones show little but white noise."""
 _TIME = "averaging time / s"
 _SLOW = ("flicker", "walk")
 
 
 def allan_page(result: AllanResult) -> str:
-    """One HTML page that loads nothing; every text is escaped."""
+    """Render the noise at rest as one HTML page that loads nothing; every text is escaped."""
     name = result.title or result.source or "session"
     whole = section_of(result)
     return render(
@@ -199,22 +198,22 @@ def allan_page(result: AllanResult) -> str:
 
 
 def noise_section(session: Session) -> Section | None:
-    """The gyros' noise for a report of a session; None without gyros, and where rests are too short."""
+    """Section on the gyros' noise; None without gyros, or if the rests are too short."""
     try:
         result = fit_allan(session)
     except DataError:
         return None
-    return section_of(result) if worth_saying(result) else None
+    return section_of(result) if shows_slow_noise(result) else None
 
 
-def worth_saying(result: AllanResult) -> bool:
-    """The rests are long enough to see slow noise, or show it."""
+def shows_slow_noise(result: AllanResult) -> bool:
+    """True if the rests show slow noise, or are long enough to show it."""
     shown = any(axis[kind].present for axis in result.axes for kind in _SLOW)
     return shown or result.longest_s >= LONG_S
 
 
 def section_of(result: AllanResult) -> Section:
-    """What `allan_page` holds, as a section of another page."""
+    """Content of `allan_page` as a section of another page."""
     return Section(
         f"Noise of the {said.PARTS[result.part]} at rest",
         words=(f"{said.headline(result)}.",),
@@ -244,11 +243,11 @@ def _deviation(result: AllanResult) -> str:
 
 def _reading() -> tuple[str, ...]:
     return (
-        "The coefficients are those of IEEE Std 952-1997, Annex C; the bias instability is the floor of the"
+        "The coefficients follow IEEE Std 952-1997, Annex C; the bias instability is the floor of the"
         " Allan deviation, 0.664 times the standard's B. They are fitted to the samples by restricted"
         " maximum likelihood, not to the points of the plot.",
-        "What is not present has the limit that it stays under (95 %), and the size that these records"
-        " would have shown in nine of ten cases.",
+        "A noise that is not present has an upper limit (95 %), and the size that these records would have"
+        " shown in nine of ten cases.",
     )
 
 
@@ -257,7 +256,7 @@ def _section(result: AllanResult, axis: AxisNoise) -> Section:
     absent: list[str] = []
     for parameter in axis.parameters:
         if parameter.present:
-            # Every row has its name: who hears a table hears the head of each row.
+            # Every row has its name, since a screen reader reads the head of each row.
             rows += [(said.name_shown(parameter), *row[1:]) for row in said.cells(parameter)]
         elif parameter.kind != "quantization":
             unit = format_unit(parameter.unit)
@@ -287,7 +286,7 @@ def _figure(result: AllanResult, axis: AxisNoise) -> Figure:
 
 
 def _described(result: AllanResult, axis: AxisNoise) -> str:
-    """The curve in a sentence, for who does not see it."""
+    """Description of the curve in a sentence, for a screen reader."""
     tau, deviation, unit = axis.curve.tau_s, axis.curve.deviation, format_unit(result.unit)
     first, last, least = (
         f"{format_number(deviation[k])} {unit} at {format_number(tau[k])} s"

@@ -1,4 +1,4 @@
-"""The seed paper's table 1 as it is printed, and how it is read.
+"""The seed paper's table 1, and the conditions under which its method is better than MMPM.
 
 | printed | read as |
 |---|---|
@@ -6,16 +6,14 @@
 | Δφ, "g/deg/s" | offset of zeros of equation 2, in g |
 | N | misalignment Δφ of equation 3, the angle between X and Y away from 90°, in degrees |
 
-A turn in one plane has one angle between X and Y, the table prints N for each. The two are therefore read
-as two determinations of one angle, each the truth of sessions of its own: column X has Δφ = 0.0612°,
-column Y has 0.0673°. Scales and offsets are those of both axes in both.
+A turn in one plane has one angle between X and Y, but the table prints N for each axis. The values are
+read as two determinations of one angle, each the truth of a set of sessions: Δφ = 0.0612° for column X,
+0.0673° for column Y. Both sets have the scales and offsets of both axes.
 
-Where the paper's method overtakes MMPM: over fixture error, bias and noise of a reading.
-
-Thousands of sessions through chip and driver would take hours. The map is therefore made of readings: the
-planar model with a fixture error of its own at each position, a bias of each axis and white noise.
-
-The error of a method is rms over sessions about the truth; it overtakes where its error is smaller.
+The map compares the paper's method with MMPM over fixture error, bias and noise of a reading. Thousands
+of sessions through chip and driver would take hours, so the map uses readings of the planar model with a
+fixture error at each position, a bias of each axis and white noise. The error of a method is the rms
+deviation from the truth over sessions; the method with the smaller error is better.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ class TableRow:
     Attributes
     ----------
     key, printed, unit : str
-        Our name of the parameter, the paper's, and the unit that we read it in.
+        Name of the parameter in this package and in the paper, and the unit of its reading.
     axis : {"x", "y"}
     measured, paper, mmpm, specification : float
         Columns of the table.
@@ -62,7 +60,7 @@ class TableRow:
 
     @property
     def name(self) -> str:
-        """Such as `SF, X`."""
+        """Name such as `SF, X`."""
         return f"{self.printed}, {self.axis.upper()}"
 
     @property
@@ -82,7 +80,7 @@ TABLE: tuple[TableRow, ...] = (
 """Table 1, mean values."""
 
 RMSD = 0.0033
-"""Printed beside the specification of SF."""
+"""RMSD that is printed with the specification of SF."""
 
 
 def row_of(key: str, axis: Axis) -> TableRow:
@@ -135,7 +133,7 @@ class Truth(JsonRecord):
         }
 
     def with_bias(self, sigma_mg: float, rng: np.random.Generator) -> Truth:
-        """The same gains and misalignment, with biases of a standard deviation."""
+        """Truth with random biases of standard deviation `sigma_mg`, otherwise unchanged."""
         b_x, b_y = sigma_mg * rng.standard_normal(2)
         return replace(self, bias_x_mg=float(b_x), bias_y_mg=float(b_y))
 
@@ -160,12 +158,12 @@ MMPM_ANGLES_DEG = tuple(40.0 * k for k in range(9))
 COMPARED = ("delta_k", "non_orthogonality")
 DRAWS = 2000
 _SEARCHED_DEG = (1e-3, 10.0)
-"""Farther out a position is now and then across, where equation 5 divides by nothing."""
+"""Range of the search; with larger errors, equation 5 sometimes divides by almost zero."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """A place of the map: standard deviations of fixture (degrees), bias and noise of a reading (mg)."""
+    """A point of the map: standard deviations of fixture (degrees), bias and noise of a reading (mg)."""
 
     fixture_deg: float
     bias_mg: float
@@ -174,13 +172,13 @@ class Point:
 
 @dataclass(frozen=True)
 class Draws:
-    """What is random in n sessions, in units of its standard deviation: every point uses the same ones.
+    """Random numbers of n sessions, in units of their standard deviation, used at every point.
 
     Attributes
     ----------
     alpha_rad : (n,) float
     fixture : (n, 4), (n, 9) float
-        Of the four and the nine positions.
+        Fixture errors of the four and of the nine positions.
     bias : (n, 2) float
     noise : (n, 4, 2), (n, 9, 2) float
     """
@@ -219,14 +217,14 @@ def readings(
 
 
 def by_positions(angles_deg: Sequence[float], natural: Floats, *, bias: bool) -> Floats:
-    """Parameters (n, 6) of readings (n, positions, 2) by least squares that trusts the angles."""
+    """Parameters (n, 6) of readings (n, positions, 2) by least squares with the declared angles."""
     theta = np.radians(np.asarray(angles_deg, dtype=float))
     columns = [np.cos(theta), np.sin(theta)] + [np.ones_like(theta)] * bias
     return turn_parameters(np.einsum("kp,npa->nka", np.linalg.pinv(np.stack(columns, axis=1)), natural))
 
 
 def estimates(truth: Truth, point: Point, draws: Draws) -> dict[str, dict[str, Floats]]:
-    """ΔK and Δφ (degrees) of every session by each method that needs readings alone."""
+    """ΔK and Δφ (degrees) of every session by each method that uses readings alone."""
     fixture = math.radians(point.fixture_deg)
     at_four, at_nine = (
         readings(
@@ -255,7 +253,7 @@ def estimates(truth: Truth, point: Point, draws: Draws) -> dict[str, dict[str, F
 
 
 def errors(truth: Truth, point: Point, draws: Draws) -> dict[str, dict[str, float]]:
-    """Error (rms over the sessions that have an answer) of ΔK and of Δφ in degrees, by method."""
+    """Error of ΔK and of Δφ (degrees) by method, rms over the sessions with a result."""
     true = truth.values
     return {
         method: {key: rms(values[key] - true[key]) for key in COMPARED}
@@ -264,7 +262,7 @@ def errors(truth: Truth, point: Point, draws: Draws) -> dict[str, dict[str, floa
 
 
 def rms(values: Floats) -> float:
-    """Root of the mean square of those that are finite."""
+    """Root mean square of the finite values."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else math.nan
 
@@ -272,7 +270,7 @@ def rms(values: Floats) -> float:
 def crossing_deg(
     truth: Truth, bias_mg: float, noise_mg: float, draws: Draws, key: str = "delta_k"
 ) -> float | None:
-    """Fixture error in degrees from which the paper's method is better; None: at none to 10°."""
+    """Fixture error in degrees above which the paper's method is better; None if there is none to 10°."""
 
     def excess(log_deg: float) -> float:
         found = errors(truth, Point(math.exp(log_deg), bias_mg, noise_mg), draws)
@@ -297,7 +295,8 @@ class Map:
     error : mapping of Point to mapping
         Errors by method and parameter.
     crossing : mapping of (bias, noise) to float or None
-        Fixture error at which the paper's ΔK overtakes MMPM's, in degrees; None: at none to 10°.
+        Fixture error in degrees above which the paper's ΔK is better than MMPM's; None if there is none
+        to 10°.
     """
 
     draws: int
@@ -305,12 +304,12 @@ class Map:
     crossing: Mapping[tuple[float, float], float | None]
 
     def ratio(self, point: Point, key: str) -> float:
-        """Error of the paper's method over that of MMPM."""
+        """Error of the paper's method over the error of MMPM."""
         return self.error[point]["paper"][key] / self.error[point]["mmpm"][key]
 
     @property
     def least_ratio_phi(self) -> float:
-        """The most favourable place of the map for the paper's Δφ."""
+        """Ratio at the most favourable point of the map for the paper's Δφ."""
         return min(self.ratio(point, "non_orthogonality") for point in self.error)
 
     def as_dict(self) -> dict[str, Any]:
@@ -327,7 +326,7 @@ class Map:
 
 
 def map_of(truth: Truth, draws: Draws) -> Map:
-    """The whole map, by readings."""
+    """Compute the whole map from readings."""
     points = [Point(f, b, n) for n in NOISES_MG for b in BIASES_MG for f in FIXTURES_DEG]
     return Map(
         len(draws.alpha_rad),

@@ -34,12 +34,12 @@ NAMES = {
 POSITIONS = {"paper": 2, "two-position": 2, "four-position": 4, "mmpm": 9, "ml": 9, TRACED: 9}
 _GRAPHS = {"scale_error": ("SF", "1"), "offset": ("Δφ", "g"), "non_orthogonality": ("N", "°")}
 SHOWN_NOISE_MG = 0.16
-"""Noise of a reading at which the map is printed: a dwell of 1 s of the ADIS16354."""
+"""Noise of a reading in the printed map: a dwell of 1 s of the ADIS16354."""
 _SHOWN_BIASES_MG = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0)
 
 
 def build_page(done: Study) -> str:
-    """The comparison as one HTML page that loads nothing."""
+    """Render the study as one HTML page that loads nothing."""
     return render(
         "The seed paper reproduced",
         "two positions against nine",
@@ -51,7 +51,7 @@ def build_page(done: Study) -> str:
 
 
 def sections(done: Study) -> tuple[Section, ...]:
-    """What the page consists of."""
+    """Sections of the page."""
     return (
         _summary(done),
         _table(done),
@@ -64,7 +64,7 @@ def sections(done: Study) -> tuple[Section, ...]:
 
 
 def verdicts(done: Study) -> tuple[str, ...]:
-    """What came out, in sentences."""
+    """Sentences on the results."""
     printed = printed_verdicts().values()
     signed = sum(verdict["nearer"] == "paper" for verdict in printed)
     unsigned = sum(verdict["nearer_without_sign"] == "paper" for verdict in printed)
@@ -76,10 +76,10 @@ def verdicts(done: Study) -> tuple[str, ...]:
         + (", and never in the angle between the axes." if least > 1 else "."),
         f"For ΔK the paper's method overtakes MMPM from a fixture error of {_deg(free)} without bias, and"
         f" of {_deg(usual)} with biases of 10 mg. For Δφ its error is everywhere on the map at least"
-        f" {format_number(least, 2)} times that of MMPM.",
+        f" {format_number(least, 2)} times the error of MMPM.",
         f"The printed table has the paper's method nearer to its own measured column in {signed} of"
-        f" {len(TABLE)} rows, those of N, where MMPM's values have the other sign. By sizes alone it is"
-        f" nearer in {unsigned or 'none'}.",
+        f" {len(TABLE)} rows, the rows of N, in which MMPM's values have the other sign. By sizes alone it"
+        f" is nearer in {unsigned or 'none'}.",
         f"With biases of 10 mg the paper's Δφ is off by {format_number(done.bias.error_deg['paper'], 2)}°"
         f" (rms), {format_number(done.bias.multiple, 2)} times as far as ours, by ml (95{NO_BREAK}%"
         f" interval {format_number(done.bias.low, 2)} to {format_number(done.bias.high, 2)}).",
@@ -92,7 +92,7 @@ def _deg(value: float | None) -> str:
 
 def _summary(done: Study) -> Section:
     return Section(
-        "What came out",
+        "Results",
         words=verdicts(done),
         key=(
             KeyFigure(
@@ -133,13 +133,13 @@ def _table(done: Study) -> Section:
     return Section(
         "Table 1",
         words=(
-            "Measured is the truth of the simulated parts. Beside what the paper prints stands what our"
-            " sessions give: mean ± standard deviation over the sessions, and u, the standard uncertainty"
+            "Measured is the truth of the simulated parts. Next to each printed value is the result of our"
+            " sessions: mean ± standard deviation over the sessions, and u, the standard uncertainty"
             " that the method states for one session. SF is a relative error, Δφ an offset in g, N an angle"
             " in degrees.",
-            "Two positions do not determine an offset, the paper's Δφ: what it prints there can be no"
-            " result of its equations. The u of its N is large because it holds the bias of 10 mg that a"
-            " part may have and these sessions hardly have.",
+            "Two positions do not determine an offset, the paper's Δφ, so that the printed offset cannot"
+            " follow from its equations. The u of its N is large because it includes a bias of 10 mg, which"
+            " a part may have but these sessions do not.",
         ),
         tables=(Table(head, rows, numeric=tuple(range(1, len(head)))),),
         notes=(
@@ -167,8 +167,8 @@ def _figure_3(done: Study) -> Section:
         "Figure 3: differences to the measured value",
         words=(
             "Printed values less the measured column, and ours less the truth: mean over the sessions, bars"
-            " the standard deviation. Two positions leave the offset in: its whole size, taken as zero, is"
-            " drawn as the paper's difference.",
+            " the standard deviation. Two positions do not determine the offset; it is taken as zero, and"
+            " its whole size is drawn as the paper's difference.",
         ),
         figures=[Figure(svg, caption) for svg, caption in figures_3(done).values()],
         notes=(f"Command: {done.command} --json (table_1: sessions)",),
@@ -227,9 +227,9 @@ def _others(done: Study) -> Section:
     return Section(
         "The other methods on the same sessions",
         words=(
-            "Error about the truth, rms over the sessions. Each part is measured at four positions, of"
-            " which the paper's method and its closed form take the first two, and at MMPM's nine, which ml"
-            f" and the traced model take too. The traced model is that of {counted(traced, 'part')} of each"
+            "Error about the truth, rms over the sessions. Each part is measured at four positions,"
+            " of which the paper's method and its closed form use the first two, and at MMPM's nine, which"
+            f" ml and the traced model also use. The traced model is of {counted(traced, 'part')} of each"
             " column: it has to find the bias before it corrects it.",
         ),
         tables=(Table(head, rows, numeric=tuple(range(1, len(head)))),),
@@ -247,13 +247,13 @@ def _map(done: Study) -> Section:
         words=(
             f"Each point of the map is {done.map.draws} sessions of readings, not of the chip: the planar"
             " model with an error of every declared angle, a bias of each axis and white noise, each normal"
-            " with the standard deviation that is stated, and a start angle within ±5°. The cells are the"
-            " error (rms) of the paper's method over that of MMPM: below 1 the paper's method is better.",
-            "MMPM trusts its angles: their errors go into its gains by √(2/9), while at a small start angle"
-            " two positions feel them in the gains only by √2 tan α. In Δφ it is the other way round: MMPM"
-            " has √(2/9) of them, two positions have √2. The bias that two positions cannot see moves the"
-            " crossing up in proportion. From a start angle of 18° on, where √2 tan α reaches √(2/9), there"
-            " is no crossing in ΔK either.",
+            " with the stated standard deviation, and a start angle within ±5°. Each cell is the rms error"
+            " of the paper's method over the error of MMPM: below 1 the paper's method is better.",
+            "MMPM uses the declared angles: their errors enter its gains by √(2/9), but the gains of two"
+            " positions at a small start angle only by √2 tan α. In Δφ it is the reverse: √(2/9) for MMPM,"
+            " √2 for two positions. The bias, which two positions cannot determine, moves the crossing up"
+            " in proportion. From a start angle of 18° on, at which √2 tan α reaches √(2/9), there is no"
+            " crossing in ΔK either.",
         ),
         figures=[Figure(svg, caption) for svg, caption in map_figures(done).values()],
         tables=(
@@ -295,8 +295,8 @@ def map_figures(done: Study) -> dict[str, tuple[str, str]]:
     ratio = plot(
         [*curves, level],
         "fixture error / °",
-        "error over that of MMPM",
-        title="Error of the paper's method over that of MMPM",
+        "error over MMPM's error",
+        title="Error of the paper's method over the error of MMPM",
         description="Below one the paper's method is better: ΔK crosses, Δφ does not.",
         x_log=True,
         y_log=True,
@@ -342,15 +342,17 @@ def _bias(done: Study) -> Section:
         "A bias of 10 mg",
         words=(
             f"{counted(bias.sessions, 'part')} whose axes have biases with a standard deviation of 10 mg,"
-            " the simulated part's figure, on a stage good to 0.02°. The paper's error of Δφ is"
-            f" {format_number(bias.multiple, 2)} times that of ml (95 %: {format_number(bias.low, 2)} to"
-            f" {format_number(bias.high, 2)}, by drawing the sessions anew), by medians"
+            " as the simulated part has, on a stage with an error of 0.02°. The paper's error of Δφ is"
+            f" {format_number(bias.multiple, 2)} times the error of ml (95 %: {format_number(bias.low, 2)}"
+            f" to {format_number(bias.high, 2)}, by bootstrap over the sessions), by medians"
             f" {format_number(bias.median, 2)} times."
             + (f" It refused {bias.refused} more." if bias.refused else ""),
         ),
         tables=(
             Table(
-                ("method", "positions", "error of Δφ / °, rms", "times that of ml"), rows, numeric=(1, 2, 3)
+                ("method", "positions", "error of Δφ / °, rms", "times the error of ml"),
+                rows,
+                numeric=(1, 2, 3),
             ),
         ),
         notes=(f"Command: {done.command} --json (bias)",),
@@ -360,10 +362,10 @@ def _bias(done: Study) -> Section:
 def _again(done: Study) -> Section:
     part = done.results["x"][0].part
     return Section(
-        "Every number again",
+        "Repeat the numbers",
         words=(
             f"The whole page: {done.command} -o PAGE.html. All numbers as one document: {done.command}"
-            " --json; its parts hold for each session the command that records it. Dwells last"
+            " --json; its parts state the command that records each session. Dwells last"
             f" {DWELL_S:g} s. The first part of column X at its nine positions, and MMPM of it:",
         ),
         points=(part.command("mmpm"), "adis-gonio fit one.session --method mmpm"),

@@ -60,7 +60,7 @@ USES = {
     "mmpm": "mmpm",
     "ml": "mmpm",
 }
-"""Method → the plan whose session it is applied to; `ml` on MMPM's own nine dwells."""
+"""Plan of the session for each method; `ml` uses the nine dwells of MMPM."""
 TRACED = "traced"
 METHODS = (*USES, TRACED)
 
@@ -72,7 +72,7 @@ class Part:
     Attributes
     ----------
     seed : int
-        Of the simulator: start angle within ±5°, noise and the stage's errors.
+        Seed of the simulator: start angle within ±5°, noise and the stage's errors.
     truth : Truth
     settings : mapping of str to float
         Further settings of the simulated world.
@@ -98,12 +98,12 @@ class Part:
 
     @property
     def url(self) -> str:
-        """Of the simulated sensor."""
+        """URL of the simulated sensor."""
         settings = "".join(f"&{name}={float(value)!r}" for name, value in self._pairs().items())
         return f"sim:?seed={self.seed}{settings}" + (f"&effects={self.effects}" if self.effects else "")
 
     def command(self, plan_name: str, output: str = "one.session") -> str:
-        """The `simulate` that records the same session."""
+        """Command `simulate` that records this session."""
         words = ["adis-gonio", "simulate", "--plan", plan_name, "--dwell", f"{DWELL_S:g}"]
         words += ["--seed", str(self.seed)]
         for name, value in self._pairs().items():
@@ -134,13 +134,13 @@ def measured(part: Part, plan_name: str) -> Session:
 
 @dataclass(frozen=True)
 class MethodValues:
-    """What a method gives for one part; None where it does not determine it.
+    """Values of one method for one part; None for values that it does not determine.
 
     Attributes
     ----------
     values, u : mapping of str to float or None
-        By `scale_error_x`, `scale_error_y`, `offset_x`, `offset_y` (g), `non_orthogonality` (degree) and
-        `delta_k`, with standard uncertainties.
+        Values and standard uncertainties by `scale_error_x`, `scale_error_y`, `offset_x`, `offset_y` (g),
+        `non_orthogonality` (degree) and `delta_k`.
     """
 
     values: Mapping[str, float | None]
@@ -155,14 +155,14 @@ _FROM_FIT = {
     "non_orthogonality": ("delta_phi", 1.0, 0.0),
     "delta_k": ("delta_k", 1.0, 0.0),
 }
-"""The paper's quantities: (name − zero) · factor of a parameter of `fit`."""
+"""Parameter of `fit`, factor and zero of each quantity of the paper: (value − zero) · factor."""
 
 
 def quantities(result: FitResult | TraceResult) -> MethodValues:
     """The paper's parameters from a result.
 
-    The paper gives ΔK and Δφ only. Its scales are those that go with them: X's from equation 6, the
-    length of (U_x1, U_x2), and Y's from that and ΔK.
+    The paper gives ΔK and Δφ only. Its scales follow from them: the scale of X from equation 6 (the
+    length of (U_x1, U_x2)), the scale of Y from that and ΔK.
     """
     if isinstance(result, TraceResult):
         stated = dict(result.base)
@@ -185,7 +185,7 @@ def quantities(result: FitResult | TraceResult) -> MethodValues:
 
 @dataclass(frozen=True)
 class Results:
-    """What each method gave for one part; a method that refused is not there, its reason in `refused`."""
+    """Values of each method for one part, and the reasons of the methods that refused it."""
 
     part: Part
     found: Mapping[str, MethodValues]
@@ -208,10 +208,10 @@ def results_of(part: Part, traced: bool = False) -> Results:
 
 
 def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Results]:
-    """Results of many parts in their order; each with whether it is traced too."""
+    """Results of many parts, each given with a flag for the trace, in their order."""
     if jobs <= 1:
         return [results_of(*one) for one in told(parts)]
-    # Ctrl-C is the parent's to answer: it ends the pool in order, without a traceback from each process.
+    # Only the parent handles Ctrl-C, so that the processes print no tracebacks.
     with ProcessPoolExecutor(
         jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
     ) as pool:
@@ -230,25 +230,25 @@ def facts_of(results: Results) -> dict[str, Any]:
 
 
 BIAS_MG = 10.0
-"""Standard deviation of an axis's bias in the sessions that ask what a bias does."""
+"""Standard deviation of an axis's bias in the sessions with a bias."""
 COLUMNS = ("paper", "mmpm")
-"""Methods of the table, which are fields of `TableRow` with the printed values."""
+"""Methods of the table, with their printed values in fields of `TableRow`."""
 
 
 @dataclass(frozen=True)
 class MethodSpread:
-    """What a method gave over sessions.
+    """Statistics of a method over sessions.
 
     Attributes
     ----------
     mean, spread : float or None
-        Mean and standard deviation over the sessions; None where the method does not determine it.
+        Mean and standard deviation over the sessions; None if the method does not determine the quantity.
     u : float or None
         Standard uncertainty that the method states, rms over the sessions.
     error : float or None
-        Distance from the truth, rms.
+        Deviation from the truth, rms.
     sessions : int
-        In which the method had an answer.
+        Number of sessions with a result.
     """
 
     mean: float | None = None
@@ -260,7 +260,7 @@ class MethodSpread:
 
 @dataclass(frozen=True)
 class Cell:
-    """A row of table 1 with what our sessions give beside it, by method."""
+    """A row of table 1 with the statistics of the simulated sessions by method."""
 
     row: TableRow
     ours: Mapping[str, MethodSpread]
@@ -279,7 +279,7 @@ class Comparison(JsonRecord):
     cells : tuple of Cell
         In the order of the table.
     gain : mapping of str to MethodSpread
-        ΔK, which the table does not have and the method is about, by method; of column X.
+        ΔK by method for column X; the table does not have it, though the method determines it.
     """
 
     cells: tuple[Cell, ...] = field(metadata=key("rows"))
@@ -319,7 +319,7 @@ def spread_of(results: Sequence[Results], method: str, key: str) -> MethodSpread
 
 
 def parts_with_bias(rng: np.random.Generator, count: int) -> list[Part]:
-    """Parts of the table's gains and misalignment, with biases of standard deviation `BIAS_MG` an axis."""
+    """Parts with the table's gains and misalignment and random biases of standard deviation `BIAS_MG`."""
     true = truth_of("x")
     hidden = (true.with_bias(BIAS_MG, rng) for _ in range(count))
     return [Part(seed=int(rng.integers(2**31)), truth=truth) for truth in hidden]
@@ -332,17 +332,17 @@ class BiasError(JsonRecord):
     Attributes
     ----------
     error_deg : mapping of str to float
-        By method, rms.
+        Error by method, rms.
     multiple : float
-        Of the paper's over `ml`'s.
+        Error of the paper's method over the error of `ml`.
     low, high : float
-        Its 95 % interval, by drawing sessions anew (bootstrap).
+        95 % interval of `multiple`, by bootstrap over sessions.
     median : float
-        The same of the medians of |error|, which no single session decides.
+        Ratio of the medians of |error|, which does not depend on a single session.
     sessions : int
-        In which the paper's method had an answer.
+        Number of sessions with a result of the paper's method.
     refused : int
-        In which it had none.
+        Number of sessions without such a result.
     """
 
     error_deg: Mapping[str, float]
@@ -356,7 +356,7 @@ class BiasError(JsonRecord):
 
 
 def errors_with_bias(results: Sequence[Results], rng: np.random.Generator, draws: int = 2000) -> BiasError:
-    """Compare the paper's error of Δφ with that of `ml` on sessions with a bias."""
+    """Compare the errors of Δφ by the paper's method and by `ml` on sessions with a bias."""
     key = "non_orthogonality"
     answered = [one for one in results if "paper" in one.found and "ml" in one.found]
     theirs, ours = (_errors(answered, method) for method in ("paper", "ml"))
@@ -376,7 +376,7 @@ def errors_with_bias(results: Sequence[Results], rng: np.random.Generator, draws
 
 
 def _errors(results: Sequence[Results], method: str) -> Floats:
-    """Errors of Δφ in degrees; NaN where a method does not determine it."""
+    """Errors of Δφ in degrees; NaN if a method does not determine it."""
     key = "non_orthogonality"
     values = [one.found[method].values[key] for one in results]
     true = [one.part.truth.values[key] for one in results]
@@ -384,7 +384,7 @@ def _errors(results: Sequence[Results], method: str) -> Floats:
 
 
 def printed_verdicts() -> dict[str, dict[str, Any]]:
-    """Which method the table itself has nearer to its measured column, N with its sign and without."""
+    """Method that is nearer to the measured column of the printed table, with the sign of N and without."""
     verdicts = {}
     for row in TABLE:
         paper, mmpm = abs(row.paper - row.measured), abs(row.mmpm - row.measured)
@@ -401,7 +401,7 @@ def printed_verdicts() -> dict[str, dict[str, Any]]:
 SESSIONS = 10
 LEAST_SESSIONS, MOST_SESSIONS = 2, 10_000
 TRACED_SHARE = 5
-"""One part of so many is traced, at least one, of each column and of those with a bias."""
+"""One part of this many is traced, but at least one of each kind."""
 _TRACED = (*AXES, "bias")
 _MOST_JOBS = 8
 
@@ -413,9 +413,9 @@ class Study:
     Attributes
     ----------
     seed, sessions : int
-        What it was asked for: seed of all that is random, parts of each kind.
+        Seed of all random numbers, and number of parts of each kind.
     results : mapping of str to sequence of Results
-        Parts of column `x` and `y` of the table, and those with `bias`.
+        Results of the parts of column `x` and `y`, and of the parts with `bias`.
     """
 
     seed: int
@@ -427,7 +427,7 @@ class Study:
 
     @property
     def command(self) -> str:
-        """The command that makes it again."""
+        """Command that repeats the study."""
         return f"adis-gonio paper --seed {self.seed} --sessions {self.sessions}"
 
     def as_dict(self) -> dict[str, Any]:
@@ -459,18 +459,18 @@ def reproduce(
     Parameters
     ----------
     seed : int
-        Everything that is drawn comes from here; not negative.
+        Seed of all random numbers, not negative.
     sessions : int
-        Parts of each kind: of either column, and with a bias.
+        Number of parts of each kind: column X, column Y, and with a bias.
     jobs : int, optional
-        Processes; by default one a core.
+        Number of processes; by default one per core.
     draws : int
-        Sessions by readings at each point of the map.
+        Number of sessions at each point of the map.
 
     Raises
     ------
     UsageError
-        A seed or a number of sessions that is not possible.
+        The seed or the number of sessions is out of range.
     """
     if seed < 0:
         raise UsageError(f"--seed is {seed}: take 0 or more")
@@ -502,7 +502,7 @@ def reproduce(
 
 
 def _measured(kinds: Mapping[str, Sequence[Part]], traced: int, jobs: int) -> dict[str, Sequence[Results]]:
-    """Results by kind; the first parts of the kinds `_TRACED` are traced too."""
+    """Results by kind; the first parts of the kinds in `_TRACED` are also traced."""
     work = [
         (part, k < traced and kind in _TRACED)
         for kind, parts in kinds.items()

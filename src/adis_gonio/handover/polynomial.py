@@ -1,7 +1,7 @@
-"""A calibration as a polynomial: what a firmware computes, with numbers ready for it.
+"""A calibration as the polynomial that a firmware computes.
 
-A scan is whole numbers, 1/256 of a step each (an LSB of the part), so that a mean of many scans keeps its
-digits. With everything in units of the standard g::
+A scan consists of integers in 1/256 of a step (an LSB of the part), so that a mean of many scans keeps
+its digits. In units of the standard g::
 
     free_i  = (scan_i − bias_i) · step_i                     bias in steps
     a_i     = free_i − Σ coefficient · product of factors     solved in a fixed number of passes
@@ -29,9 +29,9 @@ from adis_gonio.model.effects.families import CrossEffect
 from adis_gonio.model.records import MG_PER_G
 
 PARTS = 256
-"""Whole numbers to a step."""
+"""Integers per step."""
 RANGE_G = 2.0
-"""Readings beyond are taken as this: no goniometer feels more, and all arithmetic is laid out for it."""
+"""Limit of readings: no goniometer exceeds it, and the arithmetic is designed for it."""
 SPAN_C = 128.0
 SPAN_V = 8.0
 GENERIC_MG = 1.0
@@ -40,12 +40,12 @@ GENERIC_C = 1.0
 GENERIC_V = 1e-3
 MOST_PASSES = 16
 SETTLED_G = 2.0**-30
-"""What the solution may lack of settling: half of the fixed point's last place."""
+"""Tolerance of the solution: half of the last place of the fixed point."""
 
 
 @dataclass(frozen=True)
 class Monomial:
-    """Part of what an axis reads: coefficient in g, and the factors it is multiplied by.
+    """Contribution to the reading of an axis: a coefficient in g times factors.
 
     Attributes
     ----------
@@ -61,13 +61,13 @@ class Monomial:
 
     @property
     def of_reading(self) -> bool:
-        """False where it is the same for all readings of one temperature and supply."""
+        """False if it depends on temperature and supply alone."""
         return any(factor not in ("t", "v") for factor in self.factors)
 
 
 @dataclass(frozen=True)
 class Input:
-    """A condition as the scan holds it: value = (number − zero) · step, step in 1/128 °C·128 or 1/8 V·8."""
+    """A condition in the scan: t or v = (number − zero) · step."""
 
     zero: int
     step: float
@@ -75,19 +75,20 @@ class Input:
 
 @dataclass(frozen=True)
 class Polynomial:
-    """What is computed.
+    """The polynomial of a calibration.
 
     Attributes
     ----------
     words : bool
-        True where steps are LSB of words of the part.
+        True if steps are LSB of the part.
     step_g, bias : tuple of float
         g per 1/256 step, and bias in 1/256 steps, of each axis.
     monomials : tuple of Monomial
     matrix : (axes, axes) float
-        From g to units of local gravity, lower triangular.
+        Conversion from g to units of local gravity, lower triangular.
     passes : int
-        By which the solution settles for all readings within range; 0 without monomials of readings.
+        Number of passes after which the solution has settled for all readings within range; 0 if no
+        monomial depends on a reading.
     temperature, supply : Input
     """
 
@@ -102,7 +103,7 @@ class Polynomial:
 
     @property
     def axes(self) -> int:
-        """Axes of a reading."""
+        """Number of axes of a reading."""
         return len(self.step_g)
 
     @property
@@ -112,12 +113,12 @@ class Polynomial:
 
 
 def polynomial_of(calibration: Calibration) -> Polynomial:
-    """The polynomial of a calibration.
+    """Polynomial of a calibration.
 
     Raises
     ------
     FitError
-        An effect that has no such form, effects too large to be solved for, or gains far from 1.
+        An effect has no such form, effects are too large to be solved for, or gains are far from 1.
     """
     base, bias_mg = calibration.natural(calibration.values)
     axes = calibration.axes
@@ -156,7 +157,7 @@ _Form = Callable[[str, str], tuple[float, tuple[str, ...]]]
 _MG = 1 / MG_PER_G
 _RAD = math.pi / 180
 
-# Factor on the parameter (i own axis, p the one across) that makes its coefficient, and the factors.
+# Factors of each effect (i: own axis, p: the axis across), and the conversion of its parameter to g.
 _FORMS: dict[str, tuple[_Form, ...]] = {
     "scale": (lambda i, p: (1.0, (i,)),),
     "misalignment": (lambda i, p: (_RAD, (p,)),),
@@ -180,7 +181,7 @@ _FORMS: dict[str, tuple[_Form, ...]] = {
 def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
     kind = term.effect
     if kind.name not in _FORMS:
-        raise FitError(f"effect {kind.name} has no form that a firmware computes")
+        raise FitError(f"effect {kind.name} has no form for a firmware")
     pairs = kind.pairs() if isinstance(kind, CrossEffect) else [(axis, "") for axis in kind.axes]
     each = len(term.parameters) // len(pairs)
     made = []
@@ -192,7 +193,7 @@ def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
 
 
 def _passes(monomials: tuple[Monomial, ...]) -> int:
-    """Passes after which a ← free − Σ(a) has settled, by the contraction of Σ over the range."""
+    """Number of passes after which a ← free − Σ(a) has settled, by the contraction of Σ over the range."""
     largest, slope = np.zeros(3), np.zeros(3)
     for one in monomials:
         powers = [factor for factor in one.factors if factor not in ("t", "v")]
@@ -203,6 +204,6 @@ def _passes(monomials: tuple[Monomial, ...]) -> int:
         return 0
     contraction = float(slope.max())
     if contraction >= 0.5 or largest.max() >= 1.0:
-        raise FitError("the effects are too large to be corrected in a firmware: look for what is wrong")
+        raise FitError("the effects are too large to be corrected in a firmware: check the session")
     passes = math.ceil(math.log(SETTLED_G / float(largest.max())) / math.log(contraction))
     return min(max(passes, 1), MOST_PASSES)

@@ -32,20 +32,20 @@ from adis_gonio.tracing.trace_calibrations import (
 )
 
 ROWS = 100_000
-"""Least rows of a group, so that many short dwells make no file of many small ones."""
+"""Fewest rows of a row group, so that many short dwells do not make many small groups."""
 
 
 def write_parquet(session: Session, path: str | Path) -> None:
-    """Write all samples: the columns of the samples CSV, missing values as nulls.
+    """Write all samples with the columns of the samples CSV; missing values are null.
 
-    Metadata key `adis_gonio` holds the session without its samples as JSON; each column has its unit.
+    The metadata key `adis_gonio` has the session without its samples as JSON; each column has its unit.
 
     Raises
     ------
     NotInstalledError
         pyarrow is not installed.
     DataError
-        No dwell, or dwells that differ in their columns.
+        The session has no dwell, or dwells with different columns.
     OSError
         The file cannot be written.
     """
@@ -81,7 +81,7 @@ def _type(pa: Any, name: str) -> Any:
 
 
 def _units(session: Session, first: Dwell) -> dict[str, str]:
-    """Columns that the first dwell has, with their units."""
+    """Columns of the first dwell with their units."""
     by_kind = {"a": session.accel_unit, "g": session.gyro_unit}
     own = {"time_s": "s", "angle_deg": "deg", "temp_c": "degC", "supply_v": "V"}
     return {
@@ -117,23 +117,23 @@ def _joined(waiting: list[dict[str, Any]], names: list[str]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ExportSource:
-    """What is exported: a session, with how its coefficients are found; or a calibration's file.
+    """Source of an export: a session with its method, or the file of a calibration.
 
     Attributes
     ----------
     path : Path
     method : str or None
-        Of the fit; None: the best one.
+        Method of the fit; None for the best one.
     traced : bool
         True for the coefficients of the traced model.
     samples : bool
         True for every sample in JSON.
     name : str
-        What every name in a C header begins with.
+        Prefix of every name in a C header.
     overrides : Overrides or None
-        What the session's file should have said.
+        Corrections of the session's metadata.
     gyros : Path or None
-        Session or calibration of the same part whose gyros stand in the place of the session's own.
+        Session or calibration of the part's gyros, used instead of the gyros of this session.
     """
 
     path: Path
@@ -145,12 +145,12 @@ class ExportSource:
     gyros: Path | None = None
 
     def check(self, kind: str) -> None:
-        """Refuse options that have no meaning for a format: `UsageError`."""
+        """Raise `UsageError` for options that have no meaning for a format."""
         samples_only = BY_NAME[kind].holds == "samples"
         if samples_only and (self.method is not None or self.traced):
-            raise UsageError(f"--method and --trace go with coefficients: {kind} holds the samples only")
+            raise UsageError(f"--method and --trace go with coefficients: {kind} has the samples only")
         if samples_only and self.gyros is not None:
-            raise UsageError(f"--gyros goes with coefficients: {kind} holds the samples only")
+            raise UsageError(f"--gyros goes with coefficients: {kind} has the samples only")
         if self.samples and kind != "json":
             raise UsageError("--samples goes with --format json")
         if self.method is not None and self.traced:
@@ -159,10 +159,10 @@ class ExportSource:
             raise UsageError("--name goes with --format c-header")
 
     def write(self, kind: str, path: Path) -> list[str]:
-        """Write a format to a file that is not there yet, or is empty; return the remarks on its content.
+        """Write a format to a new or empty file; return remarks on its content.
 
-        Of a session whose registers changed while it was recorded, only the data are written: a
-        calibration holds for no register state, as in `adis-gonio write`.
+        If the registers changed during the session, only the data are written, since a calibration would
+        hold for no state of the registers.
 
         Raises
         ------
@@ -194,8 +194,8 @@ class ExportSource:
             changed = changed_registers(session)
             if changed:
                 raise FitError(
-                    f"{self.path}: {'; '.join(changed)}: a calibration holds for no register state;"
-                    " record the session again; csv, parquet and json hold its data"
+                    f"{self.path}: {'; '.join(changed)}: a calibration would hold for no state of the"
+                    " registers; record the session again, or export its data (csv, parquet, json)"
                 )
             try:
                 own = self._result(session).calibration()
@@ -225,7 +225,7 @@ class ExportSource:
         return fit(session, method=self.method)
 
     def _json(self, session: Session) -> str:
-        """The calibration, where the session determines one; the fit or trace; what is known of it."""
+        """JSON of the calibration, if the session determines one, the fit or trace, and the session."""
         about = session_dict(session)
         if not self.samples:
             del about["dwells"]
@@ -235,7 +235,7 @@ class ExportSource:
             return json_text(finite(document))
         try:
             made = result.calibration()
-        except FitError:  # what is known of the parameters is in the coefficients then
+        except FitError:  # the coefficients then hold the known parameters
             with suppress(DataError, FitError):
                 document["gyro"] = gyro_calibration_of(session, traced=self.traced).as_dict()
         else:

@@ -1,4 +1,4 @@
-"""Measured data against those of the digital twin: residuals, Allan deviation, spectrum."""
+"""Comparison of measured data with the digital twin: residuals, Allan deviation, spectrum."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from adis_gonio.tracing.trace_result import TraceResult
 
 @dataclass(frozen=True)
 class TwinComparison(JsonRecord):
-    """What the measured session and its twin have in common.
+    """Comparison of a measured session with its twin.
 
     Attributes
     ----------
     residual_measured, residual_twin : (r,) float
-        Whitened residuals of the readings under the same model; 1 is what their noise explains.
+        Whitened residuals of the readings under one model, in their standard uncertainty.
     p_residual : float
-        Kolmogorov-Smirnov test that both are of one distribution.
+        Kolmogorov-Smirnov test of equal distributions.
     p_variance : float
-        F test, two-sided, that χ² per degree of freedom is the same.
+        Two-sided F test of equal χ² per degree of freedom.
     tau_s : (t,) float
         Averaging times of the Allan deviations.
     allan_measured_mg, allan_twin_mg : (t, axes) float
@@ -59,7 +59,7 @@ class TwinComparison(JsonRecord):
 
     @property
     def agrees(self) -> bool:
-        """Residuals do not differ (1 %); Allan deviations and densities are within a factor of 1.5."""
+        """True if residuals agree (1 %), and Allan deviations and densities within a factor of 1.5."""
         return min(self.p_residual, self.p_variance) >= 0.01 and all(
             abs(np.log(ratio)) < np.log(1.5) for ratio in (self.allan_ratio, self.density_ratio)
         )
@@ -87,14 +87,16 @@ class TwinComparison(JsonRecord):
 
 @solvable
 def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
-    """Compare a session with its twin under the same model, refitted to each from the trace's values."""
+    """Compare a session with its twin under one model, refitted to both from the values of the trace."""
     from scipy import stats
 
     ours, theirs = readings_of(measured), readings_of(twin)
     fits = [Fit.begin(data).having(traced.terms, traced.values.terms).refit() for data in (ours, theirs)]
     residual = [_residual(fitted) for fitted in fits]
     if not all(part.size for part in residual):
-        raise DataError("there are no more readings than parameters: nothing is left to compare")
+        raise DataError(
+            "there are no more readings than parameters, so that there is no residual to compare"
+        )
     same = stats.ks_2samp(residual[0].tolist(), residual[1].tolist())
     samples = [_samples(session, data) for session, data in ((measured, ours), (twin, theirs))]
     periods = [period_of(session.dwells) for session in (measured, twin)]
@@ -118,7 +120,7 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
 
 def _residual(fitted: Fit) -> Floats:
     rows = fitted.residual.ravel()
-    # Directions that a free attitude takes up have no residual.
+    # Directions that a free attitude absorbs have no residual.
     return np.asarray(rows[np.abs(rows) > 1e-9], np.float64)
 
 
@@ -133,7 +135,7 @@ def _p_variance(ours: Fit, theirs: Fit) -> float:
 
 
 def _samples(session: Session, data: Readings) -> list[Floats]:
-    """Samples of every dwell about its mean, in mg."""
+    """Samples of every dwell minus their mean, in mg."""
     parts = [data.unit.mg(dwell.accel) for dwell in session.dwells if len(dwell)]
     return [part - part.mean(axis=0) for part in parts]
 
@@ -165,7 +167,7 @@ def _density(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats
 
 
 def _common(curves: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, list[Floats]]:
-    """Curves on the first one's places, over the range that both have."""
+    """Interpolate the second curve (log-log) at the places of the first one, over their common range."""
     (place, ours), (other, theirs) = curves
     inside = (place >= other[0] * 0.999) & (place <= other[-1] * 1.001)
     at = np.log(place[inside])
@@ -176,7 +178,7 @@ def _common(curves: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, list[Float
 
 
 def _ratio(measured: Floats, twin: Floats) -> float:
-    both = (measured > 0) & (twin > 0)  # a spectrum that is quantization only has empty bands
+    both = (measured > 0) & (twin > 0)  # a spectrum of quantization alone has empty bands
     return float(np.exp(np.mean(np.log(measured[both] / twin[both])))) if both.any() else 1.0
 
 
@@ -184,7 +186,7 @@ _AXES = "xyz"
 
 
 def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Section | None:
-    """Simulate a session by its own model and compare; None where the trace has no model to simulate.
+    """Simulate a session by its own model and compare; None if the trace has no model.
 
     Raises
     ------
@@ -196,15 +198,15 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
     twin = simulate_like(session, traced.fits[-1], seed=seed)
     found = compare(session, twin, traced.fits[-1])
     verdict = (
-        "They agree: the model and the noise account for what was measured."
+        "They agree: the model and the noise explain the measured data."
         if found.agrees
-        else "They differ: the session holds something that neither the model nor the measured noise has."
+        else "They differ: neither the model nor the measured noise explains all of the session."
     )
     return Section(
         title="The digital twin against the measured data",
         words=(
-            "The model that was traced became the world of the simulated sensor, which was then measured in"
-            " the same positions at the same times. " + verdict,
+            "The traced model was the world of a simulated sensor, which was measured in the positions and"
+            " at the times of the session. " + verdict,
         ),
         folded=True,
         figures=tuple(_figures(found)),
