@@ -108,8 +108,8 @@ def test_the_page_is_well_formed_and_loads_nothing(page):
 
 def test_the_page_answers_every_question(page):
     wanted = {
-        "Summary", "Results by method", "What was found", "Error before and after",
-        "Residual, step by step", "What is left", "Rivals", "What could not be seen",
+        "Summary", "Results by method", "Effects found", "Error before and after",
+        "Residual, step by step", "Remaining residual", "Rivals", "Smallest detectable amplitudes",
         "What to measure next", "Data and configuration",
     }  # fmt: skip
     assert wanted <= set(outline(page).headings)
@@ -124,7 +124,7 @@ def test_every_step_has_a_figure(page, curved):
     _, result, _ = curved
     steps = [h for h in outline(page).headings if h.startswith("Step ")]
     assert steps == [f"Step {k}: {step.effect}" for k, step in enumerate(result.steps, 1)]
-    body = page[page.index("Residual, step by step") : page.index("What is left")]
+    body = page[page.index("Residual, step by step") : page.index("Remaining residual")]
     assert body.count("<svg") >= len(result.steps)
 
 

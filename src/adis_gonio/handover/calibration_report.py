@@ -254,7 +254,7 @@ def found_section(traced: TraceResult) -> Section:
     ]
     causes = {finding.effect: finding.cause for finding in words.ordered(traced)}
     return Section(
-        "What was found",
+        "Effects found",
         notes=[f"{name}: {cause}" for name, cause in causes.items()],
         words=[] if rows else ["No effect had to be added, or none could be named."],
         tables=tables,
@@ -292,7 +292,7 @@ def within_section(traced: TraceResult) -> Section:
         left_out = len(finding.places) - _MOST_PLACES
         if left_out > 0:
             rows.append([finding.kind, f"{left_out} more", "", "", "", ""])
-    head = ["what", "position", "axis", "time / s", "size", "the mean is off by / mg"]
+    head = ["finding", "position", "axis", "time / s", "size", "the mean is off by / mg"]
     tables = [Table(head, rows, numeric=(3, 4, 5))] if rows else []
     return Section("Inside the dwells", points=words.within(traced), figures=figures, tables=tables)
 
@@ -364,7 +364,7 @@ def left_section(views: Views) -> Section:
         y = "residual of the norm / mg" if panels[0].quantity == "norm" else "residual / mg"
         title = f"Residual of the final model against {x}"
         figures.append(Figure(plot(series, x, y, title=title, zero=True), title))
-    return Section("What is left", figures=figures)
+    return Section("Remaining residual", figures=figures)
 
 
 def rivals_section(traced: TraceResult) -> Section:
@@ -406,11 +406,11 @@ def sight_section(traced: TraceResult) -> Section:
         numeric=(1, 2),
         caption="Smallest amplitude that this session would have shown with 90 % power.",
     )
-    return Section("What could not be seen", tables=[table] if rows else [], folded=True)
+    return Section("Smallest detectable amplitudes", tables=[table] if rows else [], folded=True)
 
 
 def advice_section(traced: TraceResult) -> Section:
-    """What to measure next."""
+    """Advice on the next measurements."""
     return Section("What to measure next", points=words.advice(traced))
 
 
@@ -524,7 +524,7 @@ def _span(series: Sequence[Any], unit: str) -> str:
 
 
 def _readings(session: Session, observed: Readings) -> Table:
-    used = set(observed.position.tolist())  # not those that stand at a limit
+    used = set(observed.position.tolist())  # without saturated dwells
     dwells = [dwell for dwell in session.dwells if dwell.position in used]
     letters = "xyz"[: observed.axes]
     rows = []
@@ -585,8 +585,8 @@ def _panel_plot(panel: Panel, effect: str, before: str) -> str:
 def _panel_caption(panel: Panel, effect: str, before: str) -> str:
     unit = "°" if panel.quantity == "angle" else " mg"
     was, now = (float(np.sqrt(np.nanmean(v**2))) for v in (panel.before, panel.after))
-    what = {"norm": "Norm", "angle": "Angle"}.get(panel.quantity, f"Axis {panel.quantity[-1]}")
-    return f"{what}: {format_number(was)}{unit} rms {before}, {format_number(now)}{unit} with {effect}."
+    quantity = {"norm": "Norm", "angle": "Angle"}.get(panel.quantity, f"Axis {panel.quantity[-1]}")
+    return f"{quantity}: {format_number(was)}{unit} rms {before}, {format_number(now)}{unit} with {effect}."
 
 
 def _bars(panel: Panel) -> Any:
@@ -616,26 +616,26 @@ def build_page(
     sections: Sequence[Section] = (),
     failures: Mapping[str, str] | None = None,
 ) -> str:
-    """The calibration report as HTML.
+    """Render the calibration report as HTML.
 
     Parameters
     ----------
     session : Session
     fits : sequence of FitResult
-        One a method, the best last.
+        One per method, the best last.
     traced : TraceResult or str
-        The trace, or why there is none.
+        The trace, or the reason if there is none.
     shown : Views, optional
-        What the figures show (`views`).
+        Residuals for the figures (`views`).
     sections : sequence of Section
-        Further sections, put before data and configuration.
+        Further sections, before data and configuration.
     failures : mapping of str to str, optional
         Reason of each method that failed.
 
     Returns
     -------
     str
-        One page that loads nothing; whatever came from a file is escaped.
+        One page that loads nothing; all texts are escaped.
     """
     software = f"adis-gonio {__version__}"
     result = traced if isinstance(traced, TraceResult) else None

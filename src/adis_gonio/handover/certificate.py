@@ -138,8 +138,8 @@ def _administrative(parent: ET.Element, calibration: Calibration, issued: date |
         ("performanceLocation", "other"),
     ):
         _add(core, name, text)
-    what = "Accelerometers" if calibration.gyro is None else "Accelerometers and gyros"
-    item = _named(_add(parent, "items"), "item", f"{what} of an {where.sensor} in a goniometer")
+    sensors = "Accelerometers" if calibration.gyro is None else "Accelerometers and gyros"
+    item = _named(_add(parent, "items"), "item", f"{sensors} of an {where.sensor} in a goniometer")
     if where.sensor in VARIANTS:
         _named(item, "manufacturer", "Analog Devices")
     _add(item, "model", where.sensor)
@@ -165,12 +165,12 @@ def _contact(parent: ET.Element) -> None:
 def _statements(calibration: Calibration) -> list[str]:
     texts = [
         "Made by a program and not signed; laboratory, customer and country are not stated (code ZZ), "
-        "and no traceability is claimed beyond that of the stage's declared angles.",
+        "and no traceability is claimed beyond the declared angles of the stage.",
         "Readings are U = diag(K) D g + b: sensitivities relative to the nominal one, skews as 90° less "
-        "the angle between two axes, biases as readings where no acceleration acts.",
+        "the angle between two axes, biases as readings without acceleration.",
     ]
     if not calibration.provenance.recorded_utc:
-        texts.append("The date of recording is not stated; the dates are that of issue.")
+        texts.append("The date of recording is not stated; the dates are the date of issue.")
     texts += [f"{name} was not determined and is taken as nominal." for name in calibration.assumed]
     texts += [f"Not corrected: {one.effect}: {one.reason}." for one in calibration.not_corrected]
     if calibration.gyro is not None:
@@ -187,7 +187,7 @@ def _statements(calibration: Calibration) -> list[str]:
 def _gyro_statements(gyro: GyroCalibration) -> list[str]:
     texts = [
         "Gyros read K D ω + b + G f: zero rates b without acceleration, sensitivities relative to the "
-        "nominal one, f what the accelerometers read.",
+        "nominal one, f the readings of the accelerometers.",
     ]
     if gyro.assumed:
         texts.append(f"Not determined and taken as nominal: {', '.join(gyro.assumed)}.")

@@ -53,7 +53,7 @@ ONE = 1 << Q
 LIMIT = int(RANGE_G * ONE)
 CORDIC_STEPS = 28
 TURN_BITS = 32
-"""An angle inside is a whole number, 2³² to a turn."""
+"""An internal angle is an integer, 2³² per turn."""
 HALF_TURN_UDEG = 180_000_000
 CORDIC_UDEG = 7
 """Bound of the angle's error by CORDIC in µ°."""
@@ -95,7 +95,7 @@ class Scaled:
 
     @classmethod
     def of(cls, value: float, most_shift: int = 62) -> Scaled:
-        """The format that uses 30 bits; zero and what is far below them becomes 0."""
+        """The format that uses 30 bits; values far below its range become 0."""
         if value == 0.0:
             return cls(0, Q)
         shift = min(BITS - math.frexp(value)[1], most_shift)
@@ -120,14 +120,14 @@ class FixedTerm:
 
 @dataclass(frozen=True)
 class FixedPoint:
-    """The constants of the header, and what it computes.
+    """The constants of the header in fixed point, and its computation.
 
     Attributes
     ----------
     step : tuple of Scaled
         g per 1/256 step.
     bias : tuple of int
-        In Q29 g; larger than 32 bits where counts have a far zero.
+        In Q29 g; more than 32 bits if the zero of counts is far away.
     terms : tuple of FixedTerm
     matrix : tuple of tuple of Scaled
     temperature, supply : (int, Scaled)
@@ -217,9 +217,10 @@ def cordic_table() -> list[int]:
 
 
 def atan2_udeg(y: Whole, x: Whole) -> Whole:
-    """Angle (n,) in µ° of vectors of whole numbers below 2³¹; 0 where both are zero."""
+    """Angle (n,) in µ° of vectors of integers below 2³¹; 0 for the null vector."""
     ay, ax = np.abs(np.asarray(y, dtype=np.int64)), np.abs(np.asarray(x, dtype=np.int64))
     none = (ax == 0) & (ay == 0)
+    # Scale each vector to 2²⁸ … 2²⁹, as the loops of the header do.
     for _ in range(TURN_BITS):
         small = (np.maximum(ax, ay) < ONE >> 1) & ~none
         ax, ay = np.where(small, 2 * ax, ax), np.where(small, 2 * ay, ay)
@@ -227,11 +228,12 @@ def atan2_udeg(y: Whole, x: Whole) -> Whole:
         large = np.maximum(ax, ay) >= ONE
         ax, ay = np.where(large, ax >> 1, ax), np.where(large, ay >> 1, ay)
     turn = np.zeros(len(ax), dtype=np.int64)
+    # CORDIC: turn the vector onto x by ±atan 2⁻ⁱ and add up the turns.
     for i, step in enumerate(cordic_table()):
         sign, size = np.sign(ay), np.abs(ay)
         ax, ay = ax + (size >> i), ay - sign * (ax >> i)
         turn = turn + sign * step
-    # From 2³² a turn to 360 000 000 µ°.
+    # From 2³² per turn to 360 000 000 µ°.
     udeg = _shifted(turn * (2 * HALF_TURN_UDEG >> 3), TURN_BITS - 3)
     udeg = np.where(np.asarray(x) < 0, HALF_TURN_UDEG - udeg, udeg)
     return np.where(none, 0, np.where(np.asarray(y) < 0, -udeg, udeg))
@@ -314,7 +316,7 @@ def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> RateP
     """
     polynomial = polynomial_of(calibration)
     if calibration.provenance.counts:
-        raise FitError("accelerometers in counts of unknown scale say no force for the gyros")
+        raise FitError("accelerometers in counts of unknown scale give no force for the gyros")
     gains = np.linalg.svd(gyro.sensitivity, compute_uv=False)
     if gains.min() < LEAST_GAIN or gains.max() > MOST_GAIN:
         raise FitError("gains of the gyros are too far from 1 for a fixed-point header")
@@ -333,7 +335,7 @@ def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> RateP
         elif kind == "gyro_scale_temperature":
             warm[own] = 1e-6 * one.value * SPAN_C
     if max(map(abs, warm)) > 0.5:
-        raise FitError("a gyro's gain follows the temperature too much: look for what is wrong")
+        raise FitError("a gyro's gain follows the temperature too much: check the session")
     return RatePolynomial(
         tuple(gyro.bias_dps.tolist()),
         tuple(terms),

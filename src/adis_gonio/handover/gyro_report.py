@@ -39,7 +39,7 @@ def gyro_section(session: Session) -> Section | None:
     said = [
         uncertainty_sentence(result),
         f"By the mean rates of {result.held}: a gyro reads K D ω + b + G f, with ω the rate of turn, b its "
-        "zero rate, K its gain, D its axis in the accelerometers' frame, f what these read.",
+        "zero rate, K its gain, D its axis in the accelerometers' frame, f their readings.",
         f"Residual {format_number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
         f"{format_number(result.chi2)} / {result.dof}.",
     ]
@@ -192,7 +192,7 @@ def allan_page(result: AllanResult) -> str:
         f"{said.PARTS[result.part]} of {name}",
         shape=result.sensor,
         simulated=result.simulated,
-        sections=[replace(whole, title="What was recorded", parts=()), *whole.parts],
+        sections=[replace(whole, title="Recording", parts=()), *whole.parts],
         closing="This page is made from the session's file and can be made again from it.",
     )
 

@@ -341,7 +341,7 @@ def _bias(done: Study) -> Section:
     return Section(
         "A bias of 10 mg",
         words=(
-            f"{counted(bias.sessions, 'part')} whose axes have biases with a standard deviation of 10 mg,"
+            f"{counted(bias.sessions, 'part')} with biases of a standard deviation of 10 mg per axis,"
             " as the simulated part has, on a stage with an error of 0.02°. The paper's error of Δφ is"
             f" {format_number(bias.multiple, 2)} times the error of ml (95 %: {format_number(bias.low, 2)}"
             f" to {format_number(bias.high, 2)}, by bootstrap over the sessions), by medians"

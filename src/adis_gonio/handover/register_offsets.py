@@ -163,22 +163,20 @@ def registers_text(calibration: Calibration) -> str:
     """
     where, gyro = calibration.provenance, calibration.gyro
     lines = [
-        f"# Offsets that take the bias out of an {where.sensor}, part {where.serial or 'not stated'}, "
+        f"# Offsets that remove the bias of an {where.sensor}, part {where.serial or 'not stated'}, "
         f"by {where.software}, from {where.source or 'a session'} (data {where.sha256[:16]}).",
         "# Write them: adis-gonio registers URL $(grep -v '^#' THIS_FILE)  # and --save for flash",
         "# The part adds them to its outputs; coefficients exported before hold for the old offsets only.",
     ]
     words = offset_words(calibration)
     if words[0].before is None:
-        lines.append(
-            "# The session does not say what the registers held: these numbers hold where that was 0."
-        )
+        lines.append("# The session does not state the contents of the registers: the numbers assume 0.")
     lines += _lines(words, "bias", 3)
     if gyro is not None:
         if gyro.source != where.source:
             lines.append(f"# Gyros from {gyro.source or 'a session not stated'}.")
         if gyro.offsets_lsb is None and words[0].before is not None:
-            lines.append("# What their registers held is not stated: these numbers hold where that was 0.")
+            lines.append("# The contents of their registers are not stated: the numbers assume 0.")
         lines += _lines(gyro_offset_words(gyro), "zero rate", 4)
     return "\n".join(lines) + "\n"
 
