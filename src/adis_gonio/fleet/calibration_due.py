@@ -64,7 +64,7 @@ def worst_deg(
     k : float
         Coverage factor of U.
     """
-    slopes = slopes_deg(gravity_mps2)
+    slopes = slopes_deg(gravity_mps2)  # (360, 4)
     by = np.array([difference.get(name, 0.0) for name in PARAMETERS])
     spread = np.array([u.get(name, 0.0) for name in PARAMETERS])
     error = np.abs(slopes @ by)

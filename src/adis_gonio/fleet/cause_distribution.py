@@ -48,6 +48,7 @@ def share_of(
             ]
             log_posterior.append([_at(factors, share) for share in _SHARES])
     by_share = logsumexp(np.array(log_posterior), axis=0)
+    # Normalise the posterior on the uneven grid of shares, and read off its quantiles.
     density = np.exp(by_share - by_share.max())
     weight = density * np.gradient(_SHARES)
     weight /= weight.sum()
@@ -138,6 +139,7 @@ def _curvature(value, at: Floats, step: float = 0.05) -> Floats:  # type: ignore
     out = np.zeros((count, count))
     for i in range(count):
         for j in range(i, count):
+            # f(+,+) − f(+,−) − f(−,+) + f(−,−) over 4 h²
             corners = [a * b * value(at + a * moves[i] + b * moves[j]) for a in (1, -1) for b in (1, -1)]
             out[i, j] = out[j, i] = -sum(corners) / (4 * step**2)
     return out

@@ -90,6 +90,7 @@ def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM
     between = between_neighbours(value, u)
     variance = u**2 + between**2
     weight = 1 / variance
+    # Weighted mean of all sessions before each session, and the variance of the difference.
     total, summed = np.cumsum(weight)[:-1], np.cumsum(weight * value)[:-1]
     expected = np.concatenate([[np.nan], summed / total])
     sigma = np.sqrt(np.concatenate([[np.nan], variance[1:] + 1 / total]))
@@ -161,6 +162,7 @@ def _one_sided(h: float, k: float) -> float:
     x, w = h * (node + 1) / 2, h * weight / 2
     s = np.concatenate([[0.0], x])
     step = x[None, :] + k - s[:, None]
+    # First column: probability to return to zero; the others: density at the nodes.
     kernel = np.column_stack([ndtr(k - s), w * np.exp(-(step**2) / 2) / math.sqrt(2 * math.pi)])
     return float(np.linalg.solve(np.eye(len(s)) - kernel, np.ones(len(s)))[0])
 
@@ -226,7 +228,7 @@ def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
     stated = _line(day, value, u**2)
     between = tau_of(lambda tau: _line(day, value, u**2 + tau**2)[-1], dof, value)
     middle, level, slope, variances, chi2 = _line(day, value, u**2 + between**2)
-    scale = max(1.0, chi2 / dof)
+    scale = max(1.0, chi2 / dof)  # Knapp and Hartung, never below the stated u
     u_level, u_slope = (math.sqrt(scale * v) for v in variances)
     return Drift(
         slope=Value(slope * YEAR_DAYS, u_slope * YEAR_DAYS, f"{unit}/a", dof),

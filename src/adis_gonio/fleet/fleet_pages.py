@@ -361,17 +361,17 @@ class FleetResult:
         OutputError
             The file cannot be written; an existing file stays as it is.
         """
-        with replacing(path) as beside:
+        with replacing(path) as temporary:
             if path.suffix.lower() == ".parquet":
                 from adis_gonio.fleet.session_table import write_parquet
 
                 about = {"software": f"adis-gonio {__version__}", "options": self.options.as_dict()}
-                write_parquet(self.rows, beside, about)
+                write_parquet(self.rows, temporary, about)
             elif path.suffix.lower() == ".html":
-                write_utf8(beside, build_page(self.summary, self.fleet.repeated, self.population_lines))
+                write_utf8(temporary, build_page(self.summary, self.fleet.repeated, self.population_lines))
             else:
                 text = json.dumps(finite(self.as_dict()), ensure_ascii=False, indent=2, allow_nan=False)
-                write_utf8(beside, text + "\n")
+                write_utf8(temporary, text + "\n")
 
 
 def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:

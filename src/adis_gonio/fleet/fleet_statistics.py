@@ -181,7 +181,7 @@ def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> 
     _, index, count = np.unique(unit[good], return_inverse=True, return_counts=True)
     weight = 1 / s**2
     centre = np.bincount(index, weight * x) / np.bincount(index, weight) if len(x) else x
-    several = count[index] > 1
+    several = count[index] > 1  # sessions of units with at least two
     freedom = int((count[count > 1] - 1).sum())
     if not freedom:
         return None
@@ -344,6 +344,7 @@ def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
 
 def _medians(values: Floats, index: Codes) -> Floats:
     """Median of each group; `index` (n,) numbers the groups from 0 without gaps."""
+    # Sorted within each group, so that the median is the mean of its two middle values.
     x = values[np.lexsort((values, index))]
     count = np.bincount(index)
     first = np.cumsum(count) - count
@@ -355,6 +356,7 @@ def _normal_scores(values: Floats, index: Codes, count: Codes) -> tuple[Floats, 
     n = len(values)
     score = ndtri(rankdata(values) / (n + 1))
     score -= score.mean()
+    # Variance of the sum of `count` scores drawn without replacement.
     variance = count * (n - count) / (n * (n - 1)) * float(score @ score)
     z = np.divide(
         np.bincount(index, score), np.sqrt(variance), out=np.zeros(len(count)), where=variance > 0

@@ -79,10 +79,10 @@ def log_factor(block: Block, mean: Floats, spread: float | Floats) -> Floats:
 def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
     """Log Bayes factors (n, h) for several means (h, d); `spread` may have one value per amplitude (d,)."""
     score, information = block.score, block.information
-    shifted = score[:, None, :] - means @ information  # (n, h, d)
+    shifted = score[:, None, :] - means @ information  # s − Gμ, (n, h, d)
     along = 0.5 * ((score[:, None, :] + shifted) * means).sum(axis=2)
     wide = np.broadcast_to(np.asarray(spread, dtype=float), (block.width,))
-    if block.width == 1:
+    if block.width == 1:  # scalars instead of matrices
         denominator = 1 + wide[0] ** 2 * information[:, 0]
         square = shifted[:, :, 0] ** 2 * (wide[0] ** 2 / denominator)
         return np.asarray(along + 0.5 * (square - np.log(denominator)))
@@ -214,7 +214,7 @@ class Units:
         alike = (length > 0) * np.array([self.columns[k].weight for k in chosen])
         length = np.where(np.broadcast_to(relative, len(chosen)), alike, length)
         ways = self.directions[:, :, chosen].astype(float)
-        gram = ways.transpose(0, 2, 1) @ ways
+        gram = ways.transpose(0, 2, 1) @ ways  # correlations of the scores, (n, d, d)
         return Block(self.z[:, chosen] * length, gram * length[:, :, None] * length[:, None, :])
 
 
@@ -280,6 +280,7 @@ def _moderated(ratio: Floats, dof: Floats) -> Floats:
     else:
         between = np.inf
     prior = 2 / between if between > 2e-3 else 1e3
+    # Mean of common and own ratio, weighted by their degrees of freedom.
     drawn = (prior * common + dof * ratio) / (prior + dof)
     return np.where(foreign, ratio, drawn)
 

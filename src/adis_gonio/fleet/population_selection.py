@@ -227,6 +227,7 @@ class Population:
         self.candidates = list(candidates)
         self.groups = list(groups)
         self.fold = np.arange(len(units)) % FOLDS
+        # Rows that add up the units of each fold of each group.
         inside = np.stack([group.inside for group in groups])
         folds = self.fold[None, :] == np.arange(FOLDS)[:, None]
         self._sums = (inside[:, None, :] & folds[None, :, :]).reshape(-1, len(units)).astype(float)
@@ -239,6 +240,7 @@ class Population:
         if not parts:
             return [(np.zeros(len(self.units)), own)]
         out = []
+        # Every combination of present and absent parts, with its probability in each unit.
         for present in itertools.product((False, True), repeat=len(parts)):
             log_prior = np.zeros(len(self.units))
             for part, there in zip(parts, present, strict=True):
@@ -299,6 +301,7 @@ class Population:
         trained, foreseen = np.zeros((*shape, FOLDS)), np.zeros((*shape, FOLDS))
         for k, candidate in enumerate(candidates):
             prior = grid_of(len(candidate.index)).log_priors
+            # Sum of the gains by group and fold, then over all folds, and over all folds but one.
             by_fold = (self._sums @ self.by_unit(parts, candidate)).reshape(len(self.groups), FOLDS, -1)
             whole = by_fold.sum(axis=1)
             evidence[k] = logsumexp(whole + prior, axis=1)
@@ -313,7 +316,7 @@ class Population:
         prior = self.log_prior
         weighed = scores.log_evidence + prior
         any_ = float(logsumexp(weighed.ravel()))
-        share = np.exp(weighed - any_)
+        share = np.exp(weighed - any_)  # posterior of each candidate in each group
         posterior: dict[Kind, float] = defaultdict(float)
         for k, candidate in enumerate(self.candidates):
             posterior[candidate.kind] += float(share[k].sum())

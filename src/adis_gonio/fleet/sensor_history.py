@@ -208,11 +208,11 @@ def _names(records: Sequence[SessionRecord]) -> list[str]:
 
 
 def _track(name: str, records: Sequence[SessionRecord], k: float, h: float) -> Track:
-    held = [(n, r, r.values[name]) for n, r in enumerate(records) if _stated(r.values.get(name))]
-    day = np.array([day_of(record.when or "") for _, record, _ in held])
-    values = tuple(value for _, _, value in held)
+    stated = [(n, r, r.values[name]) for n, r in enumerate(records) if _stated(r.values.get(name))]
+    day = np.array([day_of(record.when or "") for _, record, _ in stated])
+    values = tuple(value for _, _, value in stated)
     unit = values[0].unit if values else ""
-    track = Track(name, unit, tuple(n for n, _, _ in held), day, values)
+    track = Track(name, unit, tuple(n for n, _, _ in stated), day, values)
     if name == ANGLE or len(values) < 2:
         return track
     return replace(
@@ -343,6 +343,6 @@ def value_rows(history: History) -> tuple[list[str], Sequence[list[str]]]:
     tracks = list(history.tracks.values())
     rows = []
     for n, record in enumerate(history.sessions):
-        held = [t.values[t.sessions.index(n)] if n in t.sessions else None for t in tracks]
-        rows.append([_date(record), *(DASH if v is None else format_expanded(v) for v in held)])
+        stated = [t.values[t.sessions.index(n)] if n in t.sessions else None for t in tracks]
+        rows.append([_date(record), *(DASH if v is None else format_expanded(v) for v in stated)])
     return ["date", *(track.label for track in tracks)], rows

@@ -107,11 +107,11 @@ def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[st
             chosen = list(range(len(parameters)))
             if "degree" in kind.choices():
                 chosen = chosen[-1:]  # the lower powers have their own columns
-            made = [
+            evidence = [
                 Column(name, True, variant, "".join(one.axes), parameters[k].name, parameters[k].unit)
                 for k in chosen
             ]
-            out.append((_Part(term, chosen) if len(chosen) < len(parameters) else term, made))
+            out.append((_Part(term, chosen) if len(chosen) < len(parameters) else term, evidence))
     out += list(_nameless(data))
     return out, missing
 
@@ -313,7 +313,7 @@ class SessionEvidence:
         try:
             keys = tuple(str(key) for key in document["keys"])
             packed = np.frombuffer(base64.b64decode(document["directions"]), dtype="<i2")
-            made = cls(
+            evidence = cls(
                 keys=keys,
                 z=np.array(document["z"], dtype=float),
                 length=np.array(document["length"], dtype=float),
@@ -327,11 +327,11 @@ class SessionEvidence:
             raise DataError(
                 f"damaged evidence of {document.get('source') or 'a session'}: {error}"
             ) from error
-        if len(made.z) != len(keys) or len(made.length) != len(keys):
+        if len(evidence.z) != len(keys) or len(evidence.length) != len(keys):
             raise DataError(
-                f"damaged evidence of {made.source or 'a session'}: scores and columns differ in number"
+                f"damaged evidence of {evidence.source or 'a session'}: scores and columns differ in number"
             )
-        return made
+        return evidence
 
 
 _TEXTS = ("digest", "source", "serial", "operator", "stage", "sensor")
@@ -377,23 +377,23 @@ def _bias(data: Readings) -> NamedTerm:
 
 def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
     data = fit.data
-    asked, missing = columns_of(data)
-    left = fit.left
+    terms, missing = columns_of(data)
+    residual = fit.left
     own: list[Term] = [_bias(data)]
     for k, term in enumerate(fit.terms):
-        left = left + fit.added(k)
+        residual = residual + fit.added(k)
         if term.name in NUISANCE[1:]:
             own.append(term)
     beside = [fit.white(fit.base_columns), *(fit.white(fit.candidate(term)) for term in own)]
     base = orthonormal(np.concatenate(beside, axis=1))
-    target = fit.white(left[:, :, None])[:, 0]
+    target = fit.white(residual[:, :, None])[:, 0]
     target = target - base @ (base.T @ target)
     # χ² of the fitted model: a large effect that a trace has found is no scatter.
     rest = fit.residual.ravel()
     rest = rest - base @ (base.T @ rest)
 
-    columns = fit.white(np.concatenate([fit.candidate(term) for term, _ in asked], axis=2))
-    keys = [column.key for _, made in asked for column in made]
+    columns = fit.white(np.concatenate([fit.candidate(term) for term, _ in terms], axis=2))
+    keys = [column.key for _, evidence in terms for column in evidence]
     before = np.linalg.norm(columns, axis=0)
     # Project base model, bias and single dwells out of the candidates' columns.
     columns = columns - base @ (base.T @ columns)
@@ -423,6 +423,7 @@ def _unit(directions: Floats) -> Floats:
 
 def _reduced(unit: Floats) -> Floats:
     """Reduce columns (rows, m) to the fewest rows (k, m) with the same products."""
+    # XᵀX = V S² Vᵀ: rows S Vᵀ have the products of the columns.
     _, s, vt = np.linalg.svd(unit, full_matrices=False)
     kept = s > 1e-5 * (s[0] if s.size else 1.0)
     return _unit(s[kept, None] * vt[kept])
@@ -432,16 +433,17 @@ def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[ResidualChi2, ...]:
     """χ² along the turn and across it, with the degrees of freedom after the nuisance parameters."""
     data = fit.data
     rows = rest.reshape(len(data), -1)
-    held = base.reshape(len(data), -1, base.shape[1])
+    base_rows = base.reshape(len(data), -1, base.shape[1])
     if rows.shape[1] != 2 or not isinstance(data.model, PlanarTurn):
         return (ResidualChi2(float((rows**2).sum()), max(fit.equations - base.shape[1], 0.0)),)
+    # Unit vectors along the turn in the whitened readings, and across it.
     along = (data.own_root @ fit.tangent)[:, :, 0]
     along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     return tuple(
         ResidualChi2(
             float(((rows * way).sum(axis=1) ** 2).sum()),
-            len(data) - float((np.einsum("nr,nrk->nk", way, held) ** 2).sum()),
+            len(data) - float((np.einsum("nr,nrk->nk", way, base_rows) ** 2).sum()),
         )
         for way in (along, across)
     )

@@ -215,11 +215,11 @@ class _Worker:
 
     def ask(self, job: Job, options: Options) -> SessionRecord | None:
         """Record of a job; None if the process ended."""
-        asked = {"options": options.as_dict(), "version": __version__, **asdict(job)}
+        request = {"options": options.as_dict(), "version": __version__, **asdict(job)}
         pipe = self._process.stdin
         try:
             if pipe is not None:
-                pipe.write(json.dumps(asked).encode() + b"\n")
+                pipe.write(json.dumps(request).encode() + b"\n")
                 pipe.flush()
         except OSError:
             return None
@@ -369,8 +369,8 @@ class Cluster:
                 self._client.cancel([future for _, future in running.values()], force=True)
 
     def _submit(self, job: Job, options: Options) -> Future:
-        asked = (job.path, job.digest, options.as_dict(), __version__)
-        return self._client.submit(work, *asked, pure=False)
+        request = (job.path, job.digest, options.as_dict(), __version__)
+        return self._client.submit(work, *request, pure=False)
 
     def _next(self, arrived: queue.SimpleQueue[str]) -> str:
         while True:

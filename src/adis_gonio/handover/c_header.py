@@ -371,16 +371,16 @@ def _remarks(calibration: Calibration) -> list[str]:
     rows = _missing(calibration.assumed, calibration.not_corrected)
     offsets = calibration.provenance.offsets_lsb
     if offsets is not None:
-        held = ", ".join(map(str, offsets))
+        numbers = ", ".join(map(str, offsets))
         rows.append(
-            f"holds with {held} in XACCL_OFF, YACCL_OFF, ZACCL_OFF: a part with others needs a new header"
+            f"holds with {numbers} in XACCL_OFF, YACCL_OFF, ZACCL_OFF: a part with others needs a new header"
         )
     if gyro is not None:
         rows += _missing(gyro.assumed, gyro.not_corrected)
         if gyro.offsets_lsb is not None:
-            held = ", ".join(map(str, gyro.offsets_lsb))
+            numbers = ", ".join(map(str, gyro.offsets_lsb))
             rows.append(
-                f"rates hold with {held} in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF: others need a new header"
+                f"rates hold with {numbers} in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF: others need a new header"
             )
     return [_comment(row) for row in rows]
 

@@ -78,25 +78,27 @@ def summary_section(traced: TraceResult | str, fits: Sequence[FitResult], views:
     lines = [words.headline(traced), words.gains(traced)]
     final = {name: value for name, value in traced.base.items() if name in _ORDER}
     if final:
-        beside = f" (method {best.method}, before the trace: {by_method})" if best and by_method else ""
+        alternative = (
+            f" (method {best.method}, before the trace: {by_method})" if best and by_method else ""
+        )
         names = "With the effects found" if traced.steps else "By the base model"
-        lines.append(f"{names} (± u): {_pair(final)}{beside if traced.steps else ''}.")
+        lines.append(f"{names} (± u): {_pair(final)}{alternative if traced.steps else ''}.")
     if traced.confounded:
         lines.append(f"This session cannot distinguish: {'; '.join(words.confounded(traced))}.")
     return Section("Summary", words=lines)
 
 
-def answer_section(given: Answer) -> Section:
+def answer_section(answer: Answer) -> Section:
     """The recommended answer: values with u, U and k, and its reason."""
     table = Table(
         HEAD,
-        [line.cells for line in given.lines],
+        [line.cells for line in answer.lines],
         numeric=(2, 3, 4, 5),
         caption="u: standard uncertainty; U = k·u covers 95 %. The error of the angle is the root mean "
         "square over held-out dwells; its u belongs to a displayed angle.",
     )
-    said = [*given.doubts, f"By method {given.title}.", given.why, *given.remarks]
-    return Section("Answer", words=said, tables=[table], key=_key(given.values))
+    sentences = [*answer.doubts, f"By method {answer.title}.", answer.why, *answer.remarks]
+    return Section("Answer", words=sentences, tables=[table], key=_key(answer.values))
 
 
 def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
@@ -136,19 +138,19 @@ def positions_section(findings: Sequence[PositionFinding]) -> list[Section]:
         ]
         for found in findings
     ]
-    said = list(dict.fromkeys(found.sentence for found in findings))
+    sentences = list(dict.fromkeys(found.sentence for found in findings))
     table = Table(_ANGLES, rows, numeric=(1, 2, 3, 5), caption="Angles with their standard uncertainties.")
-    return [Section("Wrong positions", words=said, tables=[table])]
+    return [Section("Wrong positions", words=sentences, tables=[table])]
 
 
 def _angle(angle: Angle | None) -> str:
     return DASH if angle is None else format_uncertain(*angle, "deg")
 
 
-def budget_section(given: Answer) -> Section:
+def budget_section(answer: Answer) -> Section:
     """Uncertainty budget of ΔK, Δφ and the angle."""
     tables = []
-    for name, rows in given.budget.items():
+    for name, rows in answer.budget.items():
         cells = [
             [
                 row.source,
@@ -161,22 +163,22 @@ def budget_section(given: Answer) -> Section:
             ]
             for row in rows
         ]
-        value = given.values.get(name)
+        value = answer.values.get(name)
         contribution = label_quantity("contribution", "" if value is None else value.unit)
         head = ["source", "type", "distribution", "u of it", "sensitivity", contribution, "share"]
         dof = "–" if value is None else freedom(value.dof)
         caption = f"{NAMES.get(name, name)}: effective degrees of freedom {dof}."
         tables.append(Table(head, cells, caption=caption, numeric=(3, 4, 5, 6)))
-    first = next(iter(given.budget.values()), ())
+    first = next(iter(answer.budget.values()), ())
     notes = [f"{row.source}: {row.note}" for row in first if row.note]
     return Section("Uncertainty budget", tables=tables, notes=notes if tables else [], folded=True)
 
 
-def scores_section(given: Answer) -> Section:
+def scores_section(answer: Answer) -> Section:
     """Scores of every method on equal readings."""
-    head, rows = given.score_rows()
+    head, rows = answer.score_rows()
     table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(0,))
-    return Section("Methods on the same readings", words=[given.scored_on], tables=[table] if rows else [])
+    return Section("Methods on the same readings", words=[answer.scored_on], tables=[table] if rows else [])
 
 
 def _pair(values: Mapping[str, Value]) -> str:
@@ -189,11 +191,11 @@ _BESIDE = 3
 
 def fitted_section(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
     """Tables of the parameters by method, ΔK and Δφ first."""
-    said: dict[str, list[str]] = {}
+    sentences: dict[str, list[str]] = {}
     for fit in fits:
         for warning in fit.warnings:
-            said.setdefault(warning, []).append(fit.method)
-    notes = [f"{', '.join(methods)}: {warning}" for warning, methods in said.items()]
+            sentences.setdefault(warning, []).append(fit.method)
+    notes = [f"{', '.join(methods)}: {warning}" for warning, methods in sentences.items()]
     notes += [f"{method}: {reason}" for method, reason in failures.items()]
     none = [] if fits or failures else ["No method applies: the session has too few poses."]
     # The best fit is last in the list and first on the page.
@@ -336,10 +338,10 @@ def steps_section(traced: TraceResult, views: Views) -> Section:
         ]
         if figures:
             parts.append(Section(f"Step {number_}: {step.effect}", figures=figures))
-    words_ = ["Bars are standard uncertainties of a reading."]
+    sentences = ["Bars are standard uncertainties of a reading."]
     if any(np.isnan(panel.u).all() for view in views.steps for panel in view.panels):
-        words_ = ["No bars: the uncertainty of a point is not known."]
-    return Section("Residual, step by step", words=words_ if parts else [], parts=parts)
+        sentences = ["No bars: the uncertainty of a point is not known."]
+    return Section("Residual, step by step", words=sentences if parts else [], parts=parts)
 
 
 def left_section(views: Views) -> Section:
@@ -388,10 +390,10 @@ def rivals_section(traced: TraceResult) -> Section:
 def sight_section(traced: TraceResult) -> Section:
     """Smallest amplitude of each effect that the session would have shown, and the verdict."""
     seen = words.sight(traced)
-    found_ = {finding.effect for finding in traced.found}
+    effects_found = {finding.effect for finding in traced.found}
     rows = []
     for names, verdict in (
-        (sorted(found_ & set(traced.detectable)), "found"),
+        (sorted(effects_found & set(traced.detectable)), "found"),
         ([name for name, _ in seen.open], "open: not distinguishable from others here"),
         ([name for name, _ in seen.visible], words.absent(traced)),
         ([name for name, _ in seen.weak], "absent or smaller"),
@@ -640,12 +642,12 @@ def build_page(
     software = f"adis-gonio {__version__}"
     result = traced if isinstance(traced, TraceResult) else None
     best = next((fit for fit in reversed(fits) if fit.standing is not None), None)
-    given = None if best is None else answer_with_trace(best, result, own=False)
-    body = [answer_section(given)] if given is not None else []
+    answer = None if best is None else answer_with_trace(best, result, own=False)
+    body = [answer_section(answer)] if answer is not None else []
     body += [summary_section(traced, fits, shown)]
     body += positions_section(result.position_findings if result is not None else _of_fits(fits))
-    if given is not None:
-        body += [budget_section(given), scores_section(given)]
+    if answer is not None:
+        body += [budget_section(answer), scores_section(answer)]
     body += [fitted_section(fits, failures or {})]
     if result is not None:
         body += [found_section(result), errors_section(result)]
@@ -653,7 +655,7 @@ def build_page(
             body += [steps_section(result, shown), left_section(shown)]
         body += [within_section(result)]
         body += [rivals_section(result), sight_section(result), advice_section(result)]
-    reference_c = None if given is None else given.reference_temperature_c
+    reference_c = None if answer is None else answer.reference_temperature_c
     if reference_c is None and result is not None:
         reference_c = result.reference_temperature_c
     body += [*sections, data_section(session, result, software, reference_c)]

@@ -92,8 +92,8 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     white = np.sqrt(density / sample_period_s(smpl_prd))
     if stated is None:
         noisy = (variance > 0) & (white > 0)  # a constant axis shows no filter
-        wanted = float(np.mean(np.log(variance[noisy] / white[noisy] ** 2))) if noisy.any() else 0.0
-        filter_m = min(range(7), key=lambda m: abs(math.log((bartlett(m) ** 2).sum()) - wanted))
+        target = float(np.mean(np.log(variance[noisy] / white[noisy] ** 2))) if noisy.any() else 0.0
+        filter_m = min(range(7), key=lambda m: abs(math.log((bartlett(m) ** 2).sum()) - target))
     return SamplesNoise(smpl_prd, filter_m, white, np.sqrt(means.flicker))
 
 
@@ -212,7 +212,7 @@ class LikeWorld(World):
         effects = []
         for term, values in zip(fit.terms, fit.values.terms, strict=True):
             kind = AngleTerm if term.enters_angle else TermEffect
-            made = kind(
+            settings = kind(
                 term=term,
                 columns=data.axes,
                 history=history,
@@ -220,7 +220,7 @@ class LikeWorld(World):
                 offset_s=offset_s,
                 variance_mg2=data.conditions.variance_mg2,
             )
-            effects.append((made, values))
+            effects.append((settings, values))
         part = sensor if sensor in VARIANTS else "adis16354"
         super().__init__(_settings(fit, gyro), part=part, seed=seed, effects=effects)
         white = np.full(3, float(noise.white_mg.mean()))
@@ -260,23 +260,23 @@ def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, flo
     part's readings. The zero rates therefore include the effect of the accelerometers' bias (3,).
     """
     moved = gyro.with_force_moved(-accel_bias_mg / 1000)
-    held = {one.name: one.value for one in moved.parameters}
+    known = {one.name: one.value for one in moved.parameters}
     pairs = [i + j for i in AXES for j in AXES]
-    made: dict[str, float] = {}
+    settings: dict[str, float] = {}
     for axis in AXES:
-        made |= {
-            f"gyro_bias_{axis}_dps": held[f"gyro_bias_{axis}"],
-            f"gyro_bias_tempco_{axis}_dps_per_c": held.get(f"gyro_bias_temperature_{axis}", 0.0),
-            f"gyro_scale_{axis}": held.get(f"gyro_scale_{axis}", 1.0),
-            f"gyro_scale_tempco_{axis}_ppm_per_c": held.get(f"gyro_scale_temperature_{axis}", 0.0),
-            f"gyro_supply_{axis}_dps_per_v": held.get(f"gyro_supply_{axis}", 0.0),
+        settings |= {
+            f"gyro_bias_{axis}_dps": known[f"gyro_bias_{axis}"],
+            f"gyro_bias_tempco_{axis}_dps_per_c": known.get(f"gyro_bias_temperature_{axis}", 0.0),
+            f"gyro_scale_{axis}": known.get(f"gyro_scale_{axis}", 1.0),
+            f"gyro_scale_tempco_{axis}_ppm_per_c": known.get(f"gyro_scale_temperature_{axis}", 0.0),
+            f"gyro_supply_{axis}_dps_per_v": known.get(f"gyro_supply_{axis}", 0.0),
         }
     for pair in pairs:
-        made[f"gyro_g_sensitivity_{pair}_dps_per_g"] = held.get(f"g_sensitivity_{pair}", 0.0)
-        made[f"gyro_g2_sensitivity_{pair}_dps_per_g2"] = held.get(f"g2_sensitivity_{pair}", 0.0)
+        settings[f"gyro_g_sensitivity_{pair}_dps_per_g"] = known.get(f"g_sensitivity_{pair}", 0.0)
+        settings[f"gyro_g2_sensitivity_{pair}_dps_per_g2"] = known.get(f"g2_sensitivity_{pair}", 0.0)
         if pair[0] != pair[1]:
-            made[f"gyro_misalignment_{pair}_deg"] = held.get(f"gyro_misalignment_{pair}", 0.0)
-    return made
+            settings[f"gyro_misalignment_{pair}_deg"] = known.get(f"gyro_misalignment_{pair}", 0.0)
+    return settings
 
 
 def _accel_bias_mg(fit: Fit) -> Floats:

@@ -17,8 +17,7 @@ from adis_gonio.base.numbers import (
     join_words,
 )
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.allan import AllanResult, AxisNoise, fit_allan
-from adis_gonio.fitting.allan import allan_result as said
+from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_result, fit_allan
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro, gains_in
 from adis_gonio.handover.register_offsets import gyro_offset_words
 from adis_gonio.model.records import Session
@@ -36,7 +35,7 @@ def gyro_section(session: Session) -> Section | None:
         result = fit_gyro(session)
     except AdisGonioError:
         return None
-    said = [
+    sentences = [
         uncertainty_sentence(result),
         f"By the mean rates of {result.held}: a gyro reads K D ω + b + G f, with ω the rate of turn, b its "
         "zero rate, K its gain, D its axis in the accelerometers' frame, f their readings.",
@@ -45,10 +44,10 @@ def gyro_section(session: Session) -> Section | None:
     ]
     gains = gains_in(result)
     if gains is not None:
-        said.append(gains.line)
+        sentences.append(gains.line)
     return Section(
         "Gyros",
-        words=said,
+        words=sentences,
         points=tuple(result.warnings),
         figures=[_residuals(result)],
         tables=[gyro_table(result), *_offsets(session), *_scores(result)],
@@ -62,7 +61,7 @@ def uncertainty_sentence(result: GyroFit) -> str:
     for name, value in result.parameters.items():
         if value.u is not None:
             largest.setdefault(name.rsplit("_", 1)[0], []).append(value.u)
-    told = {
+    texts = {
         "gyro_bias": "zero rates to {} °/s",
         "gyro_scale": "gains to {} %",
         "gyro_misalignment": "directions of axes to {}°",
@@ -71,7 +70,7 @@ def uncertainty_sentence(result: GyroFit) -> str:
     parts = [
         text.format(format_number(max(largest[kind]) * (100 if kind == "gyro_scale" else 1), 2))
         + ("" if len(largest[kind]) in (3, 6, 9) else f" ({len(largest[kind])} of them)")
-        for kind, text in told.items()
+        for kind, text in texts.items()
         if kind in largest
     ]
     return f"Determined: {join_words(parts)} (largest standard uncertainty of each)."
@@ -189,7 +188,7 @@ def allan_page(result: AllanResult) -> str:
     whole = section_of(result)
     return render(
         "Noise at rest",
-        f"{said.PARTS[result.part]} of {name}",
+        f"{allan_result.PARTS[result.part]} of {name}",
         shape=result.sensor,
         simulated=result.simulated,
         sections=[replace(whole, title="Recording", parts=()), *whole.parts],
@@ -215,8 +214,8 @@ def shows_slow_noise(result: AllanResult) -> bool:
 def section_of(result: AllanResult) -> Section:
     """Content of `allan_page` as a section of another page."""
     return Section(
-        f"Noise of the {said.PARTS[result.part]} at rest",
-        words=(f"{said.headline(result)}.",),
+        f"Noise of the {allan_result.PARTS[result.part]} at rest",
+        words=(f"{allan_result.headline(result)}.",),
         notes=[*result.notes, *_reading()],
         parts=[_section(result, axis) for axis in result.axes],
     )
@@ -229,7 +228,7 @@ def allan_svg(result: AllanResult) -> str:
         curve = axis.curve
         series.append(Series(curve.tau_s, curve.deviation, axis.axis, role=role))
         series.append(Series(curve.tau_s, curve.model, "", role="model", style="line"))
-    title = f"Allan deviation of the {said.PARTS[result.part]}"
+    title = f"Allan deviation of the {allan_result.PARTS[result.part]}"
     described = " ".join(_described(result, axis) for axis in result.axes)
     return plot(
         series, _TIME, _deviation(result), title=title, description=described, x_log=True, y_log=True,
@@ -257,15 +256,19 @@ def _section(result: AllanResult, axis: AxisNoise) -> Section:
     for parameter in axis.parameters:
         if parameter.present:
             # Every row has its name, since a screen reader reads the head of each row.
-            rows += [(said.name_shown(parameter), *row[1:]) for row in said.cells(parameter)]
+            rows += [
+                (allan_result.name_shown(parameter), *row[1:]) for row in allan_result.cells(parameter)
+            ]
         elif parameter.kind != "quantization":
             unit = format_unit(parameter.unit)
-            absent.append(f"{said.name_shown(parameter)} / {unit}: {said.missing(parameter)}")
+            absent.append(
+                f"{allan_result.name_shown(parameter)} / {unit}: {allan_result.missing(parameter)}"
+            )
     return Section(
         f"{axis.axis.upper()}",
         points=[*absent, *axis.notes],
         figures=(_figure(result, axis),),
-        tables=(Table(("noise", *said.HEAD[1:]), rows, numeric=(1, 2, 3, 4)),),
+        tables=(Table(("noise", *allan_result.HEAD[1:]), rows, numeric=(1, 2, 3, 4)),),
     )
 
 

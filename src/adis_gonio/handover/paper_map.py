@@ -212,6 +212,7 @@ def readings(
         Bias and noise, in local gravity.
     """
     k_x, k_y, phi, *_ = truth.natural
+    # Angle of gravity in the part, (n, positions).
     psi = alpha_rad[:, None] - np.radians(np.asarray(angles_deg, dtype=float)) + fixture_rad
     return np.stack([k_x * np.cos(psi), k_y * np.sin(psi + phi)], axis=2) + added
 
@@ -219,6 +220,7 @@ def readings(
 def by_positions(angles_deg: Sequence[float], natural: Floats, *, bias: bool) -> Floats:
     """Parameters (n, 6) of readings (n, positions, 2) by least squares with the declared angles."""
     theta = np.radians(np.asarray(angles_deg, dtype=float))
+    # Linear problem U = A cos θ + B sin θ (+ b) of each axis, solved for all sessions at once.
     columns = [np.cos(theta), np.sin(theta)] + [np.ones_like(theta)] * bias
     return turn_parameters(np.einsum("kp,npa->nka", np.linalg.pinv(np.stack(columns, axis=1)), natural))
 

@@ -196,6 +196,7 @@ def _passes(monomials: tuple[Monomial, ...]) -> int:
     """Number of passes after which a ← free − Σ(a) has settled, by the contraction of Σ over the range."""
     largest, slope = np.zeros(3), np.zeros(3)
     for one in monomials:
+        # Largest value and slope of this monomial for |a| up to `RANGE_G` and |t|, |v| up to 1.
         powers = [factor for factor in one.factors if factor not in ("t", "v")]
         largest[one.axis] += abs(one.coefficient) * RANGE_G ** len(powers)
         if powers:

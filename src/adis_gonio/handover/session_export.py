@@ -188,8 +188,8 @@ class ExportSource:
         return load_session(self.path, self.overrides)
 
     def _calibration(self) -> Calibration:
-        made = calibration_in(self.path)
-        if made is None:
+        calibration = calibration_in(self.path)
+        if calibration is None:
             session = load_session(self.path, self.overrides)
             changed = changed_registers(session)
             if changed:
@@ -206,14 +206,15 @@ class ExportSource:
             raise UsageError(
                 f"{self.path}: is a calibration already: --method and --trace go with a session"
             )
-        return self._with_gyros(made)
+        return self._with_gyros(calibration)
 
-    def _with_gyros(self, made: Calibration, session: Session | None = None) -> Calibration:
+    def _with_gyros(self, calibration: Calibration, session: Session | None = None) -> Calibration:
         if self.gyros is not None:
             return replace(
-                made, gyro=load_gyro_calibration(self.gyros, made.provenance, traced=self.traced)
+                calibration,
+                gyro=load_gyro_calibration(self.gyros, calibration.provenance, traced=self.traced),
             )
-        return made if session is None else with_gyros(made, session, traced=self.traced)
+        return calibration if session is None else with_gyros(calibration, session, traced=self.traced)
 
     def _result(self, session: Session) -> Any:
         if self.traced:
@@ -234,10 +235,10 @@ class ExportSource:
         if changed_registers(session):
             return json_text(finite(document))
         try:
-            made = result.calibration()
+            calibration = result.calibration()
         except FitError:  # the coefficients then hold the known parameters
             with suppress(DataError, FitError):
                 document["gyro"] = gyro_calibration_of(session, traced=self.traced).as_dict()
         else:
-            document = {**self._with_gyros(made, session).as_dict(), **document}
+            document = {**self._with_gyros(calibration, session).as_dict(), **document}
         return json_text(finite(document))

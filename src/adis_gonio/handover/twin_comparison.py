@@ -157,6 +157,7 @@ def _density(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats
         frequency, own = signal.welch(part, 1 / period_s, nperseg=length, axis=0)
         power = own if not power.size else power + own
     power, frequency = power[1:] / len(parts), frequency[1:]
+    # Mean power in bands of a third of an octave.
     edges = frequency[0] * 2.0 ** (np.arange(0, 40) / 3)
     band = np.searchsorted(edges, frequency, side="right")
     kept = np.unique(band)
