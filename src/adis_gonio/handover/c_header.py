@@ -372,9 +372,7 @@ def _remarks(calibration: Calibration) -> list[str]:
     offsets = calibration.provenance.offsets_lsb
     if offsets is not None:
         numbers = ", ".join(map(str, offsets))
-        rows.append(
-            f"holds with {numbers} in XACCL_OFF, YACCL_OFF, ZACCL_OFF: a part with others needs a new header"
-        )
+        rows.append(f"holds with {numbers} in XACCL_OFF, YACCL_OFF, ZACCL_OFF: others need a new header")
     if gyro is not None:
         rows += _missing(gyro.assumed, gyro.not_corrected)
         if gyro.offsets_lsb is not None:
