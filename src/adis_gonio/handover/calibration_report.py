@@ -65,7 +65,7 @@ _SIDES = {-1.0: "from above", 1.0: "from below"}
 _ORDER = ("delta_k", "delta_phi")
 
 
-def summary_section(traced: TraceResult | str, fits: Sequence[FitResult], views: Views | None) -> Section:
+def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Section:
     """Summary of the trace in sentences."""
     best = fits[-1] if fits else None
     by_method = ""
@@ -344,7 +344,7 @@ def steps_section(traced: TraceResult, views: Views) -> Section:
     return Section("Residual, step by step", words=sentences if parts else [], parts=parts)
 
 
-def left_section(views: Views) -> Section:
+def residual_section(views: Views) -> Section:
     """Residual of the final model against each covariate."""
     roles: tuple[Role, ...] = ("after", "third", "fourth")
     figures = []
@@ -356,7 +356,7 @@ def left_section(views: Views) -> Section:
             Series(
                 p.x + (k - (len(panels) - 1) / 2) * aside,
                 p.after,
-                _axis(p) if len(panels) > 1 else "",
+                ("norm" if p.quantity == "norm" else p.quantity[-1]) if len(panels) > 1 else "",
                 _bars(p),
                 roles[k],
             )
@@ -449,6 +449,7 @@ def facts(
     samples = [len(dwell) for dwell in dwells]
     stored: dict[str, Any] = session.facts
     configuration = stored.get("configuration") or {}
+    rate = configuration.get("sample_rate_hz")
     start, end = float(dwells[0].time_s[0]), float(dwells[-1].time_s[-1])
     return [
         ("title", session.title),
@@ -456,7 +457,7 @@ def facts(
         ("serial number of the part", session.serial),
         ("stage", session.stage),
         ("file", Path(session.source).name),
-        ("SHA-256 of the file", _digest(session.source)),
+        ("SHA-256 of the file", digest_of_file(session.source) if Path(session.source).is_file() else ""),
         ("sensor", session.sensor + (" (simulated)" if stored.get("simulated") else "")),
         *words.written_down(session).items(),
         ("bus", str(stored.get("url", ""))),
@@ -471,9 +472,7 @@ def facts(
             f"{sum(samples)}, {_range(samples, '')} a dwell" if session.dwells else f"{sum(samples)}",
         ),
         ("duration", f"{(end - start) / 60:.1f} min"),
-        ("sample rate", with_unit(format_number(configuration.get("sample_rate_hz"), 4), "Hz"))
-        if configuration.get("sample_rate_hz")
-        else ("sample rate", ""),
+        ("sample rate", with_unit(format_number(rate, 4), "Hz") if rate else ""),
         ("filter", f"2^{configuration['filter_m']} taps, twice" if "filter_m" in configuration else ""),
         ("the chip compensates", "\n".join(compensations(configuration))),
         ("unit of the accelerations", session.accel_unit),
@@ -481,14 +480,10 @@ def facts(
         ("standard uncertainty of a declared angle", _fixture(session.fixture_sigma_deg)),
         ("local gravity", f"{session.gravity_mps2:.5f} m/s²"),
         ("standard uncertainty of a reading", _noise(observed)),
-        ("reference temperature of the parameters", _reference(reference_c)),
+        ("reference temperature of the parameters", "" if reference_c is None else f"{reference_c:.1f} °C"),
         ("temperature", _span([d.temperature_c for d in dwells], "°C")),
         ("supply", _span([d.supply_v for d in dwells], "V")),
     ]
-
-
-def _reference(reference_c: float | None) -> str:
-    return "" if reference_c is None else f"{reference_c:.1f} °C"
 
 
 def _fixture(sigma: float | None) -> str:
@@ -506,10 +501,6 @@ def _noise(observed: Readings | None) -> str:
     return ", ".join(
         f"{axis} {format_number(float(s), 2)} mg" for axis, s in zip("xyz", sigma, strict=False)
     )
-
-
-def _digest(source: str) -> str:
-    return digest_of_file(source) if source and Path(source).is_file() else ""
 
 
 def _range(values: Sequence[int], unit: str) -> str:
@@ -595,10 +586,6 @@ def _bars(panel: Panel) -> Any:
     return None if np.isnan(panel.u).all() else panel.u
 
 
-def _axis(panel: Panel) -> str:
-    return "norm" if panel.quantity == "norm" else panel.quantity[-1]
-
-
 def _reading(covariate: str) -> str:
     return f"reading of {covariate[-1]} / g"
 
@@ -644,15 +631,20 @@ def build_page(
     best = next((fit for fit in reversed(fits) if fit.standing is not None), None)
     answer = None if best is None else answer_with_trace(best, result, own=False)
     body = [answer_section(answer)] if answer is not None else []
-    body += [summary_section(traced, fits, shown)]
-    body += positions_section(result.position_findings if result is not None else _of_fits(fits))
+    body += [summary_section(traced, fits)]
+    if result is not None:
+        body += positions_section(result.position_findings)
+    else:
+        body += positions_section(
+            next((fit.position_findings for fit in fits if fit.position_findings), ())
+        )
     if answer is not None:
         body += [budget_section(answer), scores_section(answer)]
     body += [fitted_section(fits, failures or {})]
     if result is not None:
         body += [found_section(result), errors_section(result)]
         if shown is not None:
-            body += [steps_section(result, shown), left_section(shown)]
+            body += [steps_section(result, shown), residual_section(shown)]
         body += [within_section(result)]
         body += [rivals_section(result), sight_section(result), advice_section(result)]
     reference_c = None if answer is None else answer.reference_temperature_c
@@ -669,7 +661,3 @@ def build_page(
         sections=body,
         closing="This page is made from the session's file alone and can be made again from it.",
     )
-
-
-def _of_fits(fits: Sequence[FitResult]) -> tuple[PositionFinding, ...]:
-    return next((fit.position_findings for fit in fits if fit.position_findings), ())
