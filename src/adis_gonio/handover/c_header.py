@@ -121,9 +121,9 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "cordic_udeg": CORDIC_UDEG,
         "float_deg": f"{FLOAT_DEG:g}",
         "float_udeg": round(FLOAT_DEG * 1e6),
-        "angle_u": "Its uncertainty by the calibration is not known."
+        "angle_u": "The u of an angle by the calibration is not known."
         if u_udeg is None
-        else f"Its u by the calibration is at most {u_udeg} udeg.",
+        else f"The u of an angle by the calibration is at most {u_udeg} udeg.",
         "u_udeg": u_udeg,
         "alpha_udeg": round(calibration["alpha"].value * 1e6) if "alpha" in calibration else None,
         "id": f"0x{zlib.crc32(json_text(calibration.as_dict()).encode()):08X}UL",
