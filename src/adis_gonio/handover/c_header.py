@@ -37,7 +37,7 @@ from adis_gonio.handover.fixed_point import (
     cordic_table,
     rate_polynomial_of,
 )
-from adis_gonio.handover.polynomial import PARTS, RANGE_G, Monomial, Polynomial, polynomial_of
+from adis_gonio.handover.polynomial import PARTS, RANGE_G, Monomial, Polynomial, angle_u_deg, polynomial_of
 from adis_gonio.model.effects import AXES
 
 DEFAULT_NAME = "adis_gonio"
@@ -100,7 +100,8 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
     planes = _planes(calibration)
     needs = polynomial.needs
     where = calibration.provenance
-    u_udeg = _largest_u(calibration)
+    u_deg = angle_u_deg(calibration, range(0, 360, 5))
+    u_udeg = int(np.ceil(u_deg.max() * 1e6)) if np.isfinite(u_deg).all() else None
     gyro = calibration.gyro
     return {
         "c": _whole,
@@ -424,12 +425,3 @@ def _rate_checks(fixed: FixedRates, of: Polynomial) -> list[dict[str, str]]:
         }
         for k in range(RATE_CHECKS)
     ]
-
-
-def _largest_u(calibration: Calibration) -> int | None:
-    """Largest u of an angle round the turn in µ°; None if it is not known."""
-    psi = np.radians(np.arange(0.0, 360.0, 5.0))
-    gravity = np.zeros((len(psi), calibration.axes))
-    gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
-    u = calibration.angle(calibration.readings_of(gravity), plane="xy").u_deg
-    return None if not np.isfinite(u).all() else int(np.ceil(u.max() * 1e6))

@@ -15,11 +15,13 @@ from datetime import date
 import numpy as np
 
 from adis_gonio.base.errors import FitError, one_line
+from adis_gonio.base.intervals import coverage_factor
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.calibrate.document import derived_delta_k
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.handover.polynomial import angle_u_deg
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 VERSION = "3.2.1"
@@ -29,8 +31,6 @@ NOT_STATED = "not stated"
 NO_COUNTRY = "ZZ"
 """Country code for users in ISO 3166-1; here it means that no country is stated."""
 PROBABILITY = 0.95
-NORMAL = 1.959963984540054
-"""Quantile of the normal distribution at 97.5 %: the coverage factor for many degrees of freedom."""
 
 _G = STANDARD_GRAVITY_MPS2
 _PER_S2 = r"\metre\second\tothe{-2}"
@@ -243,14 +243,6 @@ def _label(name: str) -> str:
     return f"{words} ({name})"
 
 
-def _coverage(one: Coefficient) -> float:
-    if one.dof is None or math.isinf(one.dof):
-        return NORMAL
-    from scipy import stats
-
-    return float(stats.t.ppf(0.5 + PROBABILITY / 2, one.dof))
-
-
 def _real(parent: ET.Element, one: Coefficient) -> None:
     if one.unit not in _UNITS:
         raise FitError(f"{one.name} is in {one.unit}: no SI unit for the certificate is known")
@@ -260,20 +252,18 @@ def _real(parent: ET.Element, one: Coefficient) -> None:
     _add(real, "unit", unit, SI)
     if one.u is None:
         return
-    k = _coverage(one)
+    dof = math.inf if one.dof is None else one.dof
+    k = coverage_factor(dof)
     expanded = _add(real, "expandedUnc", space=SI)
     _add(expanded, "uncertainty", repr(k * one.u * abs(factor)), SI)
     _add(expanded, "coverageFactor", f"{k:.4f}", SI)
     _add(expanded, "coverageProbability", f"{PROBABILITY}", SI)
-    _add(expanded, "distribution", "normal" if k == NORMAL else "t", SI)
+    _add(expanded, "distribution", "normal" if math.isinf(dof) else "t", SI)
 
 
 def _turn(parent: ET.Element, calibration: Calibration) -> None:
     """Add the uncertainty of angles in the plane of x and y that comes from the calibration."""
-    psi = np.radians(_TURN_DEG)
-    gravity = np.zeros((len(psi), calibration.axes))
-    gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
-    u_deg = calibration.angle(calibration.readings_of(gravity), plane="xy").u_deg
+    u_deg = angle_u_deg(calibration, _TURN_DEG)
     if not np.isfinite(u_deg).all():
         return
     data = _add(
@@ -283,9 +273,10 @@ def _turn(parent: ET.Element, calibration: Calibration) -> None:
     listed = _add(_named(data, "quantity", "Angle"), "realListXMLList", space=SI)
     _add(listed, "valueXMLList", _spaced(_TURN_DEG), SI)
     _add(listed, "unitXMLList", r"\degree", SI)
+    k = coverage_factor(math.inf)
     expanded = _add(listed, "expandedUncXMLList", space=SI)
-    _add(expanded, "uncertaintyXMLList", _spaced([NORMAL * float(u) for u in u_deg]), SI)
-    _add(expanded, "coverageFactorXMLList", f"{NORMAL:.4f}", SI)
+    _add(expanded, "uncertaintyXMLList", _spaced([k * float(u) for u in u_deg]), SI)
+    _add(expanded, "coverageFactorXMLList", f"{k:.4f}", SI)
     _add(expanded, "coverageProbabilityXMLList", f"{PROBABILITY}", SI)
     _add(expanded, "distributionXMLList", "normal", SI)
 
