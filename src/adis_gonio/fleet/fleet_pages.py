@@ -38,9 +38,7 @@ _MOST_ROWS = 200
 """Most rows of a table of the page; the JSON has all."""
 
 
-def build_page(
-    summary: Summary, repeated: Sequence[Repeated] = (), population: Sequence[str] = (), title: str = ""
-) -> str:
+def build_page(summary: Summary, repeated: Sequence[Repeated] = (), population: Sequence[str] = ()) -> str:
     """Render the page of a fleet.
 
     Parameters
@@ -71,7 +69,7 @@ def build_page(
     ]
     return render(
         "Fleet",
-        title or counted(summary.sessions["n"], "session"),
+        counted(summary.sessions["n"], "session"),
         shape=fleet_summary.headline(summary).rstrip("."),
         sections=sections,
         closing="This page is made from the sessions' files alone and can be made again from them.",
