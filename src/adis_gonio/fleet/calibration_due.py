@@ -258,6 +258,7 @@ def _control_chart(history: History, limits: Rules) -> Rule:
     gravity = history.sessions[-1].gravity_mps2 or STANDARD_GRAVITY_MPS2
     k = coverage_factor(min(drift.slope.dof for drift in drifts.values()))
 
+    # Largest error and U of an angle after some days of drift.
     def reached(days: float) -> float:
         change = {name: one * days for name, one in slope.items()}
         u = {name: float(np.hypot(own[name], u_slope[name] * days)) for name in slope}
@@ -281,6 +282,7 @@ def _control_chart(history: History, limits: Rules) -> Rule:
         return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)
     from scipy.optimize import brentq
 
+    # The error grows with time, so that there is one crossing.
     days = float(brentq(lambda t: reached(t) - limits.limit_deg, 0.0, LONGEST_DAYS))
     drifts_text = ", ".join(
         f"{name} {drift.slope.value:+.2g} ± {drift.slope.U:.2g} {drift.slope.unit}"

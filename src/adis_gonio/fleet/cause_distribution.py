@@ -36,6 +36,7 @@ def share_of(
     population: Population, others: Sequence[ChosenCause], part: ChosenCause
 ) -> tuple[float, float, float]:
     """Posterior mean of the share of affected sessions, and its 95 % interval; uniform prior."""
+    # Only sessions of the group that could show the cause.
     inside = part.group.inside & population.units.seen(part.candidate.index)
     blocks = population.blocks_given(others, part.candidate.index, part.amplitudes.relative)
     log_posterior = []
@@ -120,6 +121,7 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
         ]
         return _at(factors, group.share)
 
+    # Parameters: logit of the share, log of the spread, mean.
     hessian = _curvature(value, at)
     # A share at its bound or a spread near zero has no curvature: it stays fixed.
     free = np.diagonal(hessian) > 1e-2
@@ -190,6 +192,7 @@ def reach_of(population: Population) -> dict[str, Reach]:
         candidate = every[members[len(members) // 2]]
         column = candidate.index[0]
         block = units.joint([column])
+        # Log evidence that the cause must exceed: level, priors, and the grid of distributions.
         price = -math.log(limits.adequate) - candidate.log_prior - population.groups[0].log_prior
         price += math.log(2 * len(MEANS) * 2 * len(SHARES)) * (1 if len(candidate.index) == 1 else 1.5)
         found = {f"{share:g}": _smallest(block, share, price) for share in ASKED}
@@ -224,6 +227,7 @@ def _expected(block: Block, share: float, size: float) -> tuple[float, float]:
     spread = RELATIVE_SPREAD * size
     weight = _WEIGHTS / _WEIGHTS.sum()
     first = second = 0.0
+    # Mixture of unaffected and affected sessions; their scores are normal.
     for part, mean, variance in (
         (1 - share, np.zeros_like(g), g),
         (share, g * size, g + g**2 * spread**2),

@@ -125,6 +125,7 @@ def between_neighbours(value: Floats, u: Floats) -> float:
     """Standard deviation between sessions beyond u, by the moving range, which a step hardly changes."""
     if len(value) < 3:
         return 0.0
+    # Scatter of neighbours minus the mean variance of the stated u.
     spread = float(np.abs(np.diff(value)).mean()) / _MOVING_RANGE
     return math.sqrt(max(spread**2 - float((u**2).mean()), 0.0))
 
@@ -159,6 +160,7 @@ def _one_sided(h: float, k: float) -> float:
     from scipy.special import ndtr
 
     node, weight = np.polynomial.legendre.leggauss(_NODES)
+    # Nodes on 0 … h; row 0 of the linear system is L(0).
     x, w = h * (node + 1) / 2, h * weight / 2
     s = np.concatenate([[0.0], x])
     step = x[None, :] + k - s[:, None]
@@ -245,6 +247,7 @@ def _line(
     day: Floats, value: Floats, variance: Floats
 ) -> tuple[float, float, float, tuple[float, float], float]:
     """Weighted mean time, level at that time, slope per day, their variances, χ²."""
+    # Weighted straight line about the weighted mean time, where level and slope are independent.
     weight = 1 / variance
     total = float(weight.sum())
     middle = float((weight * day).sum()) / total

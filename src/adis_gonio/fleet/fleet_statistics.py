@@ -114,11 +114,13 @@ def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
         return None
 
     def q_at(tau: float) -> float:
+        # Weighted mean and deviations with the variance that τ adds.
         variance = s**2 + tau**2
         weight = 1 / variance
         centre = float(weight @ x) / float(weight.sum())
         return float((as_normal((x - centre) / np.sqrt(variance), nu) ** 2).sum())
 
+    # Q equals its expectation at τ, and its 2.5 % and 97.5 % quantiles at the ends of the interval.
     expected = (n - 1.0, float(chi2.ppf(0.975, n - 1)), float(chi2.ppf(0.025, n - 1)))
     tau, low, high = (tau_of(q_at, goal, x) for goal in expected)
     q = q_at(0.0)
@@ -180,6 +182,7 @@ def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> 
     x, s, nu = values[good], u[good], dof[good]
     _, index, count = np.unique(unit[good], return_inverse=True, return_counts=True)
     weight = 1 / s**2
+    # Weighted mean of each unit.
     centre = np.bincount(index, weight * x) / np.bincount(index, weight) if len(x) else x
     several = count[index] > 1  # sessions of units with at least two
     freedom = int((count[count > 1] - 1).sum())
@@ -273,6 +276,7 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTe
     names, index, count = np.unique(codes, return_inverse=True, return_counts=True)
 
     def find(level: float) -> list[Test]:
+        # One value per unit, with the root mean square of its u.
         median = _medians(values[good], index)
         # Sessions of a unit may share their error, so its u is not reduced by their number.
         doubt = np.sqrt(np.bincount(index, np.nan_to_num(u[good]) ** 2) / count)
@@ -297,7 +301,8 @@ def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
     def unusual(tau: float) -> float:
         return float(np.median(away / np.sqrt(tau**2 + u**2))) - 1 / MAD_TO_SD
 
-    most = robust_sd(values)  # without any u
+    # τ is at most the robust scatter without any u.
+    most = robust_sd(values)
     least = 1e-6 * most
     if most == 0.0:
         tau = 0.0
@@ -338,6 +343,7 @@ def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
     """Median of each unit in each group, and the group; many sessions of a unit count as one value."""
     if not len(values):
         return values, group
+    # Every pair of group and unit is one value.
     pairs, index = np.unique(np.stack([group, unit]), axis=1, return_inverse=True)
     return _medians(values, np.asarray(index).ravel()), pairs[0]
 

@@ -122,8 +122,10 @@ class Grid:
 
 def grid_of(width: int) -> Grid:
     """Grid for a number of amplitudes; half of the prior has no common sign, half has one."""
+    # No common sign: zero mean and several spreads.
     still = [(np.zeros(width), spread, 0.5 / len(SPREADS)) for spread in SPREADS]
     ways = _ways(width)
+    # Common sign: a mean along each direction, with a third of its length as spread.
     moved = [
         (size * way, size * RELATIVE_SPREAD, 0.5 / len(MEANS) / len(ways)) for size in MEANS for way in ways
     ]
@@ -225,6 +227,7 @@ def units_of(evidence: Sequence[SessionEvidence]) -> Units:
     number = {key: k for k, key in enumerate(keys)}
     n, m = len(evidence), len(keys)
     rank = max((len(one.directions) for one in evidence), default=0)
+    # One row per session; columns that it does not determine stay zero.
     z, length = np.zeros((n, m)), np.zeros((n, m))
     directions = np.zeros((n, rank, m), dtype=np.float32)
     inflation = inflations(evidence)
@@ -253,6 +256,7 @@ def inflations(evidence: Sequence[SessionEvidence]) -> Floats:
     known = np.array([one.noise_known for one in evidence], dtype=bool)
     ways = max((len(one.scatter) for one in evidence), default=1)
     out = np.zeros(len(evidence))
+    # Direction by direction, and separately for stated and estimated noise.
     for way in range(ways):
         has = np.array([len(one.scatter) > way and one.scatter[way].dof > 0.5 for one in evidence])
         ratio = np.ones(len(evidence))

@@ -312,6 +312,7 @@ class Population:
 
     def step(self, parts: Sequence[ChosenCause]) -> SelectionStep:
         """Choose the most probable further cause."""
+        # Posterior over candidates and groups, then the best candidate of the most probable cause.
         scores = self.scores(parts)
         prior = self.log_prior
         weighed = scores.log_evidence + prior
@@ -361,6 +362,7 @@ class Population:
             ]
             return float(logsumexp(np.stack(rows), axis=0).sum())
 
+        # Refine from the best distribution of the grid.
         found = minimize(  # type: ignore[call-overload]
             lambda p: -at(group_at(p, start)),
             parameters_of(start),
@@ -374,6 +376,7 @@ class Population:
         """Probability (n,) that each unit is affected by a part, given the others."""
         amplitudes = part.amplitudes
         share = min(amplitudes.share, 1 - 1e-9)
+        # Odds of presence and absence, summed over the combinations of the other parts.
         with_, without = [], []
         for weight, block in self.blocks_given(parts, part.candidate.index, part.amplitudes.relative):
             factor = log_factor(block, amplitudes.mean, amplitudes.spread)

@@ -379,6 +379,7 @@ def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
     data = fit.data
     terms, missing = columns_of(data)
     residual = fit.left
+    # Add the fitted terms to the residual again; bias and single dwells are projected out instead.
     own: list[Term] = [_bias(data)]
     for k, term in enumerate(fit.terms):
         residual = residual + fit.added(k)
@@ -398,6 +399,7 @@ def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
     # Project base model, bias and single dwells out of the candidates' columns.
     columns = columns - base @ (base.T @ columns)
     length = np.linalg.norm(columns, axis=0)
+    # Columns that lie in the projected space are not determined.
     seen = np.isfinite(length) & (length**2 > limits.independent * before**2) & (length > 0)
     unit = columns[:, seen] / length[seen]
     for name in {key.split("|")[0] for key in keys} - {

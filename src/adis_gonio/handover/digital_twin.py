@@ -77,6 +77,7 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     period_s = period_of(dwells)
     counts = np.array([len(part) for part in samples], np.float64)
     diagonals = np.diagonal(means.covariance, axis1=1, axis2=2)
+    # Spectral density at zero: variance of a mean times its duration.
     density = np.median(diagonals * counts[:, np.newaxis], axis=0) * period_s
     variance = np.mean([part.var(axis=0, ddof=1) for part in samples], axis=0)
     stated = session.facts.get("configuration")
@@ -89,6 +90,7 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
         slowest, fastest = 1 / sample_period_s(0xFF), 1 / sample_period_s(1)
         smpl_prd = smpl_prd_for(min(max(1 / period_s, slowest), fastest))
         filter_m = 0
+    # White noise of that density at the sample rate of the chip.
     white = np.sqrt(density / sample_period_s(smpl_prd))
     if stated is None:
         noisy = (variance > 0) & (white > 0)  # a constant axis shows no filter
@@ -223,6 +225,7 @@ class LikeWorld(World):
             effects.append((settings, values))
         part = sensor if sensor in VARIANTS else "adis16354"
         super().__init__(_settings(fit, gyro), part=part, seed=seed, effects=effects)
+        # Axes without samples get the mean noise.
         white = np.full(3, float(noise.white_mg.mean()))
         white[: data.axes] = noise.white_mg
         floor = np.zeros(3)

@@ -182,6 +182,7 @@ class FixedPoint:
             "t": _condition(self.temperature, temperature, len(scan)),
             "v": _condition(self.supply, supply, len(scan)),
         }
+        # Terms of temperature and supply are subtracted once, terms of the readings in every pass.
         steady = np.zeros(free.shape, dtype=np.int64)
         for term in self.terms:
             if not term.monomial.of_reading:

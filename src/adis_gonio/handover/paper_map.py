@@ -238,6 +238,7 @@ def estimates(truth: Truth, point: Point, draws: Draws) -> dict[str, dict[str, F
         )
         for k, angles in enumerate((FOUR, MMPM_ANGLES_DEG))
     )
+    # The paper and its closed form use the first two of the four positions.
     two = at_four[:, :2]
     with np.errstate(invalid="ignore", divide="ignore"):
         gain, phi = as_printed(two[:, 0, 0], two[:, 0, 1], two[:, 1, 0], two[:, 1, 1])
@@ -274,6 +275,7 @@ def crossing_deg(
 ) -> float | None:
     """Fixture error in degrees above which the paper's method is better; None if there is none to 10°."""
 
+    # Log ratio of the errors; it changes its sign at the crossing.
     def excess(log_deg: float) -> float:
         found = errors(truth, Point(math.exp(log_deg), bias_mg, noise_mg), draws)
         return math.log(found["paper"][key] / found["mmpm"][key])

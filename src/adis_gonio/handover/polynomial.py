@@ -130,6 +130,7 @@ def polynomial_of(calibration: Calibration) -> Polynomial:
     """
     base, bias_mg = calibration.natural(calibration.values)
     axes = calibration.axes
+    # Columns of the conversion: calibrated readings of one g along each axis.
     unit = np.eye(axes) * MG_PER_G
     matrix = calibration.measurement.calibrated(base, unit).T
     part = None if calibration.provenance.counts else VARIANTS.get(calibration.provenance.sensor)
@@ -214,5 +215,6 @@ def _passes(monomials: tuple[Monomial, ...]) -> int:
     contraction = float(slope.max())
     if contraction >= 0.5 or largest.max() >= 1.0:
         raise FitError("the effects are too large to be corrected in a firmware: check the session")
+    # Each pass reduces the error by the contraction.
     passes = math.ceil(math.log(SETTLED_G / float(largest.max())) / math.log(contraction))
     return min(max(passes, 1), MOST_PASSES)

@@ -100,6 +100,7 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     same = stats.ks_2samp(residual[0].tolist(), residual[1].tolist())
     samples = [_samples(session, data) for session, data in ((measured, ours), (twin, theirs))]
     periods = [period_of(session.dwells) for session in (measured, twin)]
+    # Both curves at the averaging times and frequencies of the measured one.
     tau_s, allan = _common([_allan(part, period) for part, period in zip(samples, periods, strict=True)])
     frequency_hz, density = _common(
         [_density(part, period) for part, period in zip(samples, periods, strict=True)]
@@ -130,6 +131,7 @@ def _p_variance(ours: Fit, theirs: Fit) -> float:
     if ours.dof <= 0 or theirs.dof <= 0:
         return 1.0
     ratio = (ours.chi2 / ours.dof) / max(theirs.chi2 / theirs.dof, 1e-300)
+    # Two-sided probability of the F distribution.
     below = float(stats.f.cdf(ratio, ours.dof, theirs.dof))
     return 2 * min(below, 1 - below)
 
