@@ -86,9 +86,7 @@ def _overview(summary: Summary) -> Section:
                 "Model adequate", format_percent(n["adequate"] / n["traced"]), "of the sessions traced"
             )
         )
-    key.append(
-        KeyFigure("Standing out", str(len(summary.outlying)), "units, stages, operators by quantity")
-    )
+    key.append(KeyFigure("Outlying", str(len(summary.outlying)), "units, stages, operators by quantity"))
     return Section("Summary", key=key, words=fleet_summary.remarks(summary))
 
 
@@ -162,13 +160,13 @@ def _outlying(summary: Summary) -> Section:
     shown = {(one.kind, one.quantity): one for one in groups}
     figures = [_group_plot(one, summary) for one in list(shown.values())[:_MOST_FIGURES]]
     return Section(
-        "Standing out",
+        "Outlying groups",
         words=[fleet_summary.outlying_text(summary)],
         tables=[table] if rows else [],
         figures=[figure for figure in figures if figure is not None],
         notes=[
             "Units: robust z of the median of their sessions. Stages and operators: normal scores over"
-            " their units, effects by the hypergeometric tail. The group that stands out most is removed"
+            " their units, effects by the hypergeometric tail. The most outlying group is removed"
             " before the others are compared."
         ]
         if summary.tests
@@ -193,7 +191,7 @@ def _group_plot(one: Outlying, summary: Summary) -> Figure | None:
     svg = plot(
         [
             Series(place[~odd], values[~odd], "others", role="after"),
-            Series(place[odd], values[odd], "standing out", role="before"),
+            Series(place[odd], values[odd], "outlying", role="before"),
         ],
         one.kind,
         label_quantity(one.quantity, one.unit),

@@ -1,9 +1,9 @@
-"""Scatter of a quantity over the fleet, and the units, stages and operators that stand out.
+"""Scatter of a quantity over the fleet, and the outlying units, stages and operators.
 
 A *unit* is compared with the other units by a robust z: its distance from their median over the distance
 that scatter and its own u explain. A *stage* or an *operator* is compared by ranks (normal scores) of a
 quantity over its units, and by how many of them showed an effect (hypergeometric tail). All tests of a
-fleet share one probability of a false name (Bonferroni). The group that stands out most is named and
+fleet share one probability of a false name (Bonferroni). The most outlying group is named and
 removed before the others are compared.
 """
 
@@ -195,7 +195,7 @@ def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> 
 
 
 FEWEST_UNITS = 5
-"""Fewest units among which one can stand out."""
+"""Fewest units among which one can be outlying."""
 FEWEST = 3
 """Fewest sessions or units of a group, and of the rest of the fleet."""
 _MAD_EFFICIENCY = 0.37

@@ -1,4 +1,4 @@
-"""Summary of a fleet by columns (100 000 rows are quick): parameters, effects, groups that stand out.
+"""Summary of a fleet by columns (100 000 rows are quick): parameters, effects, outlying groups.
 
 >>> from adis_gonio.fleet.fleet_summary import summarise
 >>> from adis_gonio.fleet.session_table import read_parquet
@@ -104,7 +104,7 @@ class Frequency(JsonRecord):
 
 @dataclass(frozen=True)
 class Outlying(JsonRecord):
-    """A unit, a stage or an operator that stands out.
+    """An outlying unit, stage or operator.
 
     The JSON document is one entry of `outlying.found`.
 
@@ -154,7 +154,7 @@ class Summary:
     tests : int
         Number of comparisons.
     outlying : tuple of Outlying
-        Groups that stand out, the smallest p-value first.
+        Outlying groups, the smallest p-value first.
     """
 
     sessions: dict[str, int]
@@ -320,7 +320,7 @@ PARAMETER_NOTES = (
     "sd beyond u: standard deviation between the true values, needed in addition to the sessions' u"
     " (Paule and Mandel), with its interval of 95 %; 0 if u explains the scatter.",
     "repeats / u: scatter of sessions of one unit over the scatter that their u explains; 1 if u is right.",
-    "angle: error of the angle, rms over dwells left out; it has no u of its own.",
+    "angle: error of the angle, rms over held-out dwells; it has no u.",
 )
 EFFECT_HEAD = ["effect", "sessions", "share", "95 % interval"]
 OUTLYING_HEAD = ["group", "quantity", "here", "the others", "z", "p × tests", "of"]
@@ -437,7 +437,7 @@ def outlying_text(summary: Summary) -> str:
             f"Nothing could be compared: a comparison needs {FEWEST_UNITS} units, or {FEWEST} units on a"
             f" stage or with an operator and {FEWEST} elsewhere."
         )
-    found = "" if summary.outlying else " No group stands out."
+    found = "" if summary.outlying else " No group is outlying."
     return (
         f"{counted(summary.tests, 'comparison')} of units, stages and operators with the rest of the fleet;"
         f" the probability of any false name is at most {format_percent(OUTLYING)} in all"

@@ -1,7 +1,7 @@
 """The hierarchical likelihood of one cause over many sessions.
 
 A unit (a session) is affected with probability w. The amplitudes of an affected unit are θ ~ N(μ, τ² 1),
-those of others are zero. μ and τ are either in the unit of the amplitudes or relative to each session's
+the amplitudes of other units are zero. μ and τ are either in the unit of the amplitudes or relative to each session's
 standard uncertainty (for amplitudes that differ by orders of magnitude between sessions); each has half
 of the prior. With score s and information G of a unit,
 

@@ -120,7 +120,7 @@ def _why_not(kind: type[Effect], data: Readings) -> str:
     if kind.name in NUISANCE:
         return "every session has its own"
     if kind.enters is Enters.SAMPLES or kind.within_dwell:
-        return "it stands among the samples of a dwell"
+        return "it acts among the samples of a dwell"
     if "dwell" in kind.choices():
         return "an effect of one dwell belongs to one session"
     lacking = data.conditions.lacks(kind.needs)

@@ -1,6 +1,6 @@
 """The record of one session: its row in the store, and the job that computes it.
 
-The numbers are those of the answer (`adis_gonio.tracing.traced_answer`), as `fit` and the report show
+The numbers are taken from the answer (`adis_gonio.tracing.traced_answer`), as `fit` and the report show
 them.
 """
 

@@ -1,4 +1,4 @@
-"""Workers: processes of this machine, or those of a dask cluster; a worker that dies loses nothing.
+"""Workers: local processes, or the workers of a dask cluster; a worker that dies loses nothing.
 
 Each process of this machine has one session at a time and a thread here that feeds it, so that it is
 known which session was lost with it. That session is given to a new process; if that one dies as well,

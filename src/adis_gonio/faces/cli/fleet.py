@@ -65,7 +65,7 @@ def command(
     population: bool,
     as_json: bool,
 ) -> int:
-    """Fit and trace many sessions, and summarise parameters, effects, and who stands out.
+    """Fit and trace many sessions, and summarise parameters, effects and outlying groups.
 
     FILES are sessions, or folders of them. With -o or --journal results are kept as they come: after
     Ctrl-C, a crash or a full disk the same command goes on where it stopped. The exit status is 1 where a
@@ -138,7 +138,7 @@ def _show(outcome: FleetResult) -> None:
     _table("Effects by frequency", words.EFFECT_HEAD, words.effect_rows(summary))
     screen.print()
     screen.print(words.outlying_text(summary))
-    _table("Standing out", words.OUTLYING_HEAD, words.outlying_rows(summary))
+    _table("Outlying groups", words.OUTLYING_HEAD, words.outlying_rows(summary))
     if outcome.population_lines:
         screen.print()
     for line in outcome.population_lines:
