@@ -1,9 +1,9 @@
 """The hierarchical likelihood of one cause over many sessions.
 
 A unit (a session) is affected with probability w. The amplitudes of an affected unit are θ ~ N(μ, τ² 1),
-the amplitudes of other units are zero. μ and τ are either in the unit of the amplitudes or relative to each session's
-standard uncertainty (for amplitudes that differ by orders of magnitude between sessions); each has half
-of the prior. With score s and information G of a unit,
+the amplitudes of other units are zero. μ and τ are either in the unit of the amplitudes or relative to
+each session's standard uncertainty (for amplitudes that differ by orders of magnitude between sessions);
+each has half of the prior. With score s and information G of a unit,
 
     ln B(μ, τ) = sᵀμ − ½ μᵀGμ + ½ (s − Gμ)ᵀ (G + 1/τ²)⁻¹ (s − Gμ) − ½ ln |1 + τ² G|
 
