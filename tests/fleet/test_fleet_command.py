@@ -138,10 +138,10 @@ def test_advice_is_of_what_the_file_can_say_and_of_no_option_that_a_fleet_lacks(
     assert "--columns" in capsys.readouterr().err
     assert main(["fleet", str(path), "--no-trace", "--json"]) == 1
     (row,) = json.loads(capsys.readouterr().out)["failures"]
-    assert "here the file itself has to say it" in row["reason"]
+    assert "has to be in the file" in row["reason"]
     assert main(["archive", str(tmp_path), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)["failed"]
-    assert "here the file itself has to say it" in row["reason"]
+    assert "has to be in the file" in row["reason"]
 
 
 def test_of_one_session_that_failed_the_sentence_is_right(tmp_path, capsys):

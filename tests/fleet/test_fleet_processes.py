@@ -77,7 +77,7 @@ def test_a_worker_of_another_version_or_before_another_file_does_not_answer_for_
     for record, reason in (
         (
             work(path, digest, asked, "0.0.1"),
-            f"the worker has adis-gonio {__version__}, the fleet is run by 0.0.1",
+            f"the worker has adis-gonio {__version__}, the fleet 0.0.1",
         ),
         (work(path, "0" * 64, asked, __version__), "is another file"),
         (
