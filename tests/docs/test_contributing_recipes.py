@@ -13,13 +13,26 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 ANY_BLOCK = re.compile(r"^```(?:python|toml)\n# (\S+)\n(.*?)^```$", re.M | re.S)
 
+TRY_METHOD = """
+import json, sys
+import numpy as np
+import adis_gonio, my_bench.forward
+
+session = adis_gonio.load_session(sys.argv[1])
+forward = [dwell.position for dwell in session.dwells if dwell.approach > 0]
+result = adis_gonio.fit(session, method="forward")
+assert list(result.positions) == forward
+assert len(forward) < len(session.dwells)
+print(json.dumps({"forward": result.as_dict(), "default": adis_gonio.fit(session).as_dict()}))
+"""
+
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """Runs a command where the recipes' package is installed, as pip leaves one on the path."""
     folder = tmp_path_factory.mktemp("site-packages")
     files = dict(ANY_BLOCK.findall((ROOT / "CONTRIBUTING.md").read_text("utf-8")))
-    for name, text in files.items():
+    for name, text in (*files.items(), ("my_bench/try_method.py", TRY_METHOD)):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text, "utf-8")
     project = tomllib.loads(files["pyproject.toml"])["project"]
@@ -76,6 +89,18 @@ def test_the_effect_is_simulated_and_traced_by_its_name(bench, tmp_path):
     rate = drift["parameters"]["rate"]
     assert rate["unit"] == "deg/h"
     assert abs(rate["value"] - 10) < 4 * rate["u"] < 5
+
+
+def test_the_method_fits_and_takes_part_in_the_comparison_by_its_row_alone(bench, tmp_path):
+    session = str(tmp_path / "both.session")
+    bench("adis_gonio", "simulate", "--plan", "tumble", "-o", session)
+    documents = json.loads(bench("my_bench.try_method", session).stdout)
+    found = documents["forward"]["parameters"]["delta_phi"]
+    assert documents["forward"]["method"] == "forward"
+    assert 0 < found["u"] < 0.1
+    assert documents["default"]["method"] == "ml"
+    scores = documents["default"]["scores"]
+    assert scores["forward"]["dwells"] == scores["ml"]["dwells"] > 0
 
 
 def test_without_the_package_the_effect_is_unknown_in_one_line(tmp_path):

@@ -12,7 +12,6 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation import readings as module
-from adis_gonio.fitting.estimation.flicker import covariance_of_means
 from adis_gonio.fitting.estimation.readings import (
     Unit,
     flicker_parts,
@@ -22,6 +21,7 @@ from adis_gonio.fitting.estimation.readings import (
     readings_of,
     reduced,
 )
+from adis_gonio.fitting.estimation.spectrum import covariance_of_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Dwell, Session
 from estimation.turns import EIGHTHS, turn

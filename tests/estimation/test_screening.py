@@ -10,8 +10,8 @@ import pytest
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import name_positions
-from adis_gonio.fitting.estimation.converter import Limit
 from adis_gonio.fitting.estimation.screening import (
+    Limit,
     _at_limit,
     _same_everywhere,
     _still_against_others,

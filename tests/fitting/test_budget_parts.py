@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
-from adis_gonio.fitting.outputs import estimates, left_to_the_stage, outputs_of, variances
-from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.fitting.sources import Source, Sources, dof_of
-from adis_gonio.fitting.uncertainty_budget import budget_of
+from adis_gonio.fitting.result import (
+    Estimate,
+    FitResult,
+    estimates,
+    left_to_the_stage,
+    outputs_of,
+    variances,
+)
+from adis_gonio.fitting.uncertainty import Source, Sources, budget_of, dof_of
 from adis_gonio.model.effects import Conditions
 
 RNG = np.random.default_rng(1)

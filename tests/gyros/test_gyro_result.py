@@ -10,8 +10,7 @@ import pytest
 
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.values import Value
-from adis_gonio.fitting.estimation.parts import known_part
-from adis_gonio.fitting.estimation.readings import from_means
+from adis_gonio.fitting.estimation.readings import from_means, known_part
 from adis_gonio.fitting.gyros import fit as module
 from adis_gonio.fitting.gyros.fit import GyroFit, GyroScore, fit_gyro
 from adis_gonio.fitting.gyros.gains import gains_in, gains_of

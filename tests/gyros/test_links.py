@@ -28,7 +28,7 @@ from adis_gonio.fitting.gyros.fit import fit_gyro
 from adis_gonio.fitting.gyros.prior import GyroPrior
 from adis_gonio.fitting.linked import _gyros_of, _Judged, linked_readings
 from adis_gonio.fitting.methods import fit_of, fit_readings
-from adis_gonio.fitting.sources import by_rotation_of, response_of
+from adis_gonio.fitting.uncertainty import by_rotation_of, response_of
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Session
@@ -550,9 +550,7 @@ def test_links_join_the_dwells_that_they_lie_between_whatever_is_for_checking(
 ) -> None:
     session = simulated[0]
     dwells = [replace(one, use="check") if k == 3 else one for k, one in enumerate(session.dwells)]
-    readings, report = linked_readings(
-        replace(session, dwells=tuple(dwells)), readings_of(replace(session, dwells=tuple(dwells)))
-    )
+    readings, report = linked_readings(replace(session, dwells=tuple(dwells)))
     links = readings.links
     assert report is not None
     assert links is not None
@@ -569,13 +567,12 @@ def test_links_are_worked_out_once_a_session_and_anew_by_a_calibration(
 ) -> None:
     session, world = simulated
     session = _first(session, 5)
-    readings = readings_of(session)
-    once = linked_readings(session, readings)
-    assert linked_readings(session, readings)[1] is once[1]
-    by_calibration = linked_readings(session, readings, _calibrated(world))
+    once = linked_readings(session)
+    assert linked_readings(session)[1] is once[1]
+    by_calibration = linked_readings(session, _calibrated(world))
     assert by_calibration[1] is not None
     assert by_calibration[1].calibrated
-    assert linked_readings(session, readings)[1] is once[1]
+    assert linked_readings(session)[1] is once[1]
     assert once[1] is not None
     assert not once[1].calibrated
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.flicker import covariance_of_means, modes
 from adis_gonio.fitting.estimation.readings import Readings, from_means
+from adis_gonio.fitting.estimation.spectrum import covariance_of_means, modes
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.selection.design import linearise, span
 from adis_gonio.tracing.selection.search import search

@@ -24,11 +24,17 @@ from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.likelihood import angle_errors
 from adis_gonio.fitting.noise import NoiseAssumptions, settle
-from adis_gonio.fitting.outputs import estimates, left_to_the_stage, outputs_of, variances
-from adis_gonio.fitting.result import FitResult, Origin
-from adis_gonio.fitting.sources import Sources, Unseen, sources_of
+from adis_gonio.fitting.result import (
+    FitResult,
+    Origin,
+    angle_errors,
+    estimates,
+    left_to_the_stage,
+    outputs_of,
+    variances,
+)
+from adis_gonio.fitting.uncertainty import Sources, Unseen, sources_of
 from adis_gonio.model.effects import effect
 
 ALPHA, SCALE_X, SCALE_Y, DELTA_PHI, BIAS_X, BIAS_Y = range(6)
@@ -103,24 +109,30 @@ def fit_mmpm(readings: Readings) -> FitResult:
     return _finish(chosen, "mmpm", linear, _noise(readings, chosen), [])
 
 
-def model_without(method: str, rest: Readings, noise: NoiseAssumptions) -> Fit:
-    """Model of a closed form from dwells that are left, at the first place of the turn where it can be had.
+def refit_mmpm(readings: Readings, made: Origin) -> Fit:
+    """Model of `mmpm` on other readings, or on some of the dwells."""
+    chosen = readings.rows(np.flatnonzero(np.isfinite(readings.angle_rad)))
+    return _fit(readings, _linear(chosen, np.eye(len(chosen)), bias=True).beta, bias=True)
+
+
+def refit_four(readings: Readings, made: Origin) -> Fit:
+    """Model of `four-position` on other readings, or on some of the dwells: three positions are enough."""
+    groups = rows_at(readings, FOUR)
+    present = tuple(angle for angle, rows in zip(FOUR, groups, strict=True) if len(rows))
+    chosen, weights = _grouped(readings, "four-position", present)
+    return _fit(readings, _linear(chosen, weights, bias=True).beta, bias=True)
+
+
+def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
+    """Model of `paper` or `two-position` on other readings, at the first quarter turn that has both.
 
     Raises
     ------
     FitError
-        They do not hold the positions that the method needs, at any quarter of the turn.
+        The readings have no two positions 90° apart.
     """
-    data = noise.applied(rest)
-    if method == "mmpm":
-        chosen = rest.rows(np.flatnonzero(np.isfinite(rest.angle_rad)))
-        return _fit(data, _linear(chosen, np.eye(len(chosen)), bias=True).beta, bias=True)
-    if method == "four-position":
-        present = tuple(a for a, rows in zip(FOUR, rows_at(rest, FOUR), strict=True) if len(rows))
-        chosen, weights = _grouped(rest, method, present)
-        return _fit(data, _linear(chosen, weights, bias=True).beta, bias=True)
     for quarter in range(4):
-        turned = replace(rest, angle_rad=rest.angle_rad - quarter * math.pi / 2)
+        turned = replace(readings, angle_rad=readings.angle_rad - quarter * math.pi / 2)
         if all(len(rows) for rows in rows_at(turned, TWO)):
             chosen, weights = _grouped(turned, method, TWO)
             linear = _linear(chosen, weights, bias=False)
@@ -131,7 +143,7 @@ def model_without(method: str, rest: Readings, noise: NoiseAssumptions) -> Fit:
                     continue
             beta = linear.beta.copy()
             beta[ALPHA] += quarter * math.pi / 2
-            return _fit(data, beta, bias=False)
+            return _fit(readings, beta, bias=False)
     raise FitError(f"no two positions 90° apart are left for method {method}")
 
 

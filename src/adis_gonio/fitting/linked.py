@@ -29,7 +29,7 @@ from adis_gonio.fitting.determination import (
 )
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.links import Links
-from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.noise import settle
 from adis_gonio.model.records import Session
 
@@ -115,30 +115,23 @@ class LinkReport:
 
 
 def linked_readings(
-    session: Session, readings: Readings, gyros: GyroCalibration | None = None
+    session: Session, gyros: GyroCalibration | None = None
 ) -> tuple[Readings, LinkReport | None]:
     """Readings of a session in space with the links that may be believed, and what became of them.
 
-    None, and the readings themselves, where nothing was recorded between the poses. Worked out once a
-    session where no calibration is given.
+    The second value is None, and the readings are returned unchanged, if nothing was recorded between the
+    poses. Computed once for each session if no calibration is given.
 
     Raises
     ------
     UsageError
         A calibration of gyros was given for a session that cannot use it.
     """
-    if gyros is not None:
-        return _linked(session, readings, gyros)
-    kept: tuple[Readings, LinkReport | None] | None = vars(session).get("_linked")
-    if kept is None:
-        kept = _linked(session, readings, None)
-        vars(session)["_linked"] = kept
-    return kept
+    return session.once(_linked) if gyros is None else _linked(session, gyros)
 
 
-def _linked(
-    session: Session, readings: Readings, gyros: GyroCalibration | None
-) -> tuple[Readings, LinkReport | None]:
+def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Readings, LinkReport | None]:
+    readings = readings_of(session)
     if readings.planar or readings.check.all():
         if gyros is not None:
             raise UsageError("a calibration of gyros serves poses in space; this session has a plane")

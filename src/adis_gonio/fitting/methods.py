@@ -1,17 +1,22 @@
-"""The five methods by name."""
+"""The methods by name: one table (`METHOD_TABLE`), the function `fit`, and maximum likelihood (`ml`).
+
+The closed forms are in `closed_form`.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
+from adis_gonio.base.arrays import Floats, solvable, wrap_degrees, wrap_radians
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import FitError, SingularError, UsageError
+from adis_gonio.base.numbers import counted, use_minus, with_unit
 from adis_gonio.fitting.closed_form import (
     FOUR,
     LEAST_MMPM,
@@ -19,19 +24,41 @@ from adis_gonio.fitting.closed_form import (
     fit_mmpm,
     fit_paper,
     fit_positions,
+    refit_four,
+    refit_mmpm,
+    refit_two,
     rows_at,
 )
-from adis_gonio.fitting.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.likelihood import fit_ml
+from adis_gonio.fitting.determination import (
+    Determination,
+    covariance,
+    in_words,
+    is_determined,
+    natural_units,
+    shift_by_held,
+)
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.linked import linked_readings
-from adis_gonio.fitting.result import FitResult
+from adis_gonio.fitting.noise import Settled, settle
+from adis_gonio.fitting.result import (
+    FitResult,
+    Origin,
+    Output,
+    angle_errors,
+    estimates,
+    left_to_the_stage,
+    outputs_of,
+    variances,
+)
 from adis_gonio.fitting.slips.of_session import in_context, positions_of
-from adis_gonio.fitting.solvable import solvable
+from adis_gonio.fitting.uncertainty import Sources, Unseen, by_rotation_of, response_of, sources_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+
 
 FREE_TURN = "free-turn"
 """The method of a continuous recording (`adis_gonio.fitting.free_turn`), which has no positions."""
@@ -67,8 +94,8 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
     SingularError
         The session does not determine what the method gives.
     """
-    if method is not None and method not in (*METHODS, FREE_TURN):
-        raise UsageError(f"no method is called '{method}'; known: {', '.join((*METHODS, FREE_TURN))}")
+    if method is not None and method not in (known := (*METHOD_TABLE, FREE_TURN)):
+        raise UsageError(f"no method is called '{method}'; known: {', '.join(known)}")
     if method == FREE_TURN or (session.free_turn and method is None):
         from adis_gonio.fitting.free_turn import fit_free_turn
 
@@ -78,7 +105,7 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
             f"{session.source or 'session'}: method {method} needs positions; this is one continuous turn:"
             " use method free-turn"
         )
-    readings, links = linked_readings(session, readings_of(session), gyros)
+    readings, links = linked_readings(session, gyros)
     current().tell(f"method {method}" if method else "the best method")
     try:
         result = fit_of(readings, method)
@@ -99,38 +126,39 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
 
 
 def fit_of(readings: Readings, method: str | None = None) -> FitResult:
-    """The same of a session's readings, `check` dwells left out; worked out once and kept with them."""
-    kept: dict[str | None, FitResult] = vars(readings).setdefault("_fits", {})
-    if method not in kept:
-        kept[method] = fit_readings(readings.training, method)
-        kept.setdefault(kept[method].method, kept[method])
-    return kept[method]
+    """Same as `fit_readings`, of the dwells that are not `check` dwells; computed once for each method."""
+    if method is not None:
+        return readings.once(_fit_training, method)
+    return _by_default(readings.training, lambda name: fit_of(readings, name))
+
+
+def _fit_training(readings: Readings, method: str) -> FitResult:
+    return fit_readings(readings.training, method)
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
     """Same as `fit`, of readings: three axes are fitted in space, two in the plane."""
-    spatial = not readings.planar
-    _refuse_one_position(readings, spatial=spatial)
-    if spatial:
-        if method not in (None, "ml"):
-            raise FitError(
-                f"method {method} needs a plane of rotation; this session has none: use method ml"
-            )
-        return fit_ml(readings)
-    if method not in (None, "ml") and readings.free:
+    _refuse_one_position(readings)
+    if method is None:
+        return _by_default(readings, lambda name: fit_readings(readings, name))
+    if method != "ml" and not readings.planar:
+        raise FitError(f"method {method} needs a plane of rotation; this session has none: use method ml")
+    if method != "ml" and readings.free:
         raise FitError(
             f"method {method} needs declared angles and fixture_sigma_deg is free here: use method ml"
         )
-    if method is not None:
-        return _BY_NAME[method](readings)
-    if default_method(readings) == "two-position":
-        return fit_positions(readings, "two-position", _two(readings))
+    return METHOD_TABLE[method].fit(readings)
+
+
+def _by_default(readings: Readings, fit_by: Callable[[str], FitResult]) -> FitResult:
+    """Fit by the default method, or by `two-position` if `ml` is singular."""
     try:
-        return fit_ml(readings)
+        return fit_by(default_method(readings))
     except SingularError:
-        if not readings.free and all(len(rows) for rows in rows_at(readings, _two(readings))):
-            return fit_positions(readings, "two-position", _two(readings))
-        raise
+        has_two = all(len(rows) for rows in rows_at(readings, _two(readings)))
+        if not readings.planar or readings.free or not has_two:
+            raise
+        return fit_by("two-position")
 
 
 def applicable_methods(session: Session) -> tuple[str, ...]:
@@ -163,7 +191,7 @@ def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -
     declared = np.isfinite(angles)
     held = [bool((np.abs(wrap_degrees(angles[declared] - a)) <= 0.5).any()) for a in FOUR]
     dwells = _Dwells(len(angles), int(declared.sum()), tuple(held), free=free, known_zero=known_zero)
-    return tuple(method.name for method in _METHODS if method.suits(dwells))
+    return tuple(name for name, method in METHOD_TABLE.items() if method.suits(dwells))
 
 
 @dataclass(frozen=True)
@@ -181,50 +209,9 @@ class _Dwells:
         return not self.free and all(self.held[k] for k in quarters)
 
     @property
-    def has_two(self) -> bool:
-        """True if two positions a quarter turn apart determine ΔK and Δφ."""
-        return self.known_zero and (self.hold(0, 1) or self.hold(0, 3))
-
-    @property
-    def has_four(self) -> bool:
-        """True if opposite positions cancel the biases."""
-        return self.hold(0, 1, 2, 3)
-
-    @property
     def has_enough(self) -> bool:
         """True if there are enough dwells for a fit of all positions."""
         return self.count >= (2 if self.declared == self.count and not self.free else 3)
-
-
-@dataclass(frozen=True)
-class Method:
-    """Method of a planar fit.
-
-    Attributes
-    ----------
-    fit : callable
-        From `Readings` to a `FitResult`; raises `FitError` or `SingularError`.
-    suits : callable
-        True if the session has the positions that the method needs.
-    """
-
-    name: str
-    fit: Callable[[Readings], FitResult]
-    suits: Callable[[_Dwells], bool]
-
-
-_METHODS = (
-    Method("paper", fit_paper, lambda d: d.known_zero and d.hold(0, 1)),
-    Method("two-position", lambda r: fit_positions(r, "two-position", _two(r)), lambda d: d.has_two),
-    Method(
-        "four-position", lambda r: fit_positions(r, "four-position", FOUR), lambda d: d.hold(0, 1, 2, 3)
-    ),
-    Method("mmpm", fit_mmpm, lambda d: not d.free and d.declared >= LEAST_MMPM),
-    Method("ml", fit_ml, lambda d: d.has_enough),
-)
-METHODS = tuple(method.name for method in _METHODS)
-"""Names of the methods."""
-_BY_NAME = {method.name: method.fit for method in _METHODS}
 
 
 def _two(readings: Readings) -> tuple[int, int]:
@@ -248,8 +235,8 @@ def _only_two(readings: Readings) -> bool:
     )
 
 
-def _refuse_one_position(readings: Readings, *, spatial: bool) -> None:
-    n = len(readings)
+def _refuse_one_position(readings: Readings) -> None:
+    n, spatial = len(readings), not readings.planar
     declared = readings.angle_rad[np.isfinite(readings.angle_rad)]
     alike = len(declared) == n and bool(np.abs(wrap_radians(declared - declared[0])).max() < 1e-3)
     if n == 1 or (alike and not spatial):
@@ -257,3 +244,151 @@ def _refuse_one_position(readings: Readings, *, spatial: bool) -> None:
         raise FitError(
             f"one position only (position {readings.position[0]}): a calibration needs at least {needs}"
         )
+
+
+def fit_ml(readings: Readings) -> FitResult:
+    """Maximum likelihood of the base model and a bias.
+
+    Raises
+    ------
+    SingularError
+        If the session determines neither delta_k nor delta_phi, in space none of the parameters.
+    """
+    settled = settle(readings)
+    determination, noise = settled.determination, settled.noise
+    fit = determination.fit
+    names, null = determination.names, determination.null
+    held = [names[k] for k in determination.held]
+    unseen = ["alpha"] if readings.planar and not fit.data.visible[0] else []
+    outputs = [o for o in outputs_of(fit.data, fit.values.parameters) if o.name not in (*held, *unseen)]
+    reported = [o for o in outputs if is_determined(o.gradient, null)]
+    lost = [o.name for o in outputs if not is_determined(o.gradient, null)]
+    wanted = ("delta_k", "delta_phi") if readings.planar else names
+    if not any(o.name in wanted for o in reported):
+        directions = "; ".join(in_words(null, names))
+        raise SingularError(
+            f"{counted(len(readings), 'position')} cannot determine {' or '.join(wanted[:2])}: without "
+            f"information is {directions}; {_advice(lost)}"
+        )
+    warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
+    sources = _sources(readings, settled)
+    found = estimates(reported, sources)
+    warnings += left_to_the_stage(found, noise.sigma_rad)
+    norm = np.linalg.norm(fit.gravity, axis=1)[:, None] - 1
+    return FitResult(
+        method="ml",
+        parameters=found,
+        covariance=None if sources is None else variances(reported, sources.covariance),
+        chi2=settled.chi2,
+        dof=settled.dof,
+        residual_mg=fit.misfit if readings.planar else norm * readings.gravity_mg,
+        positions=tuple(readings.position.tolist()),
+        angle_error_rad=angle_errors(fit),
+        warnings=tuple(warnings),
+        undetermined=(*unseen, *held, *lost),
+        extra_mg=noise.extra_mg,
+        fixture_sigma_deg=math.degrees(noise.sigma_rad) if readings.planar else None,
+        origin=Origin(readings, noise, fit, tuple(reported), sources, determination),
+    )
+
+
+def _sources(readings: Readings, settled: Settled) -> Sources | None:
+    """Sources of the uncertainty; None where nothing tells the noise of a reading."""
+    if not settled.noise.known:
+        return None
+    found = settled.determination
+    inverse = covariance(found.fisher, found.free, found.null)
+    natural = natural_units(found.fit.data)
+    response = response_of(found.fit, inverse, natural)
+    first = len(found.fit.data.model.parameters)
+    rotation = by_rotation_of(found.fit, inverse, natural)
+    unseen = Unseen(
+        tuple(k - first for k in found.held if k >= first), tuple(k for k in found.held if k < first)
+    )
+    return sources_of(readings, settled.noise, found.fit, response, unseen, rotation)
+
+
+def _warnings(
+    determination: Determination, held: list[str], lost: list[str], reported: list[Output]
+) -> list[str]:
+    warnings = []
+    names = determination.names
+    for name, k in zip(held, determination.held, strict=True):
+        shift = shift_by_held(determination, k)
+        # One mg of bias, or a tenth of a degree of skew.
+        one = 1 / determination.fit.data.gravity_mg if name.startswith("bias") else math.radians(0.1)
+        moves = [
+            f"{o.name} by {with_unit(use_minus(f'{float(o.gradient @ shift) * one:+.2g}'), o.unit)}"
+            for o in reported
+            if o.name in ("delta_k", "delta_phi") or o.name.startswith("bias")
+        ]
+        step = "1 mg" if name.startswith("bias") else "0.1°"
+        moved = f": {step} of it moves {', '.join(moves)}" if moves else ""
+        warnings.append(
+            f"{name} cannot be seen in these positions and was taken as zero{moved}; {_advice([name])}"
+        )
+    if determination.null.shape[1]:
+        for direction in in_words(determination.null, names):
+            warnings.append(f"not determined by these positions: {direction}")
+        warnings.append(f"left out because not determined: {', '.join(lost)}; {_advice(lost)}")
+    return warnings
+
+
+def _advice(names: list[str]) -> str:
+    if any(name.startswith("skew") for name in names) and not any(n.startswith("scale") for n in names):
+        return "measure positions that share gravity between the two axes"
+    axes = sorted({name[-1] for name in names if name.startswith(("bias", "scale"))})
+    if any(name.endswith("_z") for name in names):
+        return f"measure positions with axis {', '.join(axes) or 'z'} up and down"
+    if any(name.startswith("bias") for name in names) and not any(n.startswith("scale") for n in names):
+        return "measure the opposite positions too (180° and 270°)"
+    return "measure positions all around the turn (0°, 90°, 180°, 270°)"
+
+
+def refit_ml(readings: Readings, made: Origin) -> Fit:
+    """Model of an `ml` fit on other readings of the same dwells, or of some of them, from its values."""
+    assert made.determination is not None
+    row = {position: k for k, position in enumerate(made.fit.data.position.tolist())}
+    attitude = made.fit.values.attitude[[row[position] for position in readings.position.tolist()]]
+    start = replace(made.fit, values=replace(made.fit.values, attitude=attitude))
+    readings = replace(readings, fitted=made.fit.data.fitted)
+    return replace(made.determination, fit=start).refitted(readings)
+
+
+@dataclass(frozen=True)
+class Method:
+    """Method of a fit.
+
+    Attributes
+    ----------
+    fit : callable
+        From `Readings` to a `FitResult`; raises `FitError` or `SingularError`.
+    refit : callable
+        From other readings of the same dwells, or of some of them, with the noise of an earlier result, and
+        the `Origin` of that result, to the `Fit` of these readings; raises `FitError`. The comparison of
+        methods leaves dwells out by it, and Monte Carlo runs its trials by it.
+    suits : callable
+        True if the session has the positions that the method needs.
+    """
+
+    fit: Callable[[Readings], FitResult]
+    refit: Callable[[Readings, Origin], Fit]
+    suits: Callable[[_Dwells], bool]
+
+
+METHOD_TABLE = {
+    "paper": Method(fit_paper, partial(refit_two, "paper"), lambda d: d.known_zero and d.hold(0, 1)),
+    "two-position": Method(
+        lambda r: fit_positions(r, "two-position", _two(r)),
+        partial(refit_two, "two-position"),
+        lambda d: d.known_zero and (d.hold(0, 1) or d.hold(0, 3)),
+    ),
+    "four-position": Method(
+        lambda r: fit_positions(r, "four-position", FOUR), refit_four, lambda d: d.hold(0, 1, 2, 3)
+    ),
+    "mmpm": Method(fit_mmpm, refit_mmpm, lambda d: not d.free and d.declared >= LEAST_MMPM),
+    "ml": Method(fit_ml, refit_ml, lambda d: d.has_enough),
+}
+"""All methods of a plane by name. `ml` also fits poses in space."""
+METHODS = tuple(METHOD_TABLE)
+"""Names of the methods."""

@@ -18,12 +18,11 @@ from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.intervals import COVERED
 from adis_gonio.base.jsonable import KEYED_BY_NAME, JsonRecord
-from adis_gonio.fitting.closed_form import model_without
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.outputs import outputs_of
-from adis_gonio.fitting.result import Estimate, FitResult, Origin
-from adis_gonio.fitting.sources import MODEL, TEMPERATURE, Source, repeatability_of
+from adis_gonio.fitting.methods import METHOD_TABLE
+from adis_gonio.fitting.result import Estimate, FitResult, Origin, outputs_of
+from adis_gonio.fitting.uncertainty import MODEL, TEMPERATURE, Source, repeatability_of
 
 WITHIN = 0.01
 """Relative difference of two uncertainties that counts as none."""
@@ -125,10 +124,10 @@ def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> Mon
         raise FitError("nothing tells the noise of a reading: there are no distributions to propagate")
     names = [e.name for e in result.parameters]
     values, failed = [], 0
-    draw, refit = _drawing(made, rng), _fitting(made, result.method)
+    draw, refit = _drawing(made, rng), METHOD_TABLE[result.method].refit
     for _ in range(trials):
         try:
-            values.append(_values(refit(draw()), names))
+            values.append(_values(refit(made.noise.applied(draw()), made), names))
         except FitError:
             failed += 1
     if len(values) < 2:
@@ -143,13 +142,6 @@ def _values(fit: Fit, names: list[str]) -> list[float]:
     parameters[: len(fit.values.parameters)] = fit.values.parameters
     by_name = {output.name: output.value for output in outputs_of(fit.data, parameters)}
     return [by_name[name] for name in names]
-
-
-def _fitting(made: Origin, method: str) -> Callable[[Readings], Fit]:
-    found = made.determination
-    if found is not None:
-        return lambda data: found.refitted(replace(made.noise.applied(data), fitted=made.fit.data.fitted))
-    return lambda data: model_without(method, data, made.noise)
 
 
 def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:

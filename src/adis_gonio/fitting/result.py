@@ -1,22 +1,28 @@
-"""What a fit returns."""
+"""Result of a fit: parameters with names, units and covariance, and everything derived from them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, mean_direction, unsolvable, wrap_radians
 from adis_gonio.base.intervals import factor_over
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.values import Value
+from adis_gonio.fitting.determination import LIMIT, names_of
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.slips.finding import listed
-from adis_gonio.fitting.solvable import unsolvable
+from adis_gonio.fitting.uncertainty import Sources
+from adis_gonio.model.effects import AXES
+from adis_gonio.model.measurement import PlanarTurn
+from adis_gonio.model.records import MG_PER_MPS2
 from adis_gonio.record.provenance import Provenance
 
 if TYPE_CHECKING:
@@ -24,14 +30,11 @@ if TYPE_CHECKING:
     from adis_gonio.fitting.determination import Determination
     from adis_gonio.fitting.estimation.fit import Fit
     from adis_gonio.fitting.estimation.readings import Readings
-    from adis_gonio.fitting.estimation.shown import ShownAngle
     from adis_gonio.fitting.linked import LinkReport
+    from adis_gonio.fitting.method_comparison import MethodComparison
     from adis_gonio.fitting.noise import NoiseAssumptions
-    from adis_gonio.fitting.outputs import Output
     from adis_gonio.fitting.slips import PositionFinding
-    from adis_gonio.fitting.sources import Sources
-    from adis_gonio.fitting.standing import Standing
-    from adis_gonio.fitting.uncertainty_budget import BudgetRow
+    from adis_gonio.fitting.uncertainty import BudgetRow, ShownAngle, Sources
 
 
 @dataclass(frozen=True)
@@ -208,14 +211,14 @@ class FitResult(ParameterTable):
         return float(self.origin.readings.conditions.temperature_c.mean())
 
     @cached_property
-    def standing(self) -> Standing | None:
+    def comparison(self) -> MethodComparison | None:
         """Every method of the session scored on the same readings, and which is recommended."""
-        from adis_gonio.fitting.standing import standing_of
+        from adis_gonio.fitting.method_comparison import compare_methods
 
         if self.session is None:
             return None
         try:
-            return standing_of(self.session)
+            return self.session.once(compare_methods)
         except np.linalg.LinAlgError as error:
             source = "" if self.provenance is None else self.provenance.source
             raise unsolvable(source or "session", error) from error
@@ -223,7 +226,7 @@ class FitResult(ParameterTable):
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
         """Uncertainty budget of `delta_k`, `delta_phi` and `angle`; empty in space or without a noise."""
-        from adis_gonio.fitting.uncertainty_budget import budget_of
+        from adis_gonio.fitting.uncertainty import budget_of
 
         made = self.origin
         if made is None or made.sources is None or not made.readings.planar:
@@ -242,7 +245,7 @@ class FitResult(ParameterTable):
     def _around(self) -> ShownAngle | None:
         """The angle shown after calibration; None where the session leaves part of it undetermined."""
         from adis_gonio.fitting.determination import is_determined
-        from adis_gonio.fitting.estimation.shown import ShownAngle
+        from adis_gonio.fitting.uncertainty import ShownAngle
 
         assert self.origin is not None
         shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
@@ -273,7 +276,7 @@ class FitResult(ParameterTable):
         The value is the root mean square over the dwells of the session, left out of the fit where they
         were in it; NaN where none is declared or can be left out.
         """
-        score = None if self.standing is None else self.standing.scores.get(self.method)
+        score = None if self.comparison is None else self.comparison.scores.get(self.method)
         if self.shown_angle is None or score is None or score.angle_rms_deg is None:
             return self.shown_angle
         return replace(self.shown_angle, value=score.angle_rms_deg)
@@ -300,15 +303,15 @@ class FitResult(ParameterTable):
             degrees = np.degrees(self.angle_error_rad)
             errors = {"rms": np.sqrt(np.mean(degrees**2)), "max": np.abs(degrees).max()}
         sigma = self.fixture_sigma_deg
-        standing = self.standing
+        comparison = self.comparison
         return json_object(
             method=self.method,
-            recommended=None if standing is None else standing.recommended,
+            recommended=None if comparison is None else comparison.recommended,
             parameters={estimate.name: estimate.stated for estimate in self.parameters},
             angle=self.angle,
             covariance={"names": names, "matrix": matrix},
             budget=self.budget,
-            scores={} if standing is None else standing.scores,
+            scores={} if comparison is None else comparison.scores,
             chi2=self.chi2,
             dof=self.dof,
             residual_rms_mg=self.residual_rms_mg,
@@ -323,3 +326,92 @@ class FitResult(ParameterTable):
             **listed(self.position_findings),
             **{} if self.links is None else {"links": self.links},
         )
+
+
+@dataclass(frozen=True)
+class Output:
+    """A reported quantity: value and gradient (p,) by the parameters in natural units."""
+
+    name: str
+    value: float
+    unit: str
+    gradient: Floats
+
+
+def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
+    """All reported quantities of base parameters and biases (p,), these in mg.
+
+    In the plane delta_k and delta_phi come first; gains and biases of readings in counts are in counts.
+    """
+    names = names_of(data)
+    eye = np.eye(len(names))
+    at = {name: k for k, name in enumerate(names)}
+    axes = AXES[: data.axes]
+    outputs = []
+    for base in data.model.parameters:
+        k = at[base.name]
+        factor, unit = base.per_natural, base.unit
+        if base.name.startswith("scale") and not data.unit.known:
+            factor, unit = float(data.unit.per_mg[AXES.index(base.name[-1])]) * MG_PER_MPS2, "counts/(m/s²)"
+        value = float(parameters[k]) * factor if unit != "deg" else base.stated(float(parameters[k]))
+        outputs.append(Output(base.name, value, unit, eye[k] * factor))
+    for axis, letter in enumerate(axes):
+        k = at[f"bias_{letter}"]
+        factor = float(data.unit.per_mg[axis])
+        value = float(data.unit.zero[axis]) + float(parameters[k]) * factor
+        outputs.append(Output(names[k], value, data.unit.name, eye[k] * factor * data.gravity_mg))
+    if data.planar:
+        x, y = at["scale_x"], at["scale_y"]
+        ratio = float(data.unit.per_mg[0] / data.unit.per_mg[1])
+        k_x, k_y = float(parameters[x]), float(parameters[y])
+        outputs.append(
+            Output("delta_k", ratio * k_x / k_y - 1, "1", ratio * (eye[x] / k_y - eye[y] * k_x / k_y**2))
+        )
+    return tuple(sorted(outputs, key=lambda output: _RANK.get(output.name, len(_RANK))))
+
+
+def left_to_the_stage(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
+    """What has to be said where the axes' angle is known by the stage alone, and the stage is wide."""
+    u_deg = next((one.u for one in found if one.name == "delta_phi"), None)
+    if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:
+        return []
+    return [
+        f"u of delta_phi is {u_deg:.2g}°: these positions leave it to the stage "
+        f"({math.degrees(sigma_rad):.3g}°), and the uncertainties of gains and biases beside, which are "
+        "linear in it, are rough; five positions or more, spread over the turn, need no stage for it"
+    ]
+
+
+_FIRST: Sequence[str] = ("delta_k", "delta_phi", "alpha", "scale_x", "scale_y", "scale_z")
+_RANK = {name: rank for rank, name in enumerate(_FIRST)}
+
+
+def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
+    """Covariance (m, m) of outputs by that of the parameters (p, p) in natural units."""
+    gradients = np.stack([output.gradient for output in outputs])
+    return np.asarray(gradients @ natural @ gradients.T)
+
+
+def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estimate, ...]:
+    """Outputs with their uncertainty; None for it where nothing tells the noise."""
+    found = []
+    for output in outputs:
+        u, dof = (None, math.inf) if sources is None else sources.uncertainty(output.gradient[None])
+        found.append(Estimate(output.name, output.value, u, output.unit, dof))
+    return tuple(found)
+
+
+def angle_errors(fit: Fit) -> Floats | None:
+    """Angle of the calibrated goniometer minus the declared angle (m,) in rad; None without any.
+
+    Where attitudes are free, α is not known and the mean difference stands in for it.
+    """
+    data = fit.data
+    declared = np.isfinite(data.angle_rad)
+    if not isinstance(data.model, PlanarTurn) or not declared.any():
+        return None
+    gravity = fit.gravity[declared]
+    shown = np.arctan2(gravity[:, 1], gravity[:, 0]) + data.angle_rad[declared]
+    zero = mean_direction(shown) if data.free else float(fit.values.base[0])
+    # Positive for a stage that stands further on than declared: ψ = α − θ.
+    return -wrap_radians(shown - zero)

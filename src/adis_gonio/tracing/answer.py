@@ -16,13 +16,17 @@ from adis_gonio.base.values import Value
 from adis_gonio.fitting.answer import Answer, with_notes
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.estimation.shown import ShownAngle
+from adis_gonio.fitting.method_comparison import (
+    DwellPrediction,
+    Recommendation,
+    Score,
+    predicted,
+    scores_of,
+    surely_worse,
+)
 from adis_gonio.fitting.noise import NoiseAssumptions
 from adis_gonio.fitting.result import FitResult
-from adis_gonio.fitting.scores import DwellPrediction, Score, predicted, scores_of
-from adis_gonio.fitting.sources import MODEL, response_of, sources_of
-from adis_gonio.fitting.standing import Recommendation, surely_worse
-from adis_gonio.fitting.uncertainty_budget import BudgetRow, budget_of
+from adis_gonio.fitting.uncertainty import MODEL, BudgetRow, ShownAngle, budget_of, response_of, sources_of
 from adis_gonio.tracing.outcome.result import TraceResult
 
 TRACED = "trace"
@@ -116,24 +120,24 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
         A `TracedAnswer` if the trace added effects and its model predicts as well as the best method.
     """
     plain = Answer.of(result, own=own)
-    standing = plain.standing
+    comparison = plain.comparison
     if trace is None or not trace.fits or result.session is None:
         return plain
-    likely = next((r for r in standing.results if r.method == "ml"), standing.best)
+    likely = next((r for r in comparison.results if r.method == "ml"), comparison.best)
     names = _beyond(likely, trace)
     if not names:
-        return replace(plain, recommended=_confirmed(standing.recommended, trace))
+        return replace(plain, recommended=_confirmed(comparison.recommended, trace))
     prediction = _of_trace(result.session, trace)
     if prediction is None:
         return plain
-    found = {**standing.predictions, TRACED: prediction}
+    found = {**comparison.predictions, TRACED: prediction}
     scores = scores_of(found)
-    reason = _reason(trace, found, scores, standing.recommended.method)
+    reason = _reason(trace, found, scores, comparison.recommended.method)
     if reason is None:
         return replace(plain, scores=scores)
     return TracedAnswer(
         with_notes(likely, result),
-        standing,
+        comparison,
         Recommendation(likely.method, reason, names),
         scores,
         traced=trace,

@@ -16,9 +16,10 @@ from adis_gonio.calibrate.document import (
     GYRO_SCHEMA,
     SCHEMA,
     calibration_from,
+    calibration_in,
     gyro_calibration_from,
+    json_document,
 )
-from adis_gonio.calibrate.files import calibration_in, json_document
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.record.provenance import Provenance, provenance_of
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.intervals import NORMAL_95
@@ -25,7 +25,6 @@ from adis_gonio.fitting.allan.processes import KINDS, Kind
 from adis_gonio.fitting.allan.rests import LEAST, Part, Rests, rests_of
 from adis_gonio.fitting.allan.result import AllanResult, AxisNoise, parameters
 from adis_gonio.fitting.allan.words import notes_of
-from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 
 MOST_M = 6

@@ -13,7 +13,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.estimation.converter import steps_of
+from adis_gonio.fitting.estimation.screening import steps_of
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 
 Part = Literal["gyro", "accelerometer"]

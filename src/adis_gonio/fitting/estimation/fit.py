@@ -158,6 +158,15 @@ class Fit:
         deviation = self.data.model.deviation_rad(self.values.attitude)
         return self.misfit + (self.tangent @ deviation[:, :, None])[:, :, 0]
 
+    @cached_property
+    def gravity(self) -> Floats:
+        """Gravity (n, axes) that the calibrated sensor computes from each reading alone."""
+        beside = np.zeros(self.data.mean.shape)
+        for index, term in enumerate(self.terms):
+            if not term.enters_angle:
+                beside = beside + self.added(index)
+        return self.data.model.calibrated(self.values.base, self.data.mean - beside)
+
     def added(self, index: int) -> Floats:
         """What a term adds to the readings (n, axes), to first order where it turns the part."""
         term, own = self.terms[index], self.values.terms[index]

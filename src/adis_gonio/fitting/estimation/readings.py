@@ -27,9 +27,10 @@ both roughly (`Unit`), so that everything after runs on readings that are nearly
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -37,15 +38,26 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
-from adis_gonio.base.errors import DataError, FitError
-from adis_gonio.base.numbers import name_positions
+from adis_gonio.base.computed_once import ComputedOnce
+from adis_gonio.base.errors import DataError, FitError, UsageError
+from adis_gonio.base.numbers import counted, name_positions
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.estimation.conic import conic_through
-from adis_gonio.fitting.estimation.converter import Converter, converter_of, steps_of
-from adis_gonio.fitting.estimation.flicker import covariance_of_means, modes, scatter_of_means, spans
 from adis_gonio.fitting.estimation.links import Links
-from adis_gonio.fitting.estimation.screening import limits_in_words, refuse_dead_data
-from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means
+from adis_gonio.fitting.estimation.screening import (
+    Converter,
+    converter_of,
+    limits_in_words,
+    refuse_dead_data,
+    steps_of,
+)
+from adis_gonio.fitting.estimation.spectrum import (
+    MeanNoise,
+    covariance_of_means,
+    modes,
+    noise_of_means,
+    scatter_of_means,
+    spans,
+)
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
 from adis_gonio.model.records import ACCEL_UNITS, MG_PER_MPS2, Dwell, Session
@@ -98,7 +110,7 @@ def in_mg(axes: int, scale: float = 1.0) -> Unit:
 
 
 @dataclass(frozen=True)
-class Readings:
+class Readings(ComputedOnce):
     """One row a dwell.
 
     Attributes
@@ -440,7 +452,7 @@ def _refuse_reversed(session: Session, readings: Readings) -> None:
 
 
 def readings_of(session: Session) -> Readings:
-    """Readings of all dwells, `check` dwells among them; reduced once a session and kept with it.
+    """Readings of all dwells, including `check` dwells; computed once for each session.
 
     Raises
     ------
@@ -448,14 +460,15 @@ def readings_of(session: Session) -> Readings:
         All-zero or stuck data, no usable dwell, readings that are not finite or nowhere near 1 g, angles
         that turn the other way.
     """
-    kept: Readings | None = vars(session).get("_readings")  # the session is frozen: it cannot go stale
-    if kept is None:
-        current().tell("noise of the readings")
-        kept = reduced(session)
-        _refuse_other_units(session, kept)
-        _refuse_reversed(session, kept)
-        vars(session)["_readings"] = kept
-    return kept
+    return session.once(_checked_readings)
+
+
+def _checked_readings(session: Session) -> Readings:
+    current().tell("noise of the readings")
+    readings = reduced(session)
+    _refuse_other_units(session, readings)
+    _refuse_reversed(session, readings)
+    return readings
 
 
 def reduced(session: Session) -> Readings:
@@ -712,3 +725,67 @@ def _flicker(session: Session, noise: MeanNoise) -> Floats:
         stated = 0.0
     shown = noise.flicker > 0
     return np.where(shown, noise.flicker, np.minimum(stated, noise.flicker_limit))
+
+
+def conic_through(points: Floats) -> tuple[Floats, Floats]:
+    """Centre (d,) and matrix (d, d) of the ellipse or ellipsoid (p − c)ᵀ Q (p − c) = 1 near the points.
+
+    Algebraic least squares on centred and scaled points: with all quadratic terms where there are enough
+    points and they give an ellipsoid, else with fewer (no mixed terms, then a sphere).
+
+    Raises
+    ------
+    FitError
+        If the points (n, d) lie on no ellipsoid: too few, or all in one place.
+    """
+    n, d = points.shape
+    middle = points.mean(axis=0)
+    size = float(np.abs(points - middle).max())
+    if size <= 0 or n < d + 1:
+        raise FitError(
+            f"{counted(n, 'position')} cannot show an unknown scale and zero; measure at least {2 * d + 3}"
+        )
+    p = (points - middle) / size
+    pairs = [(i, j) for i in range(d) for j in range(i + 1, d)]
+    mixed = [2 * p[:, i] * p[:, j] for i, j in pairs]
+    squares = list((p**2).T)
+    linear = list((2 * p).T)
+    for quadratic in (squares + mixed, squares, [np.sum(p**2, axis=1)]):
+        design = np.stack(quadratic + linear, axis=1)
+        if n < design.shape[1]:
+            continue
+        q, _, rank, _ = np.linalg.lstsq(design, np.ones(n), rcond=1e-9)
+        if rank < design.shape[1]:
+            continue
+        terms = len(quadratic)
+        matrix = np.diag(np.broadcast_to(q[: min(terms, d)], d)).copy()
+        for value, (i, j) in zip(q[d:terms], pairs, strict=False):
+            matrix[i, j] = matrix[j, i] = value
+        if not np.all(np.linalg.eigvalsh(matrix) > 0):
+            continue
+        centre = -np.linalg.solve(matrix, q[terms:])
+        level = 1 + centre @ matrix @ centre
+        return middle + size * centre, np.asarray(matrix / (level * size**2), dtype=np.float64)
+    raise FitError("the positions lie on no ellipsoid; spread them over more directions")
+
+
+ACCELEROMETER, GYRO = "accelerometer", "gyro"
+_READERS = {
+    ACCELEROMETER: ("adis_gonio.fitting.estimation.readings", "readings_of"),
+    GYRO: ("adis_gonio.fitting.gyros.readings", "gyro_readings_of"),
+}
+PARTS: tuple[str, ...] = tuple(_READERS)
+
+
+def known_part(part: str) -> str:
+    """The part itself; `UsageError` where there is no such part."""
+    if part not in _READERS:
+        raise UsageError(f"a sensor has no part '{part}'; it has {', '.join(PARTS)}")
+    return part
+
+
+def readings_of_part(session: Session, part: str) -> Readings:
+    """Readings of a part of the sensor, as `readings_of` gives those of the accelerometers."""
+    module, name = _READERS[known_part(part)]
+    reader: Callable[[Session], Readings] = getattr(import_module(module), name)
+    return reader(session)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.levels import INADEQUATE
@@ -26,12 +26,10 @@ from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy
-from adis_gonio.fitting.estimation.parts import GYRO, readings_of_part
-from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.readings import GYRO, Readings, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.gyros.alignment import alignment
 from adis_gonio.fitting.gyros.plausible import implausible
-from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import Provenance, provenance_of
@@ -224,14 +222,11 @@ def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> Gyr
         from adis_gonio.fitting.gyros.readings import gyro_readings_by
 
         return _fit_session(session, gyro_readings_by(session, accelerometers))
-    kept: GyroFit | None = vars(session).get("_gyro_fit")  # the session is frozen: it cannot go stale
-    if kept is None:
-        kept = _fit_session(session, readings_of_part(session, GYRO))
-        vars(session)["_gyro_fit"] = kept
-    return kept
+    return session.once(_fit_session)
 
 
-def _fit_session(session: Session, readings: Readings) -> GyroFit:
+def _fit_session(session: Session, readings: Readings | None = None) -> GyroFit:
+    readings = readings_of_part(session, GYRO) if readings is None else readings
     try:
         result = fit_gyro_readings(readings.training)
     except FitError as error:

@@ -27,10 +27,9 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import counted, format_ranges
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
-from adis_gonio.fitting.estimation.converter import steps_of
-from adis_gonio.fitting.estimation.flicker import spans
 from adis_gonio.fitting.estimation.readings import flicker_parts, left_by_quantization, mg_per_unit
-from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means
+from adis_gonio.fitting.estimation.screening import steps_of
+from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means, spans
 from adis_gonio.fitting.gyros.integral import Integral, Path, Sampling, integrate, period_of
 from adis_gonio.fitting.gyros.reference import (
     MARK_U_DEG,

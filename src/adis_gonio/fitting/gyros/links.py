@@ -24,8 +24,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
-from adis_gonio.fitting.estimation.flicker import covariance_of_means
 from adis_gonio.fitting.estimation.links import Links
+from adis_gonio.fitting.estimation.spectrum import covariance_of_means
 from adis_gonio.fitting.gyros.attitude import AssumedGyros, Attitude, attitude
 from adis_gonio.fitting.gyros.integral import Integral, Path, Sampling, integrate, smooth
 from adis_gonio.fitting.gyros.intervals import GyroDwells, gyro_dwells_of, path_between

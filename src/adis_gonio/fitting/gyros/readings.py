@@ -31,19 +31,19 @@ zero rate nothing tells from the zero rate itself."""
 
 
 def gyro_readings_of(session: Session) -> Readings:
-    """Readings of all intervals, those for checking among them; reduced once a session and kept with it.
+    """Readings of all intervals, including those for checking; computed once for each session.
 
     Raises
     ------
     DataError
         The session has no gyros, or their unit is not known.
     """
-    kept: Readings | None = vars(session).get("_gyro_readings")  # the session is frozen: it cannot go stale
-    if kept is None:
-        current().tell("noise of the gyros")
-        kept = readings_of_intervals(rate_intervals(session), session.sensor, session.gravity_mg)
-        vars(session)["_gyro_readings"] = kept
-    return kept
+    return session.once(_gyro_readings)
+
+
+def _gyro_readings(session: Session) -> Readings:
+    current().tell("noise of the gyros")
+    return readings_of_intervals(rate_intervals(session), session.sensor, session.gravity_mg)
 
 
 def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:

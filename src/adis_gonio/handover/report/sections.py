@@ -29,9 +29,8 @@ from adis_gonio.base.numbers import (
 )
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
-from adis_gonio.fitting.answer import Answer
+from adis_gonio.fitting.answer import Answer, freedom, share
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.tables import freedom, share
 from adis_gonio.model.records import Session
 from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
 from adis_gonio.page.svg import Role, Series, Style, plot

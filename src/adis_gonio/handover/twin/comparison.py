@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.errors import DataError
 from adis_gonio.fitting.allan.deviation import overlapping
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 
 

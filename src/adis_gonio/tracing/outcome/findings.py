@@ -12,7 +12,7 @@ from adis_gonio.base.values import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Unit
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm
-from adis_gonio.fitting.outputs import outputs_of
+from adis_gonio.fitting.result import outputs_of
 from adis_gonio.model.effects import AXES, effect
 from adis_gonio.tracing.outcome.between import bases, effects
 from adis_gonio.tracing.outcome.cycles import cycles_alike

@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.method_comparison import (
+    DwellPrediction,
+    Recommendation,
+    Score,
+    recommend,
+    scores_of,
+    surely_worse,
+)
 from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.fitting.scores import DwellPrediction, Score, scores_of
-from adis_gonio.fitting.standing import Recommendation, recommend, surely_worse
 
 
 def result(method: str, u: float | None = 1.0, *, bias: bool = True, other: float = 1.0) -> FitResult:

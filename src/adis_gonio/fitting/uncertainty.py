@@ -1,16 +1,26 @@
-"""Sources of uncertainty: what each moves the parameters by; their variances add up to the covariance.
+"""Uncertainty of fitted parameters: its sources, the budget, and the angle that a goniometer shows.
 
-A fit answers a small change of its readings by R = ∂parameter/∂reading. A source s of independent parts
-moves the readings by them, and so the parameters by the columns of F_s = R·parts; the covariance is
-Σ F_s F_sᵀ (JCGM 100:2008, 5.1.2 and 5.2). Each column carries the degrees of freedom of the estimate that
-it rests on, and columns of one estimate count as one (G.4.1).
+**Sources.** A fit responds to a small change of its readings by R = ∂parameter/∂reading. A source of
+independent parts moves the readings by these parts, and so moves the parameters by the columns of
+F_s = R·parts; the covariance is Σ F_s F_sᵀ (JCGM 100:2008, 5.1.2 and 5.2). Each column carries the degrees
+of freedom of the estimate that it rests on, and columns of one estimate count as one (G.4.1).
+
+**Missing effects.** If the residual is larger than the noise, some effect is missing, and it also moves the
+fitted parameters. Each amplitude θ of the catalogue gets a normal prior about zero. Its standard deviation
+is the typical size in the catalogue times one common factor s ≥ 1, which maximizes the likelihood of the
+residual r:
+
+    r ~ N(0, 1 + s² W Wᵀ),  W = whitened columns of typical size, without the part that the fit describes
+
+The posterior of θ then has the second moment M + μ μᵀ with M = (s⁻² + Wᵀ W)⁻¹ and μ = M Wᵀ r. The fit
+leaves the effects out, so the error that they cause has this second moment, and not the variance M alone.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -18,11 +28,13 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.intervals import effective_dof
+from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.missing_effects import missing_effects
+from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.noise import NoiseAssumptions
+from adis_gonio.model.effects import AXES, Enters, catalogue
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 Kind = Literal["A", "B"]
@@ -507,3 +519,233 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
             [np.zeros((axes, extra.shape[1])), biases[0], np.zeros((axes, others.shape[2]))], axis=1
         ),
     )
+
+
+ROUNDING = 1e-10
+"""Share of u below which a contribution is what a computation rounds."""
+
+
+@dataclass(frozen=True)
+class BudgetRow(JsonRecord):
+    """One source in the budget of one quantity.
+
+    The JSON document is one row of `budget`.
+
+    Attributes
+    ----------
+    source, kind, distribution : str
+        Name, type (`A` or `B`) and distribution.
+    u, unit : float or None, str
+        Standard uncertainty of the source itself; None where nothing states it.
+    sensitivity : float or None
+        Contribution per u; of a source that acts in every dwell on its own, the root of the sum of squares.
+    contribution : float
+        Standard uncertainty that it brings, in the unit of the quantity.
+    dof : float
+        Effective degrees of freedom; inf where unlimited.
+    share : float
+        Of the variance; the shares of a budget add up to 1.
+    """
+
+    source: str
+    kind: str = field(metadata=key("type"))
+    distribution: str
+    u: float | None
+    unit: str
+    sensitivity: float | None
+    contribution: float
+    dof: float
+    share: float
+    note: str = ""
+
+
+def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None) -> tuple[BudgetRow, ...]:
+    """Budget of one quantity.
+
+    Parameters
+    ----------
+    gradient : (m, p) float
+        In the quantity's unit by the parameters in natural units; the mean square over m is meant.
+    reading : (m, axes) float, optional
+        The same by one further reading, per mg.
+    """
+    total, _ = sources.uncertainty(gradient, reading)
+    rows = []
+    for source in sources.each:
+        parts = source.parts(gradient, reading)
+        contribution = math.sqrt(sum(part[2] for part in parts))
+        if contribution < ROUNDING * total:
+            contribution = 0.0
+        known = source.u is not None and source.u > 0
+        rows.append(
+            BudgetRow(
+                source=source.name,
+                kind=source.kind,
+                distribution=source.distribution,
+                u=source.u,
+                unit=source.unit,
+                sensitivity=contribution / source.u if source.u is not None and known else None,
+                contribution=contribution,
+                dof=dof_of(parts),
+                share=0.0 if source.by_definition or total == 0 else (contribution / total) ** 2,
+                note=source.note,
+            )
+        )
+    return tuple(rows)
+
+
+_DESCRIBED = 1e-6
+"""Relative size of a column's remainder below which it is a combination of the parameters' columns."""
+_LARGEST_FACTOR = 1e4
+
+
+def missing_effects(fit: Fit) -> Floats:
+    """Return inputs (n, axes, k) in mg, each at one standard uncertainty, that the model lacks.
+
+    Parameters
+    ----------
+    fit : Fit
+        The model that does not describe the session, on readings whose noise has the scatter of the
+        residual in it: scatter without any structure is the rival explanation.
+    """
+    columns = np.concatenate([*_columns(fit), np.zeros((*fit.data.mean.shape, 0))], axis=2)
+    white = fit.white(columns)
+    size = np.linalg.norm(white, axis=0)
+    remaining = _without(white, fit.jacobian)
+    shown = np.linalg.norm(remaining, axis=0) > _DESCRIBED * size
+    columns, remaining = columns[:, :, shown], remaining[:, shown]
+    if not columns.shape[2]:
+        return columns
+    residual = _without(fit.residual.reshape(-1, 1), fit.jacobian)[:, 0]
+    # In the basis of the singular vectors the amplitudes are independent.
+    left, singular, right = np.linalg.svd(remaining, full_matrices=False)
+    along = left.T @ residual
+    factor = _factor(singular**2, along**2)
+    # Directions of θ that the residual does not show keep the prior s².
+    precision = factor**-2 + singular**2
+    mean = right.T @ (singular * along / precision)
+    moment = factor**2 * np.eye(columns.shape[2])
+    moment += (right.T * (1 / precision - factor**2)) @ right + np.outer(mean, mean)
+    values, vectors = np.linalg.eigh(moment)
+    return np.asarray(columns @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+
+
+def _columns(fit: Fit) -> Iterator[Floats]:
+    """Yield columns (n, axes, d) of each effect that acts on readings of this session, at typical size."""
+    data = fit.data
+    for kind in catalogue(data.model.part).values():
+        beside_readings = kind.enters is Enters.SAMPLES or kind.within_dwell
+        # A choice is a discrete number (a dwell, a degree): the scatter of the readings stands for these.
+        if beside_readings or kind.choices() or data.conditions.lacks(kind.needs):
+            continue
+        effect = kind(AXES[: data.axes] if kind.by_axis else ())
+        parameters = effect.parameters
+        shapes = tuple((k, p.typical) for k, p in enumerate(parameters) if p.shape)
+        term = NamedTerm(effect.name, (), 0.0, effect, shapes)
+        yield fit.candidate(term) * np.array([parameters[k].typical for k in term.amplitudes])
+
+
+def _without(rows: Floats, columns: Floats) -> Floats:
+    """Rows (m, d) less the part that a linear combination of columns (m, p) describes."""
+    return np.asarray(rows - columns @ np.linalg.lstsq(columns, rows, rcond=1e-9)[0])
+
+
+def _factor(strength: Floats, power: Floats) -> float:
+    """Factor s, 1 to 10⁴, on the sizes of independent amplitudes that maximizes the likelihood.
+
+    Parameters
+    ----------
+    strength, power : (k,) float
+        Squares of the singular values, and of the residual along the singular vectors.
+    """
+    from scipy.optimize import minimize_scalar
+
+    def deviance(log_factor: float) -> float:
+        variance = 1 + math.exp(2 * log_factor) * strength
+        return float((np.log(variance) + power / variance).sum())
+
+    bounds = (0.0, math.log(_LARGEST_FACTOR))
+    return math.exp(float(minimize_scalar(deviance, bounds=bounds, method="bounded").x))
+
+
+PLACES = 72
+"""Angles of a turn over which the uncertainty of a shown angle is averaged."""
+
+
+@dataclass(frozen=True)
+class ShownAngle:
+    """Slopes of the shown angle at m places of the turn.
+
+    Attributes
+    ----------
+    gradient : (m, p) float
+        Degrees by the parameters: base and biases in natural units, or all of a fit in its own.
+    reading : (m, 2) float
+        Degrees per mg of the reading.
+    """
+
+    gradient: Floats
+    reading: Floats
+
+    @classmethod
+    def around(cls, fit: Fit) -> ShownAngle:
+        """All around the turn, by base parameters and biases, at the values of a planar fit.
+
+        Angle ψ = atan2(v, u) with u = (U_x − b_x)/(G K_x), v = ((U_y − b_y)/(G K_y) − u sin Δφ)/cos Δφ;
+        shown is α − ψ. Where no angle is declared there is no α, and the angle is that of gravity to X.
+        """
+        gradient = gradient_of_base(fit.values.base, zero=bool(fit.data.visible[0]))
+        return cls(gradient, -np.degrees(_by_reading(fit, _around())))
+
+    @classmethod
+    def at_dwells(cls, fit: Fit) -> ShownAngle:
+        """At the dwells of a planar fit, by all of its parameters, those of its terms among them."""
+        psi = fit.values.base[0] + fit.turn_rad + fit.values.attitude
+        slope = _by_reading(fit, psi)
+        gradient = np.einsum("na,nap->np", slope, fit.columns)
+        return cls(np.degrees(gradient), -np.degrees(slope))
+
+    def variances(self, covariance: Floats, reading_mg2: Floats) -> Floats:
+        """Variance (m,) in degrees² at each place."""
+        by_parameters = np.einsum("mp,pq,mq->m", self.gradient, covariance, self.gradient)
+        by_reading = np.einsum("ma,ab,mb->m", self.reading, reading_mg2, self.reading)
+        return np.asarray(by_parameters + by_reading)
+
+
+def gradient_of_base(base: Floats, *, zero: bool) -> Floats:
+    """Degrees (PLACES, 6) of a shown angle by α, K_x, K_y, Δφ and biases (of gravity 1).
+
+    Parameters
+    ----------
+    base : (4,) float
+        Base parameters of the plane.
+    zero : bool
+        True where angles are declared, so that α is part of what is shown.
+    """
+    _, k_x, k_y, skew = base
+    psi = _around()
+    x, y = np.cos(psi), np.sin(psi + skew)
+    by_x, by_y = _by_axis(psi, skew)
+    gradient = np.zeros((PLACES, len(base) + 2))
+    gradient[:, 0] = 1.0 if zero else 0.0
+    gradient[:, 1] = by_x * x / k_x
+    gradient[:, 2] = by_y * y / k_y
+    gradient[:, 3] = x * (x - y * math.sin(skew)) / math.cos(skew) ** 2
+    gradient[:, 4], gradient[:, 5] = by_x / k_x, by_y / k_y
+    return np.asarray(np.degrees(gradient))
+
+
+def _around() -> Floats:
+    return np.linspace(0, 2 * math.pi, PLACES, endpoint=False)
+
+
+def _by_axis(psi: Floats, skew: float) -> tuple[Floats, Floats]:
+    """∂ψ/∂(U_x/(G K_x)) and ∂ψ/∂(U_y/(G K_y))."""
+    return -np.sin(psi) - np.cos(psi) * math.tan(skew), np.cos(psi) / math.cos(skew)
+
+
+def _by_reading(fit: Fit, psi: Floats) -> Floats:
+    """∂ψ/∂reading (m, 2) in rad per mg."""
+    _, k_x, k_y, skew = fit.values.base
+    by_x, by_y = _by_axis(psi, float(skew))
+    return np.asarray(np.stack([by_x / k_x, by_y / k_y], axis=1) / fit.data.gravity_mg)
