@@ -1,8 +1,9 @@
-"""The recipes of CONTRIBUTING.md, word for word, as a package that is installed beside this one."""
+"""The recipes of CONTRIBUTING.md, as printed: in a package of their own, or added to a copy of this one."""
 
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -12,27 +13,16 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 ANY_BLOCK = re.compile(r"^```(?:python|toml)\n# (\S+)\n(.*?)^```$", re.M | re.S)
-
-TRY_METHOD = """
-import json, sys
-import numpy as np
-import adis_gonio, my_bench.forward
-
-session = adis_gonio.load_session(sys.argv[1])
-forward = [dwell.position for dwell in session.dwells if dwell.approach > 0]
-result = adis_gonio.fit(session, method="forward")
-assert list(result.positions) == forward
-assert len(forward) < len(session.dwells)
-print(json.dumps({"forward": result.as_dict(), "default": adis_gonio.fit(session).as_dict()}))
-"""
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+BLOCKS = dict(ANY_BLOCK.findall(CONTRIBUTING))
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """Runs a command where the recipes' package is installed, as pip leaves one on the path."""
     folder = tmp_path_factory.mktemp("site-packages")
-    files = dict(ANY_BLOCK.findall((ROOT / "CONTRIBUTING.md").read_text("utf-8")))
-    for name, text in (*files.items(), ("my_bench/try_method.py", TRY_METHOD)):
+    files = {name: text for name, text in BLOCKS.items() if "." in name and not name.startswith("src/")}
+    for name, text in files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text, "utf-8")
     project = tomllib.loads(files["pyproject.toml"])["project"]
@@ -91,18 +81,6 @@ def test_the_effect_is_simulated_and_traced_by_its_name(bench, tmp_path):
     assert abs(rate["value"] - 10) < 4 * rate["u"] < 5
 
 
-def test_the_method_fits_and_takes_part_in_the_comparison_by_its_row_alone(bench, tmp_path):
-    session = str(tmp_path / "both.session")
-    bench("adis_gonio", "simulate", "--plan", "tumble", "-o", session)
-    documents = json.loads(bench("my_bench.try_method", session).stdout)
-    found = documents["forward"]["parameters"]["delta_phi"]
-    assert documents["forward"]["method"] == "forward"
-    assert 0 < found["u"] < 0.1
-    assert documents["default"]["method"] == "ml"
-    scores = documents["default"]["scores"]
-    assert scores["forward"]["dwells"] == scores["ml"]["dwells"] > 0
-
-
 def test_without_the_package_the_effect_is_unknown_in_one_line(tmp_path):
     command = [sys.executable, "-m", "adis_gonio", "simulate", "--effect", "mount_drift"]
     done = subprocess.run(
@@ -114,3 +92,59 @@ def test_without_the_package_the_effect_is_unknown_in_one_line(tmp_path):
     )
     assert done.returncode == 2
     assert "no effect is called 'mount_drift'" in done.stderr
+
+
+@pytest.fixture(scope="module")
+def extended(tmp_path_factory):
+    """Runs a command of a copy of this package to which the recipes have added a method and an export."""
+    folder = tmp_path_factory.mktemp("copy")
+    shutil.copytree(ROOT / "src", folder / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    for name, text in BLOCKS.items():
+        if name.startswith("src/"):
+            (folder / name).write_text(text, "utf-8")
+    import_line = "from adis_gonio.fitting.cautious import fit_cautious"
+    for table, linked, line in (("METHOD_TABLE", "methods.py", import_line), ("FORMATS", "formats.py", "")):
+        (path,) = re.findall(rf"`{table}` in \[`\S*{linked}`\]\((\S+)\)", CONTRIBUTING)
+        text = (folder / path).read_text("utf-8")
+        start = re.search(rf"^{table} = [({{]$", text, re.M).end()
+        text = f"{text[:start]}\n{BLOCKS[table]}{text[start:]}"
+        first_import = re.search(r"^from adis_gonio", text, re.M).start()
+        (folder / path).write_text(f"{text[:first_import]}{line}\n{text[first_import:]}", "utf-8")
+
+    def run(*arguments: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", "adis_gonio", *arguments],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(folder / "src")},
+            capture_output=True,
+            text=True,
+            timeout=600,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    run("simulate", "--plan", "tumble", "-o", "some.session")
+    return run
+
+
+def test_the_method_is_fitted_and_compared(extended):
+    document = json.loads(extended("fit", "some.session", "--method", "cautious", "--json"))
+    assert document["method"] == "cautious"
+    assert "cautious" in document["scores"]
+    assert "cautious" in json.loads(extended("fit", "some.session", "--json"))["scores"]
+
+
+def test_the_export_follows_from_the_file_name(extended):
+    extended("export", "some.session", "-o", "some.gains")
+    printed = extended("export", "some.session", "--format", "gains", "-o", "-")
+    values = {line.split()[0]: float(line.split()[1]) for line in printed.splitlines()}
+    parameters = json.loads(extended("fit", "some.session", "--json"))["parameters"]
+    assert values["scale_x"] == pytest.approx(parameters["scale_x"]["value"])
+
+
+def test_every_file_that_the_page_links_has_the_table_that_it_names():
+    rows = re.findall(r"a row of `(\w+)` in \[`[^`]+`\]\(([^)]+)\)", CONTRIBUTING)
+    assert len(rows) == 3
+    for table, path in rows:
+        assert re.search(rf"^{table} = ", (ROOT / path).read_text("utf-8"), re.M), path

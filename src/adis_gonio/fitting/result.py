@@ -18,7 +18,7 @@ from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.values import Value
 from adis_gonio.fitting.determination import LIMIT, names_of
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.slips.finding import listed
+from adis_gonio.fitting.slips.position_diagnosis import listed
 from adis_gonio.fitting.uncertainty import Sources
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import PlanarTurn

@@ -772,7 +772,7 @@ def conic_through(points: Floats) -> tuple[Floats, Floats]:
 ACCELEROMETER, GYRO = "accelerometer", "gyro"
 _READERS = {
     ACCELEROMETER: ("adis_gonio.fitting.estimation.readings", "readings_of"),
-    GYRO: ("adis_gonio.fitting.gyros.readings", "gyro_readings_of"),
+    GYRO: ("adis_gonio.fitting.gyros.gyro_readings", "gyro_readings_of"),
 }
 PARTS: tuple[str, ...] = tuple(_READERS)
 
