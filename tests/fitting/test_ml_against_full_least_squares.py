@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from adis_gonio.fitting.estimation import Fit, NamedTerm, from_means
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import from_means
+from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import Conditions, effect
 
 G_MG = 1000.0

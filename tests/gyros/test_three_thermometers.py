@@ -12,7 +12,7 @@ from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.estimation import Fit
+from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.gyros.gyro_readings import rate_intervals, readings_of_intervals
 from adis_gonio.model.effects import effect

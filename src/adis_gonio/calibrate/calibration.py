@@ -22,6 +22,7 @@ from adis_gonio.calibrate.coefficients import (
     Coefficient,
     Coefficients,
     NotCorrected,
+    checked_condition,
     checked_numbers,
     checked_offsets,
 )
@@ -361,11 +362,17 @@ class Calibration(Coefficients):
         self, n: int, temperature_c: ArrayLike | None, supply_v: ArrayLike | None
     ) -> Conditions:
         needs = {name for term in self.effects for name in term.effect.needs}
+
+        def of_session(name: str, given: ArrayLike | None, covered: Covered | None) -> Floats | None:
+            default = covered.mean if covered is not None and name in needs else None
+            found = checked_condition(name, given, n, default)
+            return None if found is None else found[:, 0]
+
         where = self.provenance
         return Conditions(
             time_s=np.zeros(n),
-            temperature_c=checked_condition("temperature_c", temperature_c, n, where.temperature_c, needs),
-            supply_v=checked_condition("supply_v", supply_v, n, where.supply_v, needs),
+            temperature_c=of_session("temperature_c", temperature_c, where.temperature_c),
+            supply_v=of_session("supply_v", supply_v, where.supply_v),
         )
 
     def _plane(self, plane: str | None) -> tuple[int, int]:
@@ -476,25 +483,3 @@ def _refuse_other_units(readings: Floats, calibration: Calibration) -> None:
             f"readings are {length * calibration.gravity_mg:.4g} long where gravity is about 1000: give "
             "mg, not words of the sensor (ScanBlock.accel_mg)"
         )
-
-
-def checked_condition(
-    name: str, given: ArrayLike | None, n: int, covered: Covered | None, needs: set[str]
-) -> Floats | None:
-    """Condition (n,) as given, else the session's mean where an effect needs it.
-
-    Raises
-    ------
-    UsageError
-        No numbers, wrong length, NaN or infinity.
-    """
-    if given is None:
-        return None if name not in needs or covered is None else np.full(n, covered.mean)
-    values = checked_numbers(name, given)
-    if values.ndim > 1 or values.size not in (1, n):
-        raise UsageError(
-            f"{name} has shape {values.shape}; give one number, or one for each of {n} readings"
-        )
-    if not np.isfinite(values).all():
-        raise UsageError(f"{name} holds NaN or infinity")
-    return np.broadcast_to(values.reshape(-1), (n,)).copy()

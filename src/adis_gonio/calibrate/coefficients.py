@@ -175,6 +175,54 @@ def checked_numbers(name: str, given: ArrayLike, *, plural: bool = False) -> Flo
         raise UsageError(f"{name} {verb} to be numbers, not {type(given).__name__}") from None
 
 
+def finite_numbers(name: str, given: ArrayLike) -> Floats:
+    """Argument of a method as an array.
+
+    Raises
+    ------
+    UsageError
+        No numbers, NaN or infinity.
+    """
+    values = checked_numbers(name, given)
+    if not np.isfinite(values).all():
+        raise UsageError(f"{name} holds NaN or infinity")
+    return values
+
+
+def checked_condition(
+    name: str, given: ArrayLike | None, n: int, default: float | None, dies: int = 1
+) -> Floats | None:
+    """Condition of n readings.
+
+    Parameters
+    ----------
+    given : float, (n,) or (n, dies) float, optional
+        Without it the default holds for all readings.
+
+    Returns
+    -------
+    (n, dies) float or None
+        None if neither it nor a default is given.
+
+    Raises
+    ------
+    UsageError
+        No numbers, wrong shape, NaN or infinity.
+    """
+    if given is None:
+        return None if default is None else np.full((n, dies), default)
+    values = finite_numbers(name, given)
+    if values.ndim < 2 and values.size in (1, n):
+        rows = values.reshape(-1, 1)
+    elif dies > 1 and values.shape in ((n, dies), (dies,)[: n == 1]):
+        rows = values.reshape(n, dies)
+    else:
+        raise UsageError(
+            f"{name} has shape {values.shape}; give one number, or one for each of {n} readings"
+        )
+    return np.broadcast_to(rows, (n, dies)).copy()
+
+
 def checked_offsets(offsets_lsb: Sequence[int]) -> tuple[int, int, int]:
     """Numbers of three offset registers.
 

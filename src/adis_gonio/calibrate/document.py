@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, FitError, UsageError, one_line
-from adis_gonio.base.jsonable import json_value
+from adis_gonio.base.jsonable import json_object, json_value
 from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.shapes import (
     anything,
@@ -27,7 +27,7 @@ from adis_gonio.base.shapes import (
     whole,
 )
 from adis_gonio.calibrate.calibration import Calibration, EffectTerm
-from adis_gonio.calibrate.coefficients import Coefficient, Coefficients, NotCorrected
+from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.model.effects import AXES, effect
@@ -57,39 +57,35 @@ def document_of(calibration: Calibration) -> dict[str, Any]:
     """JSON document of a calibration, as `schema/calibration-1.json` describes it."""
     where = calibration.provenance
     ratio = derived_delta_k(calibration)
-    gyro = {} if calibration.gyro is None else {"gyro": calibration.gyro.as_dict()}
-    return {
-        **_head(SCHEMA, calibration),
-        "sensor": where.sensor,
-        "plane": where.plane,
-        "unit": calibration.unit,
-        "counts_per_mg": _listed(calibration.counts_per_mg),
-        "gravity_mps2": where.gravity_mps2,
-        "derived": {} if ratio is None else {"delta_k": _coefficient(ratio)},
-        "effects": [_effect(term) for term in calibration.effects],
+    return json_object(
+        schema=SCHEMA,
+        version=VERSION,
+        method=calibration.method,
+        sensor=where.sensor,
+        plane=where.plane,
+        unit=calibration.unit,
+        counts_per_mg=calibration.counts_per_mg,
+        gravity_mps2=where.gravity_mps2,
+        derived={} if ratio is None else {"delta_k": _coefficient(ratio)},
+        effects=[_effect(term) for term in calibration.effects],
         **_body(calibration, where),
-        "source": {name: getattr(where, name) for name in _SOURCE},
-        **gyro,
-    }
+        source={name: getattr(where, name) for name in _SOURCE},
+        **{} if calibration.gyro is None else {"gyro": calibration.gyro},
+    )
 
 
 def gyro_document_of(gyro: GyroCalibration) -> dict[str, Any]:
     """JSON document of a gyro calibration; `derived` follows from the parameters."""
-    return {
-        **_head(GYRO_SCHEMA, gyro),
-        "unit": "dps",
-        "derived": {
-            "bias_dps": gyro.bias_dps.tolist(),
-            "sensitivity": gyro.sensitivity.tolist(),
-            "g_sensitivity_dps_per_g": gyro.g_sensitivity_dps_per_g.tolist(),
-        },
+    derived = ("bias_dps", "sensitivity", "g_sensitivity_dps_per_g")
+    return json_object(
+        schema=GYRO_SCHEMA,
+        version=VERSION,
+        method=gyro.method,
+        unit="dps",
+        derived={name: getattr(gyro, name) for name in derived},
         **_body(gyro, gyro),
-        "source": gyro.source,
-    }
-
-
-def _head(schema: str, calibration: Coefficients) -> dict[str, Any]:
-    return {"schema": schema, "version": VERSION, "method": calibration.method}
+        source=gyro.source,
+    )
 
 
 def _body(
@@ -99,18 +95,16 @@ def _body(
     covariance = calibration.covariance
     return {
         "parameters": {one.name: _coefficient(one) for one in calibration.parameters},
-        "covariance": None
-        if covariance is None
-        else {"names": calibration.names, "matrix": covariance.tolist()},
-        "not_corrected": [asdict(one) for one in calibration.not_corrected],
-        "assumed": list(calibration.assumed),
+        "covariance": None if covariance is None else {"names": calibration.names, "matrix": covariance},
+        "not_corrected": calibration.not_corrected,
+        "assumed": calibration.assumed,
         "reference": {
             "temperature_c": REFERENCE_C,
             "supply_v": REFERENCE_V,
-            "session_temperature_c": None if where.temperature_c is None else where.temperature_c.as_dict(),
-            "session_supply_v": None if where.supply_v is None else where.supply_v.as_dict(),
+            "session_temperature_c": where.temperature_c,
+            "session_supply_v": where.supply_v,
         },
-        "offsets_lsb": _listed(where.offsets_lsb),
+        "offsets_lsb": where.offsets_lsb,
     }
 
 
@@ -315,21 +309,16 @@ def _checked(calibration: Calibration) -> Calibration:
 
 def derived_delta_k(calibration: Calibration) -> Coefficient | None:
     """ΔK = K_x/K_y − 1 with u; None in space."""
-    names = calibration.names
-    if not calibration.planar or "scale_x" not in names:
+    if not calibration.planar or "scale_x" not in calibration:
         return None
-    x = names.index("scale_x")
-    k_x = calibration.parameters[x].value
-    if "scale_y" not in names:
-        return Coefficient("delta_k", k_x - 1, calibration.parameters[x].u, "1")
-    y = names.index("scale_y")
-    k_y = calibration.parameters[y].value
-    if calibration.covariance is None:
-        return Coefficient("delta_k", k_x / k_y - 1, None, "1")
-    slope = np.zeros(len(names))
-    slope[x], slope[y] = 1 / k_y, -k_x / k_y**2
-    variance = float(slope @ calibration.covariance @ slope)
-    return Coefficient("delta_k", k_x / k_y - 1, math.sqrt(max(variance, 0.0)), "1")
+    k_x = calibration["scale_x"].value
+    k_y = calibration["scale_y"].value if "scale_y" in calibration else 1.0
+    u = None
+    if calibration.covariance is not None:
+        slopes = {"scale_x": 1 / k_y, "scale_y": -k_x / k_y**2}
+        slope = np.array([slopes.get(name, 0.0) for name in calibration.names])
+        u = math.sqrt(max(float(slope @ calibration.covariance @ slope), 0.0))
+    return Coefficient("delta_k", k_x / k_y - 1, u, "1")
 
 
 def summary_of(calibration: Calibration) -> str:
@@ -370,10 +359,6 @@ def _effect(term: EffectTerm) -> dict[str, Any]:
         "choices": {choice: getattr(term.effect, choice) for choice in term.effect.choices()},
         "parameters": list(term.parameters),
     }
-
-
-def _listed(values: tuple[float, ...] | tuple[int, ...] | None) -> list[float] | None:
-    return None if values is None else list(values)
 
 
 def _covered(entry: Mapping[str, Any] | None) -> Covered | None:

@@ -25,8 +25,9 @@ from adis_gonio.calibrate.coefficients import (
     Coefficient,
     Coefficients,
     NotCorrected,
-    checked_numbers,
+    checked_condition,
     checked_offsets,
+    finite_numbers,
 )
 from adis_gonio.device.sensor.registers import Kind
 from adis_gonio.device.sensor.variants import VARIANTS
@@ -355,9 +356,17 @@ class GyroCalibration(Coefficients):
         if force_g is None and "force_g" in needs:
             raise UsageError("these gyros feel force: give force_g, what the accelerometers read in g")
         force = np.zeros((n, 3)) if force_g is None else _spread("force_g", force_g, n)
-        warm = _condition("temperature_c", temperature_c, n, self.temperature_c, REFERENCE_C, needs)
-        volts = _condition("supply_v", supply_v, n, self.supply_v, REFERENCE_V, needs)
-        return force, warm - REFERENCE_C, volts - REFERENCE_V
+
+        def above(
+            name: str, given: ArrayLike | None, covered: Covered | None, zero: float, dies: int
+        ) -> Floats:
+            default = covered.mean if covered is not None and name in needs else zero
+            found = checked_condition(name, given, n, default, dies)
+            assert found is not None
+            return found - zero
+
+        warm = above("temperature_c", temperature_c, self.temperature_c, REFERENCE_C, 3)
+        return force, warm, above("supply_v", supply_v, self.supply_v, REFERENCE_V, 1)
 
     def _with_u(self, function: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
         value, variance = self._with_variance(function)
@@ -427,7 +436,7 @@ def _zero(v: _Values, force: Floats, warm: Floats, volts: Floats) -> Floats:
 
 
 def _rows(name: str, given: ArrayLike) -> tuple[Floats, bool]:
-    values = _numbers(name, given)
+    values = finite_numbers(name, given)
     if values.ndim not in (1, 2) or values.shape[-1] != 3:
         raise UsageError(f"{name} has shape {values.shape}; give (n, 3), one row a reading")
     return np.atleast_2d(values), values.ndim == 1
@@ -438,35 +447,3 @@ def _spread(name: str, given: ArrayLike, n: int) -> Floats:
     if len(rows) not in (1, n):
         raise UsageError(f"{name} has {len(rows)} rows for {n} readings")
     return np.broadcast_to(rows, (n, 3))
-
-
-def _condition(
-    name: str,
-    given: ArrayLike | None,
-    n: int,
-    covered: Covered | None,
-    nominal: float,
-    needs: Sequence[str],
-) -> Floats:
-    """Condition (n, 3) as given, else the session's mean where it counts, else the nominal one."""
-    if given is None:
-        return np.full((n, 3), covered.mean if covered is not None and name in needs else nominal)
-    values = _numbers(name, given)
-    if values.shape in ((), (1,)):
-        return np.full((n, 3), float(values.reshape(-1)[0]))
-    if values.shape == (3,) and n == 1 and name == "temperature_c":
-        return values[None, :]
-    if values.shape == (n,):
-        return np.repeat(values[:, None], 3, axis=1)
-    if values.shape != (n, 3) or name != "temperature_c":
-        raise UsageError(
-            f"{name} has shape {values.shape}; give one number, or one for each of {n} readings"
-        )
-    return values
-
-
-def _numbers(name: str, given: ArrayLike) -> Floats:
-    values = checked_numbers(name, given)
-    if not np.isfinite(values).all():
-        raise UsageError(f"{name} holds NaN or infinity")
-    return values

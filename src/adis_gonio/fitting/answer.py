@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -181,18 +181,36 @@ class Answer:
         """All parameters: name, unit, value, u, U, k, ν."""
         return [parameter_row(name, value) for name, value in self.parameters.items()]
 
-    def budget_rows(self) -> tuple[list[str], list[list[str]]]:
-        """Head and rows of the uncertainty budget; empty without one."""
-        return budget_table(self.budget)
+    def budget_rows(self) -> tuple[list[str], Rows]:
+        """Head, and one row for each source of uncertainty with its share of each quantity's variance."""
+        if not self.budget:
+            return [], []
+        names = [name if name == "angle" else NAMES.get(name, name) for name in self.budget]
+        rows = []
+        for each in zip(*self.budget.values(), strict=True):
+            first = each[0]
+            u = DASH if first.u is None else with_unit(format_number(first.u, 2), first.unit)
+            shares = [share(row.share) for row in each]
+            rows.append([first.source, first.kind, first.distribution, u, *shares])
+        return ["source", "type", "distribution", "u of it", *names], rows
 
     @property
     def scored_as(self) -> str:
         """Name of the answer's model among the scores."""
         return self.result.method
 
-    def score_rows(self) -> tuple[list[str], list[list[str]]]:
-        """Head and rows of all methods on the same dwells, the answer's first."""
-        return score_table(self.scores, self.scored_as)
+    def score_rows(self) -> tuple[list[str], Rows]:
+        """Head, and the errors of each method on the same dwells, the answer's first; no empty columns."""
+        order = sorted(self.scores, key=lambda name: name != self.scored_as)
+        columns = {
+            "angle, rms / °": [self.scores[name].angle_rms_deg for name in order],
+            "largest / °": [self.scores[name].angle_max_deg for name in order],
+            "residual, rms / mg": [self.scores[name].residual_rms_mg for name in order],
+            "largest / mg": [self.scores[name].residual_max_mg for name in order],
+        }
+        shown = {head: column for head, column in columns.items() if any(c is not None for c in column)}
+        rows = [[name, *(format_number(c[k]) for c in shown.values())] for k, name in enumerate(order)]
+        return ["method", *shown], rows
 
     @property
     def scored_on(self) -> str:
@@ -256,33 +274,6 @@ def freedom(dof: float) -> str:
     return "> 10⁴" if dof > 1e4 else f"{dof:.{0 if dof >= 10 else 1}f}"
 
 
-def budget_table(budget: Mapping[str, Sequence[BudgetRow]]) -> tuple[list[str], Rows]:
-    """One row a source: type, distribution, u of the source, and its share of each quantity's variance."""
-    if not budget:
-        return [], []
-    head = ["source", "type", "distribution", "u of it", *(_short(name) for name in budget)]
-    rows = []
-    for each in zip(*budget.values(), strict=True):
-        first = each[0]
-        u = DASH if first.u is None else with_unit(format_number(first.u, 2), first.unit)
-        rows.append([first.source, first.kind, first.distribution, u, *(share(row.share) for row in each)])
-    return head, rows
-
-
-def score_table(scores: Mapping[str, Score], first: str) -> tuple[list[str], Rows]:
-    """Errors of each method on the same dwells, `first` first; columns without a figure are left out."""
-    order = [first, *(name for name in scores if name != first)] if first in scores else list(scores)
-    columns = {
-        "angle, rms / °": [scores[name].angle_rms_deg for name in order],
-        "largest / °": [scores[name].angle_max_deg for name in order],
-        "residual, rms / mg": [scores[name].residual_rms_mg for name in order],
-        "largest / mg": [scores[name].residual_max_mg for name in order],
-    }
-    shown = {head: column for head, column in columns.items() if any(c is not None for c in column)}
-    rows = [[name, *(format_number(c[k]) for c in shown.values())] for k, name in enumerate(order)]
-    return ["method", *shown], rows
-
-
 def blocks(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str], Rows]]:
     """All parameters of all methods, value ± u; in as many tables as the width asks for."""
     names = list(dict.fromkeys(e.name for result in results for e in result.parameters))
@@ -297,15 +288,9 @@ def blocks(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str]
 
 
 def _cell(result: FitResult, name: str) -> str:
-    if name not in result:
-        return ""
-    return format_uncertain(result[name].value, result[name].u)
+    return format_uncertain(result[name].value, result[name].u) if name in result else ""
 
 
 def share(fraction: float) -> str:
     """A share in percent; a dash for nothing."""
     return format_percent(fraction) if fraction > 0 else DASH
-
-
-def _short(name: str) -> str:
-    return {"angle": "angle"}.get(name, NAMES.get(name, name))
