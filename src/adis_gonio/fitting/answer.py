@@ -36,18 +36,18 @@ _SPATIAL = ("scale", "skew", "bias")
 
 @dataclass(frozen=True)
 class Answer:
-    """What a session says, in one place.
+    """The result of a session: values, scores, recommendation and their text.
 
     Attributes
     ----------
     result : FitResult
-        Of the method that is shown in full.
+        Result of the method that is shown in full.
     comparison : MethodComparison
-        All methods beside each other.
+        Comparison of all methods.
     recommended : Recommendation
         Method and, if a trace ran and its model predicts as well, the effects that the trace found.
     scores : mapping of str to Score
-        Of all methods on the same dwells.
+        Scores of all methods on the same dwells.
     """
 
     result: FitResult
@@ -64,7 +64,7 @@ class Answer:
         result : FitResult
             Result of any method.
         own : bool
-            Show this result, else the recommended one.
+            Show this result, otherwise the recommended one.
         """
         comparison = result.comparison
         if comparison is None:
@@ -74,7 +74,7 @@ class Answer:
 
     @cached_property
     def values(self) -> dict[str, Value]:
-        """What is wanted: `delta_k`, `delta_phi` and `angle`; in space gains, skews and biases."""
+        """Main values: `delta_k`, `delta_phi` and `angle`; in space gains, skews and biases."""
         found = {**self.model_parameters, **self._angle()}
         if "delta_k" in found or "delta_phi" in found:
             return {name: found[name] for name in ("delta_k", "delta_phi", "angle") if name in found}
@@ -114,7 +114,7 @@ class Answer:
 
     @property
     def why(self) -> str:
-        """Why this method, one sentence; why another one is recommended, where it was asked for."""
+        """Reason for the recommended method, in one sentence."""
         text = self.recommended.why
         if self.shows_another_method:
             return f"Why {self.recommended.method}: {text}."
@@ -132,7 +132,7 @@ class Answer:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What has to be said of the values, such as a gravity or zero that they refer to."""
+        """Remarks on the values, such as the temperature at which they are valid."""
         temperature = self.reference_temperature_c
         if temperature is None or {"delta_k", "delta_phi"} & set(self.values):
             return ()
@@ -140,7 +140,7 @@ class Answer:
 
     @property
     def reference_temperature_c(self) -> float | None:
-        """Temperature at which the parameters hold."""
+        """Temperature at which the parameters are valid."""
         return self.result.reference_temperature_c
 
     def text(self, width: int = 80) -> str:
@@ -161,7 +161,7 @@ class Answer:
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document of `fit` with what this answer adds: scores, the recommendation, the values."""
+        """JSON document of `fit` with the scores, the recommendation and the values of this answer."""
         return self.result.as_dict() | json_object(
             recommended=self.recommended,
             scores=self.scores,
@@ -172,10 +172,10 @@ class Answer:
 
     @property
     def has_more(self) -> bool:
-        """True where there are parameters beside the headline's."""
+        """True if there are parameters that the headline does not show."""
         return len(self.parameter_rows()) > len([name for name in self.values if name != "angle"])
 
-    # -- what faces show, as texts -----------------------------------------------------------------
+    # -- tables and lines of text -----------------------------------------------------------------
 
     def parameter_rows(self) -> list[list[str]]:
         """All parameters: name, unit, value, u, U, k, ν."""
@@ -214,7 +214,7 @@ class Answer:
 
     @property
     def scored_on(self) -> str:
-        """What the scores are of."""
+        """Sentence about the dwells on which the scores are computed."""
         dwells = max((score.dwells for score in self.scores.values()), default=0)
         if not dwells:
             return "Methods cannot be compared: no dwell can be left out of a fit."
@@ -222,7 +222,7 @@ class Answer:
         return f"Every method on the same {same}, each left out of the fit where it was in it:"
 
     def facts(self) -> list[str]:
-        """What the recommended fit left, in a line or two."""
+        """Residual and links of the fit, in one or two lines."""
         r = self.result
         if r.dof:
             left = f"residual {r.residual_rms_mg:.3g} mg rms, χ² {r.chi2:.1f} at {r.dof} degrees of freedom"
@@ -231,7 +231,7 @@ class Answer:
         return [left, *([] if r.links is None else [r.links.line])]
 
     def warnings(self, *, everything: bool = False) -> list[str]:
-        """Warnings of the method that is shown, without its doubts; of all methods, with their names."""
+        """Warnings of the shown method without its doubts, or of all methods with their names."""
         if not everything:
             return [text for text in self.result.warnings if text not in self.result.doubts]
         said: dict[str, list[str]] = {}
@@ -242,7 +242,7 @@ class Answer:
 
 
 def with_notes(best: FitResult, given: FitResult) -> FitResult:
-    """The recommended result with the session's notes before its own warnings, as `fit` gives it."""
+    """Recommended result with the session's notes before its own warnings, as `fit` gives it."""
     if best.method == given.method:
         return given
     notes = given.session_notes
@@ -258,7 +258,7 @@ def with_notes(best: FitResult, given: FitResult) -> FitResult:
 
 Rows = list[list[str]]
 _METHOD_WIDTH = 24
-"""Columns that one method takes in the wide table, at most."""
+"""Largest width of a method in the wide table, in columns."""
 
 
 def parameter_row(name: str, value: Value) -> list[str]:
@@ -268,14 +268,14 @@ def parameter_row(name: str, value: Value) -> list[str]:
 
 
 def freedom(dof: float) -> str:
-    """Degrees of freedom; so many that they do not count any more as such."""
+    """Format degrees of freedom; above 10⁴ only the limit."""
     if math.isinf(dof):
         return "∞"
     return "> 10⁴" if dof > 1e4 else f"{dof:.{0 if dof >= 10 else 1}f}"
 
 
 def blocks(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str], Rows]]:
-    """All parameters of all methods, value ± u; in as many tables as the width asks for."""
+    """Tables of all parameters of all methods, value ± u; as many as the width requires."""
     names = list(dict.fromkeys(e.name for result in results for e in result.parameters))
     units = {e.name: e.unit for result in results for e in result.parameters}
     beside = max(1, (width - 26) // _METHOD_WIDTH)
@@ -292,5 +292,5 @@ def _cell(result: FitResult, name: str) -> str:
 
 
 def share(fraction: float) -> str:
-    """A share in percent; a dash for nothing."""
+    """Format a share in percent; a dash for zero."""
     return format_percent(fraction) if fraction > 0 else DASH

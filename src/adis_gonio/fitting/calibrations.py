@@ -20,21 +20,21 @@ from adis_gonio.record.write_journal import INTERRUPTED
 def calibration_as_recorded(result: FitResult) -> Calibration:
     """Return the calibration by a fit, for the offsets in force while its session was recorded.
 
-    Only this calibration may meet the session's own readings: a write since then changes the sensor and
-    the coefficients, but not the readings.
+    Use only this calibration for the session's own readings: a later write changes the sensor and the
+    coefficients, but not the recorded readings.
 
     Raises
     ------
     UsageError
         The result was not made from a session (`fit_readings`).
     FitError
-        The session does not determine what an angle needs.
+        The session does not determine a parameter that an angle needs.
     """
     where = known_provenance(result.provenance)
     model = _model(where)
     estimates = {one.name: one for one in result.parameters}
     if where.plane == "xy" and "scale_x" not in estimates and "delta_k" in estimates:
-        # Only the ratio is known, and an angle needs no more: Y is taken as the unit.
+        # Only the ratio of the gains is known, which is enough for an angle: the gain of Y is set to 1.
         ratio = estimates["delta_k"]
         estimates["scale_x"] = Estimate("scale_x", 1 + ratio.value, ratio.u, "1")
     names = [name for name in _names(model) if name in estimates]
@@ -88,12 +88,12 @@ def _names(model: PlanarTurn | FreeAttitude) -> list[str]:
 
 
 def assumed_parameters(model: object, names: Sequence[str]) -> tuple[str, ...]:
-    """Parameters that stand at their nominal values.
+    """Parameters that keep their nominal values.
 
     Raises
     ------
     FitError
-        Among them is one without which there is no angle.
+        One of them is needed for an angle.
     """
     assert isinstance(model, PlanarTurn | FreeAttitude)
     missing = [name for name in _names(model) if name not in names]

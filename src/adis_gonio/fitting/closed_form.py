@@ -47,10 +47,10 @@ TWO, FOUR = (0, 90), (0, 90, 180, 270)
 """Declared angles of the closed forms."""
 
 LEAST_MMPM = 9
-"""Positions that `mmpm` asks for: its definition."""
+"""Fewest positions of `mmpm`, by its definition."""
 
 _FAR_FROM_POLE = 0.5
-"""cos(2 alpha + delta_phi) from which it is not the pole at 45° that spoils equation 12."""
+"""cos(2 alpha + delta_phi) above which the pole of equation 12 at 45° is not the cause of an error."""
 _NEAR_POLE = 0.2
 _LEAST_READING = 1e-6
 """U_x1 and U_y2, in local gravity, below which equations 5 and 12 divide by zero."""
@@ -80,7 +80,7 @@ def fit_positions(readings: Readings, method: str, angles_deg: tuple[int, ...]) 
     Raises
     ------
     FitError
-        If a position is missing, or the readings are in counts and there is no zero to be known.
+        A position is missing, or the readings are in counts, which have no known zero.
     """
     chosen, weights = _grouped(readings, method, angles_deg)
     linear = _linear(chosen, weights, bias=len(angles_deg) > 2)
@@ -96,7 +96,7 @@ def fit_mmpm(readings: Readings) -> FitResult:
     FitError
         If fewer than nine dwells have a declared angle.
     SingularError
-        If they stand at fewer than three different angles.
+        They are at fewer than three different angles.
     """
     rows = np.flatnonzero(np.isfinite(readings.angle_rad))
     if len(rows) < LEAST_MMPM:
@@ -157,9 +157,9 @@ def fit_paper(readings: Readings) -> FitResult:
     FitError
         If 0° or 90° is missing.
     SingularError
-        Near α = 45°, where a + b vanishes: there the noise-free answer is Δφ/cos(2α + Δφ). It is refused
-        where Δφ itself and the uncertainty of 2α + Δφ together exceed a fifth of the distance from that
-        pole, because the quotient is then linear in neither and no uncertainty holds.
+        α is near 45°, where a + b vanishes: the noise-free answer is Δφ/cos(2α + Δφ). The method fails if
+        Δφ and the uncertainty of 2α + Δφ together exceed a fifth of the distance from that pole, because
+        the quotient is then not linear in either and no uncertainty is valid.
     """
     chosen, weights = _grouped(readings, "paper", (0, 90))
     exact = _linear(chosen, weights, bias=False)
@@ -198,7 +198,7 @@ def fit_paper(readings: Readings) -> FitResult:
 
 
 def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
-    """Equations 5 to 12 with the start angle and the gain of X of the closed form; (ΔK, Δφ).
+    """Parameters by equations 5 to 12, with start angle and gain of X by the closed form; (ΔK, Δφ).
 
     Raises
     ------
@@ -228,12 +228,12 @@ def _a_plus_b(first: Floats, second: Floats) -> float:
 
 
 def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
-    """(ΔK, Δφ in rad) by equations 5 to 12 of the readings at 0° and 90°; numbers or arrays, also complex.
+    """(ΔK, Δφ in rad) by equations 5 to 12 from readings at 0° and 90°: numbers or arrays, also complex.
 
-    NaN where sin Δφ would exceed 1, infinite at the pole.
+    NaN if sin Δφ would exceed 1, infinite at the pole.
     """
     gain = x1 / -y2
-    # Numerator and denominator of equation 12 times U_x1 U_x2: α = 0, where U_x2 vanishes, is harmless.
+    # Equation 12 with numerator and denominator times U_x1 U_x2, which allows U_x2 = 0 at α = 0.
     sine = (x1 * x2 + gain * gain * y1 * y2) / (gain * (y1 * x2 + y2 * x1))
     return gain - 1, np.arcsin(sine)
 
@@ -254,7 +254,7 @@ def turn_parameters(harmonics: Floats) -> Floats:
     Parameters
     ----------
     harmonics : (…, 3, 2) or (…, 2, 2) float
-        A and B of X and Y in local gravity, and the biases where the fit has them (else 0).
+        A and B of X and Y in local gravity, then the biases if the fit has them (otherwise 0).
     """
     a_x, b_x, a_y, b_y = (harmonics[..., k, axis] for axis in (0, 1) for k in (0, 1))
     parameters = np.zeros((*harmonics.shape[:-2], 6))
@@ -318,7 +318,7 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
 
 
 def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
-    """Noise as the whole session settles it, where it has positions to spare."""
+    """Noise by a fit of the whole session if it has enough positions, otherwise as stated."""
     try:
         return settle(readings).noise
     except FitError:
@@ -335,7 +335,7 @@ def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
 
 
 def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
-    """The base model, with a bias or without, at these parameters and declared angles."""
+    """Base model, with or without a bias, at these parameters and the declared angles."""
     term = NamedTerm("bias", (), 0.0, effect("bias", ("x", "y")))
     fit = Fit.begin(data, with_prior=False)
     values = replace(fit.values, base=beta[:BIAS_X].copy())
@@ -351,7 +351,7 @@ def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Source
 
 
 def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:
-    """What a bias does to two positions, and what to do about it where the session has not done so."""
+    """Warning about the influence of a bias on two positions, with a remedy."""
     moved = linear.derivative.sum(axis=1) / chosen.gravity_mg
     phi = np.degrees(moved[DELTA_PHI])
     k = (
@@ -426,7 +426,7 @@ def _finish(
         method=method,
         parameters=found,
         covariance=None if sources is None else variances(outputs, sources.covariance),
-        # An unweighted fit leaves residuals that are not χ² distributed; the least χ² of the same model is.
+        # Residuals of an unweighted fit are not χ² distributed; the smallest χ² of this model is.
         chi2=fit.refit(200, 1e-12).chi2 if dof else 0.0,
         dof=dof,
         residual_mg=fit.misfit,

@@ -43,7 +43,7 @@ def fit_ml(readings: Readings) -> FitResult:
     Raises
     ------
     SingularError
-        If the session determines neither delta_k nor delta_phi, in space none of the parameters.
+        The session determines neither delta_k nor delta_phi, or in space none of the parameters.
     """
     settled = settle(readings)
     determination, noise = settled.determination, settled.noise
@@ -84,7 +84,7 @@ def fit_ml(readings: Readings) -> FitResult:
 
 
 def _sources(readings: Readings, settled: Settled) -> Sources | None:
-    """Sources of the uncertainty; None where nothing tells the noise of a reading."""
+    """Sources of the uncertainty; None if the noise of a reading is unknown."""
     if not settled.noise.known:
         return None
     found = settled.determination
@@ -106,7 +106,7 @@ def _warnings(
     names = determination.names
     for name, k in zip(held, determination.held, strict=True):
         shift = shift_by_held(determination, k)
-        # One mg of bias, or a tenth of a degree of skew.
+        # Effect of 1 mg of bias, or of a tenth of a degree of skew.
         one = 1 / determination.fit.data.gravity_mg if name.startswith("bias") else math.radians(0.1)
         moves = [
             f"{o.name} by {with_unit(use_minus(f'{float(o.gradient @ shift) * one:+.2g}'), o.unit)}"

@@ -25,14 +25,14 @@ from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_meth
 from adis_gonio.fitting.result import FitResult
 
 BEYOND = 3.0
-"""Standard errors of the paired difference of squared errors beyond which one method predicts better."""
+"""Standard errors of the paired difference of squared errors above which one method predicts better."""
 ALIKE = 0.01
-"""Relative difference of uncertainties below which they do not count."""
+"""Relative difference below which two uncertainties count as equal."""
 
 
 @dataclass(frozen=True)
 class Recommendation(JsonRecord):
-    """The method whose answer to take, and why, in one sentence.
+    """The recommended method, and the reason in one sentence.
 
     The JSON document is the value of `recommended`.
     """
@@ -46,16 +46,16 @@ class Recommendation(JsonRecord):
 
 @dataclass(frozen=True)
 class MethodComparison:
-    """All methods of a session beside each other.
+    """All methods of a session, compared.
 
     Attributes
     ----------
     results : tuple of FitResult
         In the order of `METHODS`.
     failures : mapping of str to str
-        Why other methods give nothing.
+        Reasons why other methods give no result.
     predictions : mapping of str to DwellPrediction
-        What each says of every dwell without having seen it.
+        Prediction of every dwell by each method without this dwell in the fit.
     scores : mapping of str to Score
     recommended : Recommendation
     """
@@ -68,7 +68,7 @@ class MethodComparison:
 
     @property
     def best(self) -> FitResult:
-        """The recommended method's result."""
+        """Result of the recommended method."""
         return next(result for result in self.results if result.method == self.recommended.method)
 
 
@@ -105,10 +105,11 @@ def recommend(
 ) -> Recommendation:
     """Choose a method.
 
-    1. Where a method determines the biases, those that take them as zero are out.
-       So is `paper` where another is left: its u leaves out the error of its own equation 5.
-    2. Of the rest, those that predict the session's dwells as well as the best one.
-    3. Of these, the one with the smallest uncertainty of ΔK and Δφ; among equals `preferred`.
+    1. If a method determines the biases, methods that take them as zero are excluded. `paper` is excluded
+    if
+       another method remains, because its u leaves out the error of its own equation 5.
+    2. Of the remaining methods, keep those that predict the session's dwells as well as the best one.
+    3. Of these, take the one with the smallest uncertainty of ΔK and Δφ; among equals `preferred`.
     """
     sighted = [result for result in results if "bias_x" in result]
     able = sighted or list(results)
@@ -127,7 +128,7 @@ def recommend(
 
 
 def _squares(prediction: DwellPrediction) -> Floats:
-    """Squared error of each dwell, of the angle where it is declared."""
+    """Squared error of each dwell: of the angle if angles are declared, otherwise of the readings."""
     if np.isfinite(prediction.angle_rad).any():
         return np.asarray(prediction.angle_rad**2)
     return np.asarray((prediction.residual_mg**2).mean(axis=1))
@@ -138,7 +139,7 @@ def _rms(score: Score) -> float:
 
 
 def surely_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
-    """True where the squared errors of `one` are larger by more than `BEYOND` standard errors."""
+    """True if the squared errors of `one` are larger by more than `BEYOND` standard errors."""
     base = _squares(best)
     difference = _squares(one) - base
     difference = difference[np.isfinite(difference)]
@@ -150,7 +151,7 @@ def surely_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
 
 
 def _doubt(result: FitResult) -> float:
-    """Product of the uncertainties of what is wanted: smaller is surer."""
+    """Geometric mean of the uncertainties of the wanted parameters; inf if one is unknown."""
     wanted = ("delta_k", "delta_phi") if "delta_k" in result or "delta_phi" in result else ()
     us = [e.u for e in result.parameters if not wanted or e.name in wanted]
     if any(u is None or not math.isfinite(u) for u in us):
@@ -191,12 +192,12 @@ def _why(
 
 
 MOST_FOLDS = 40
-"""Dwells are left out one by one up to so many; beyond, every so many-th together."""
+"""Largest number of folds: up to so many dwells are left out one by one, more dwells in groups."""
 
 
 @dataclass(frozen=True)
 class DwellPrediction:
-    """What a model says of dwells: errors of the angle (n,), rad, residuals (n, r), mg; NaN unknown."""
+    """Prediction of dwells: errors of the angle (n,) in rad, residuals (n, r) in mg; NaN if unknown."""
 
     angle_rad: Floats
     residual_mg: Floats
@@ -204,7 +205,7 @@ class DwellPrediction:
 
 @dataclass(frozen=True)
 class Score(JsonRecord):
-    """Errors of a method over the dwells on which all methods are compared.
+    """Errors of a method on the dwells on which all methods are compared.
 
     The JSON document is one entry of `scores`.
 
@@ -213,10 +214,10 @@ class Score(JsonRecord):
     angle_rms_deg, angle_max_deg : float or None
         Angle computed by the calibrated goniometer minus declared angle; None without declared angles.
     residual_rms_mg, residual_max_mg : float or None
-        Reading minus model at the attitude that fits the dwell best within the fixture's tolerance; in
+        Reading minus model at the attitude that fits the dwell best within the tolerance of the fixture; in
         space the residual of the norm.
     dwells : int
-        How many; with none the other figures are None.
+        Number of these dwells; if it is 0, the other figures are None.
     """
 
     angle_rms_deg: float | None
@@ -227,12 +228,12 @@ class Score(JsonRecord):
 
 
 def predictions(session: Readings, results: Sequence[FitResult]) -> dict[str, DwellPrediction]:
-    """What each method says of every dwell of a session, by parameters that never saw it."""
+    """Prediction of every dwell of a session by each method, without this dwell in the fit."""
     return {result.method: _of_method(session, result) for result in results}
 
 
 def scores_of(found: Mapping[str, DwellPrediction]) -> dict[str, Score]:
-    """Scores over the dwells that every one of the models predicts."""
+    """Scores of the models on the dwells that all of them predict."""
     if not found:
         return {}
     common = np.all([np.isfinite(p.residual_mg).all(axis=1) for p in found.values()], axis=0)
@@ -276,14 +277,14 @@ def predicted(
     fit: Fit,
     again: Callable[[NDArray[np.bool_]], Fit],
 ) -> DwellPrediction:
-    """Predictions of all dwells by `fit`, those `used` by `again(rows that are left)`.
+    """Predictions of unused dwells by `fit`, and of the used ones by refits without them.
 
     Parameters
     ----------
     data : Readings
-        All dwells of the session, with the noise that was settled.
+        All dwells of the session, with the estimated noise.
     again : callable
-        Fit without some rows (n,) bool; `FitError` where the others do not determine it: NaN then.
+        Fit without the rows (n,) bool; its `FitError` gives NaN for these rows.
     """
     n = len(data)
     columns = 2 if data.planar else 1
@@ -301,7 +302,7 @@ def predicted(
 
 
 def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
-    """Errors of the angle (n,) in rad and residuals (n, r) in mg of dwells that a model never saw."""
+    """Errors of the angle (n,) in rad and residuals (n, r) in mg of dwells that were not fitted."""
     there = model.on(replace(rows, fitted=model.data.fitted))
     if not rows.planar:
         norm = np.linalg.norm(there.gravity, axis=1, keepdims=True) - 1
@@ -316,13 +317,13 @@ def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
 
 
 def _shown(fit: Fit) -> Floats:
-    """Start angle (n,) in rad that each reading alone shows; NaN where no angle is declared."""
+    """Start angle (n,) in rad by each reading alone; NaN without a declared angle."""
     shown = np.arctan2(fit.gravity[:, 1], fit.gravity[:, 0]) - fit.turn_rad
     return np.where(np.isfinite(fit.data.angle_rad), shown, np.nan)
 
 
 def _folds(used: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
-    """Groups of dwells that are left out together; those that took no part as one."""
+    """Groups of dwells that are left out together; unused dwells are one group."""
     inside, outside = np.flatnonzero(used), np.flatnonzero(~used)
     if len(outside):
         yield outside

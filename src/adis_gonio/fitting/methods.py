@@ -45,7 +45,7 @@ FREE_TURN = "free-turn"
 """The method of a continuous recording (`adis_gonio.fitting.free_turn`), which has no positions."""
 
 _TWO_REVERSED = (0, 270)
-"""The two positions where the stage turned the other way than declared."""
+"""The two positions if the stage turned the other way than declared."""
 
 
 @solvable
@@ -57,23 +57,22 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
     session : Session
         Dwells; those for checking take no part.
     method : str, optional
-        One of `METHODS`, or `free-turn` of a continuous recording; by default the best that the
-        session supports: `ml`, or `two-position` where
-        there is nothing but 0° and 90°.
+        One of `METHODS`, or `free-turn` for a continuous recording. The default is the best method for the
+        session: `ml`, or `two-position` if there are only 0° and 90°.
     gyros : GyroCalibration, optional
-        Of the session's gyros, made of another session: poses in space between which the part was turned on
-        record gain equations by them; by default their data sheet counts.
+        Calibration of the session's gyros from another session. Recorded turns between poses in space then
+        give more precise equations than with the data sheet.
 
     Raises
     ------
     UsageError
-        No such method; a calibration of gyros that the session cannot use.
+        Unknown method, or a calibration of gyros that the session cannot use.
     DataError
-        Samples that cannot be used: all zero, stuck, not finite.
+        Unusable samples: all zero, stuck, not finite.
     FitError
         The session lacks what the method needs.
     SingularError
-        The session does not determine what the method gives.
+        The session does not determine the parameters of the method.
     """
     if method is not None and method not in (known := (*METHOD_TABLE, FREE_TURN)):
         raise UsageError(f"no method is called '{method}'; known: {', '.join(known)}")
@@ -143,7 +142,7 @@ def _by_default(readings: Readings, fit_by: Callable[[str], FitResult]) -> FitRe
 
 
 def applicable_methods(session: Session) -> tuple[str, ...]:
-    """Methods whose positions the session has; whether they are determined only a fit can tell."""
+    """Methods for which the session has the positions; a fit may still find that it is not determined."""
     if session.free_turn:
         return (FREE_TURN,)
     session = session.used_for("fit")
@@ -157,7 +156,7 @@ def applicable_methods(session: Session) -> tuple[str, ...]:
 
 
 def applicable_to(readings: Readings) -> tuple[str, ...]:
-    """The same of readings that may be fitted."""
+    """Methods for which these readings have the positions."""
     return _applicable(
         np.degrees(readings.angle_rad),
         planar=readings.planar,
@@ -177,7 +176,7 @@ def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -
 
 @dataclass(frozen=True)
 class _Dwells:
-    """Dwells of a planar session: their number, declared angles, and those of 0°, 90°, 180°, 270° held."""
+    """Dwells of a planar session: counts, and whether 0°, 90°, 180° and 270° are among them (`held`)."""
 
     count: int
     declared: int
@@ -186,7 +185,7 @@ class _Dwells:
     known_zero: bool
 
     def hold(self, *quarters: int) -> bool:
-        """True if angles are worth something and all these quarter turns are held."""
+        """True if angles are not free and all these quarter turns are among the dwells."""
         return not self.free and all(self.held[k] for k in quarters)
 
     @property
@@ -202,7 +201,7 @@ def _two(readings: Readings) -> tuple[int, int]:
 
 
 def default_method(readings: Readings) -> str:
-    """What is used where nothing tells methods apart: `ml`, of nothing but 0° and 90° `two-position`."""
+    """Default method: `ml`, or `two-position` if there are only 0° and 90°."""
     return "two-position" if readings.planar and _only_two(readings) else "ml"
 
 

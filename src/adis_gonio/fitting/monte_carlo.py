@@ -1,8 +1,8 @@
-"""Propagation of distributions by Monte Carlo (JCGM 101:2008, GUM Supplement 1), beside the linear one.
+"""Propagation of distributions by Monte Carlo (JCGM 101:2008, GUM Supplement 1), to check the linear one.
 
-Each trial draws every input by its distribution (noise with few degrees of freedom by Student's,
-quantization as a rectangle, angles as the part really turned by them) and fits anew by the same method.
-Nothing is linearised, so that the two agree where the model is linear enough.
+Each trial draws every input from its distribution (noise with few degrees of freedom from Student's,
+quantization from a rectangle, angles as real turns of the part) and fits again by the same method. Nothing
+is linearised, so both agree if the model is linear enough.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from adis_gonio.fitting.result import Estimate, FitResult, Origin, outputs_of
 from adis_gonio.fitting.uncertainty import MODEL, TEMPERATURE, Source, repeatability_of
 
 WITHIN = 0.01
-"""Relative difference of two uncertainties that counts as none."""
+"""Relative difference below which two uncertainties count as equal."""
 
 
 @dataclass(frozen=True)
 class Propagated:
-    """One parameter by both ways.
+    """One parameter by Monte Carlo and by linear propagation.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Propagated:
     doubt : float
         Standard error of u, relative.
     why : str
-        Why it differs from the linear u by more than 1 % and twice its own error; empty where it does not.
+        Reason for a difference from the linear u above 1 % and twice its own error; empty without one.
     """
 
     name: str
@@ -97,7 +97,7 @@ class MonteCarlo(JsonRecord):
 
     @property
     def remarks(self) -> list[str]:
-        """Where the two differ, and why."""
+        """Differences between both ways, with reasons, and the number of failed trials."""
         said = [f"{p.name}: {p.why}" for p in self.parameters if p.why]
         if self.failed:
             said.append(f"{self.failed} trials gave no result and were left out")
@@ -110,14 +110,14 @@ def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> Mon
     Parameters
     ----------
     result : FitResult
-        Of `adis_gonio.fit`; its noise is kept as it was settled.
+        Result of `adis_gonio.fit`; the noise that it estimated is used.
     trials : int
         JCGM 101, 7.2: 10⁴ show u to 1 %, 10⁶ an interval's ends to two digits.
 
     Raises
     ------
     FitError
-        Nothing tells the noise of a reading, or no trial gives a result.
+        The noise of a reading is unknown, or no trial gives a result.
     """
     made = result.origin
     if made is None or made.sources is None:
@@ -145,7 +145,7 @@ def _values(fit: Fit, names: list[str]) -> list[float]:
 
 
 def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
-    """What draws readings: those of the session with every input moved by its distribution."""
+    """Function that draws readings: the session's, with every input moved by its distribution."""
     data, fit, noise = made.readings, made.fit, made.noise
     n, axes = data.mean.shape
     roots, dof, estimate = repeatability_of(data, noise)
@@ -177,18 +177,18 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
 
 
 def _shared_inputs(data: Readings, by_name: dict[str, Source]) -> list[Floats]:
-    """Columns (n, axes, k) of inputs that act on all dwells: coefficients of temperature, unseen biases."""
+    """Columns (n, axes, k) of inputs that act on all dwells, such as temperature coefficients."""
     found = [by_name[name].acts_mg for name in (TEMPERATURE, MODEL) if name in by_name]
     return [columns for columns in found if columns is not None]
 
 
 def _student(rng: np.random.Generator, dof: float) -> float:
-    """Factor that makes a normal variable one of Student's."""
+    """Random factor that turns a normal variable into one of Student's distribution."""
     return 1.0 if math.isinf(dof) else math.sqrt(dof / float(rng.chisquare(dof)))
 
 
 def _students(rng: np.random.Generator, dof: Floats, estimate: Any) -> Floats:
-    """The same for variables (n, axes), one draw for each estimate of their variance."""
+    """Such factors for variables (n, axes), one draw for each estimate of their variance."""
     factor = np.ones(estimate.shape)
     for number in np.unique(estimate[np.isfinite(dof)]):
         mine = estimate == number

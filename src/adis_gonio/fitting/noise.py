@@ -1,15 +1,16 @@
-"""How sure readings and declared angles are, where the session itself has to say.
+"""Noise of readings and declared angles that is not stated and has to be estimated from the session.
 
 * A reading without a stated uncertainty: one common standard deviation, such that χ² equals its degrees of
-  freedom. If the noise of other readings is known, these are fitted first, by themselves, and the model is
-  tested by them. The unknown noise is then the one at which the remaining readings scatter about the
-  prediction of that fit as they should; it is never smaller than the noise of the known readings, so that
-  a lucky reading cannot take over the fit.
+  freedom. If the noise of other readings is known, these are fitted first, by themselves, and they test the
+  model. The unknown noise is then chosen so that the remaining readings scatter about the prediction of
+  that fit as expected. It is never smaller than the noise of the known readings, so that a reading that
+  agrees by chance cannot dominate the fit.
 * A fixture without a stated uncertainty: the σ_f of greatest restricted likelihood, if there is redundancy.
-* A residual beyond what the noise within the dwells explains (χ² above its 99.9 % quantile): the model
-  lacks something. An extra standard deviation on every reading, again such that χ² equals its degrees of
-  freedom (Mandel and Paule 1970), keeps the intervals honest and the weights from trusting the quietest
-  dwell; the reported χ² stays that of the measured noise, so that the misfit shows.
+* A residual that the noise within the dwells does not explain (χ² above its 99.9 % quantile): the model
+lacks
+  an effect. An extra standard deviation is added to every reading, again such that χ² equals its degrees of
+  freedom (Mandel and Paule 1970). It keeps the intervals valid and limits the weight of the quietest dwell.
+  The reported χ² is computed with the measured noise, so that the misfit remains visible.
 """
 
 from __future__ import annotations
@@ -29,29 +30,29 @@ from adis_gonio.fitting.estimation.readings import Readings
 
 _EXCESS = 1e-3
 _LEAST_SCALE = 1e-5
-"""Residual in mg below which averaged readings show no noise but the rounding of a computation."""
+"""Residual in mg below which averaged readings show only rounding errors."""
 _LARGEST_SCALE = 1e4
 _LARGEST_SIGMA_RAD = 0.2
 
 
 @dataclass(frozen=True)
 class NoiseAssumptions:
-    """What is assumed about readings and angles.
+    """Assumed noise of readings and angles.
 
     Attributes
     ----------
     scale : float
-        Factor on the placeholder (1 mg) of readings whose uncertainty nothing states.
+        Factor on the placeholder (1 mg) of readings without a stated uncertainty.
     extra_mg : float
         Standard deviation added to every reading.
     sigma_rad : float
-        Standard uncertainty of a declared angle; inf free.
+        Standard uncertainty of a declared angle; inf for free attitudes.
     dof, sigma_dof, scale_dof : float
-        Degrees of freedom of `extra_mg`, `sigma_rad` and `scale`; inf if it was not estimated.
+        Degrees of freedom of `extra_mg`, `sigma_rad` and `scale`; inf if not estimated.
     known : bool
-        False where the noise of a reading is neither stated nor estimable.
+        False if the noise of a reading is neither stated nor estimable.
     notes : tuple of str
-        What the result has to say.
+        Remarks for the result.
     """
 
     scale: float = 1.0
@@ -64,7 +65,7 @@ class NoiseAssumptions:
     notes: tuple[str, ...] = ()
 
     def applied(self, readings: Readings) -> Readings:
-        """The readings with the noise that is assumed."""
+        """Readings with the assumed noise."""
         factor = np.where(readings.known, 1.0, self.scale**2)[:, None, None]
         covariance = readings.own_covariance * factor + self.extra_mg**2 * np.eye(readings.axes)
         return replace(readings, own_covariance=covariance, fixture_rad=self.sigma_rad)
@@ -72,10 +73,10 @@ class NoiseAssumptions:
 
 @dataclass(frozen=True)
 class Settled:
-    """A fit with its noise settled.
+    """A fit with its estimated noise.
 
-    `chi2` and `dof` are those of the measured noise: of the readings whose noise is known, if there are
-    enough of them to test the model.
+    `chi2` and `dof` are computed with the measured noise: from the readings with a known noise, if there
+    are enough of them to test the model.
     """
 
     determination: Determination
@@ -85,7 +86,7 @@ class Settled:
 
 
 def settle(readings: Readings) -> Settled:
-    """Fit base model and bias, and settle what the session leaves open about its noise."""
+    """Fit base model and bias, and estimate the noise that the session does not state."""
     if readings.known.any() and not readings.noise_known:
         first = _settle_known(readings)
         return _without_noise(readings) if first is None else _settle_unknown(readings, first)
@@ -138,14 +139,14 @@ def _without_noise(readings: Readings) -> Settled:
 
 
 def _settle_unknown(readings: Readings, first: Settled) -> Settled:
-    """Estimate the noise of the readings that state none, as they scatter about the fit of the others.
+    """Estimate the noise of readings without a stated noise from their scatter about the fit of the others.
 
     χ² of all readings less χ² of the known ones is (y − ŷ)ᵀ(S + P)⁻¹(y − ŷ) with the noise S of the others
-    and the covariance P of their prediction ŷ: on average the number of equations that they add.
+    and the covariance P of their prediction ŷ. Its mean is the number of equations that they add.
     """
     determination = determine(first.noise.applied(readings))
     added = _dof(determination) - first.dof
-    # A reading of unknown noise is at best as good as those whose noise is known.
+    # A reading of unknown noise is at best as good as the readings with a known noise.
     own = np.einsum("naa->na", readings.own_covariance[readings.known])
     least = scale = max(math.sqrt(float(own.mean())), _LEAST_SCALE)
     if added > 0:
@@ -175,10 +176,10 @@ def _dof(determination: Determination) -> int:
 
 
 def state_noise(readings: Readings) -> Readings:
-    """Return the readings with a noise for those that state none, if the others' noise is known.
+    """Return readings with an estimated noise for readings without one, if the noise of others is known.
 
-    The noise is the one that `settle` estimates from the dwells that may be fitted. If no reading states
-    its noise, or too few do to test a model, the readings are returned unchanged.
+    `settle` estimates the noise from the dwells that may be fitted. If no reading states its noise, or too
+    few for a test of the model, the readings are returned unchanged.
     """
     training = readings.training
     if training.noise_known or not training.known.any():
@@ -203,7 +204,7 @@ def _unstated(readings: Readings) -> str:
 
 
 class _Follow:
-    """Refits from the last values, with the same parameters held."""
+    """Refits that start from the last values and hold the same parameters."""
 
     def __init__(self, readings: Readings, first: Determination) -> None:
         self.readings = readings
@@ -216,7 +217,7 @@ class _Follow:
         return fit
 
     def determination(self, noise: NoiseAssumptions) -> Determination:
-        """Fit under `noise` with what is determined looked at again."""
+        """Fit with `noise`, and find the determined parameters again."""
         return determine(noise.applied(self.readings), self.first.held)
 
 
@@ -285,10 +286,10 @@ def _chi2_quantile(dof: int) -> float:
 
 
 def _equal_to_dof(cost: Callable[[float], float], dof: int, low: float, high: float) -> float:
-    """Standard deviation at which a falling χ² equals its degrees of freedom; else an end of the range."""
+    """Standard deviation at which a decreasing χ² equals its degrees of freedom, or an end of the range."""
     from scipy.optimize import brentq
 
-    @cache  # a refit begins where the last one ended: asked again it could answer otherwise
+    @cache  # a refit starts at the last values, so a second call could give another result
     def gap(log_s: float) -> float:
         return math.log(max(cost(math.exp(log_s)), 1e-300) / dof)
 

@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter: value, standard uncertainty (None: nothing tells the noise), unit, degrees of freedom.
+    """A parameter: value, standard uncertainty (None if the noise is unknown), unit, degrees of freedom.
 
-    `u` is the GUM's standard uncertainty, `dof` its effective degrees of freedom (inf where unlimited);
-    what covers 95 % is `U` = `k`·`u` with Student's quantile k.
+    `u` is the GUM's standard uncertainty, `dof` its effective degrees of freedom (inf if unlimited). The
+    expanded uncertainty for 95 % is `U` = `k`·`u` with Student's quantile k.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Estimate:
 
     @property
     def stated(self) -> Value:
-        """The same without its name."""
+        """Value without the name."""
         return Value(self.value, self.u, self.unit, self.dof)
 
     @property
@@ -69,20 +69,20 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Origin:
-    """What a fit was made of, for all that follows from it.
+    """Inputs of a fit, for quantities that are derived from it.
 
     Attributes
     ----------
     readings : Readings
-        That were fitted, before `noise` was settled.
+        Fitted readings, before `noise` was estimated.
     fit : Fit
-        At the method's own parameters, on the readings with that noise.
+        Model at the parameters of the method, on the readings with that noise.
     outputs : tuple of Output
-        Gradients of the parameters, in their order.
+        Parameters with their gradients, in the order of the result.
     sources : Sources or None
-        None where nothing tells the noise of a reading.
+        None if the noise of a reading is unknown.
     determination : Determination or None
-        Of `ml`: what was free.
+        Free and held parameters of `ml`; None for other methods.
     """
 
     readings: Readings
@@ -108,38 +108,38 @@ class FitResult(ParameterTable):
     method : str
         One of `METHODS`.
     parameters : tuple of Estimate
-        Those that the session determines; the others are named in `undetermined`.
+        Parameters that the session determines; the others are named in `undetermined`.
     covariance : (p, p) float or None
-        In the order and units of `parameters`; None where no noise is known.
+        In the order and units of `parameters`; None if the noise is unknown.
     chi2, dof : float, int
-        Residual against the noise measured in the dwells and the stated fixture uncertainty.
+        χ² of the residual, by the noise measured in the dwells and the stated fixture uncertainty.
     residual_mg : (n, axes) or (n, 1) float
         Reading minus model of each dwell used, in mg; in space the residual of the norm.
     positions : tuple of int
         Numbers of the dwells used.
     angle_error_rad : (m,) float or None
-        Angle that the calibrated goniometer computes minus the declared one.
+        Angle by the calibrated goniometer minus the declared angle.
     undetermined : tuple of str
         Parameters, or combinations, that the session cannot determine.
     extra_mg : float
-        Standard deviation per reading and axis beyond the measured noise, which the residual demanded.
+        Standard deviation per reading and axis, beyond the measured noise, that explains the residual.
     fixture_sigma_deg : float or None
-        Standard uncertainty of a declared angle that was used; inf free; None in space.
+        Standard uncertainty of a declared angle in the fit; inf for free attitudes; None in space.
     provenance : Provenance or None
-        Where the readings come from; None where no session was given.
+        Origin of the readings; None if no session was given.
     overrides : mapping
-        What was stated otherwise than in the session's file, old and new (`session.overrides`).
+        Overrides of values in the session's file, old and new (`session.overrides`).
     origin : Origin or None
-        What it was made of; no part of the JSON, nor of a comparison.
+        Inputs of the fit; not part of the JSON document or of a comparison.
     session : Readings or None
         All readings of the session, on which methods are compared.
     session_notes : tuple of str
-        What the reader of the file had to tell, and what is wrong with positions; they precede the other
-        `warnings`, and `doubts` precede them.
+        Notes from the reader of the file and on wrong positions; they are the first `warnings` after
+        `doubts`.
     position_findings : tuple of PositionFinding
-        Positions that are not where they were declared (`adis_gonio.fitting.slips`).
+        Positions that differ from the declared angle (`adis_gonio.fitting.slips`).
     links : LinkReport or None
-        What turns between poses in space gave; None where there are none.
+        Report on turns between poses in space; None without such turns.
     """
 
     method: str
@@ -163,7 +163,7 @@ class FitResult(ParameterTable):
     links: LinkReport | None = None
 
     def __getitem__(self, name: str) -> Estimate:
-        """Estimate by name; `KeyError` where the session does not determine it."""
+        """Estimate by name; `KeyError` if the session does not determine it."""
         for estimate in self.parameters:
             if estimate.name == name:
                 return estimate
@@ -179,7 +179,7 @@ class FitResult(ParameterTable):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentence that leads everything else if the model does not describe the session; else empty."""
+        """Sentence for the head of a report if the model does not describe the session; else empty."""
         return (MISFIT,) if self.extra_mg else ()
 
     def __repr__(self) -> str:
@@ -190,7 +190,7 @@ class FitResult(ParameterTable):
         return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {told})"
 
     def calibration(self) -> Calibration:
-        """What turns readings into angles by these parameters.
+        """Calibration from readings to angles by these parameters.
 
         Raises
         ------
@@ -205,14 +205,14 @@ class FitResult(ParameterTable):
 
     @property
     def reference_temperature_c(self) -> float | None:
-        """Mean temperature of the dwells used, at which the parameters hold; None where not recorded."""
+        """Mean temperature of the fitted dwells, at which the parameters are valid; None if unknown."""
         if self.origin is None or self.origin.readings.conditions.temperature_c is None:
             return None
         return float(self.origin.readings.conditions.temperature_c.mean())
 
     @cached_property
     def comparison(self) -> MethodComparison | None:
-        """Every method of the session scored on the same readings, and which is recommended."""
+        """Scores of all methods of the session on the same readings, and the recommended method."""
         from adis_gonio.fitting.method_comparison import compare_methods
 
         if self.session is None:
@@ -243,7 +243,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def _around(self) -> ShownAngle | None:
-        """The angle shown after calibration; None where the session leaves part of it undetermined."""
+        """Slopes of the angle after calibration; None if the session leaves part of it undetermined."""
         from adis_gonio.fitting.determination import is_determined
         from adis_gonio.fitting.uncertainty import ShownAngle
 
@@ -254,10 +254,10 @@ class FitResult(ParameterTable):
 
     @cached_property
     def shown_angle(self) -> Value | None:
-        """An angle shown after calibration: no value, but its uncertainty; None in space.
+        """Uncertainty of an angle after calibration, with a value of NaN; None in space.
 
-        That of a reading as long as the session's dwells, the root mean square over a turn; no uncertainty
-        where the session leaves part of what an angle needs undetermined.
+        It is the root mean square over a turn, for a reading with the length of the session's dwells. There
+        is no uncertainty if the session leaves a parameter that an angle needs undetermined.
         """
         made = self.origin
         if made is None or not made.readings.planar:
@@ -273,8 +273,8 @@ class FitResult(ParameterTable):
     def angle(self) -> Value | None:
         """Error of the angle after calibration (rms, deg) with the uncertainty of `shown_angle`.
 
-        The value is the root mean square over the dwells of the session, left out of the fit where they
-        were in it; NaN where none is declared or can be left out.
+        The value is the root mean square over the dwells of the session, each left out of the fit; NaN if
+        no angle is declared or no dwell can be left out.
         """
         score = None if self.comparison is None else self.comparison.scores.get(self.method)
         if self.shown_angle is None or score is None or score.angle_rms_deg is None:
@@ -339,9 +339,9 @@ class Output:
 
 
 def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
-    """All reported quantities of base parameters and biases (p,), these in mg.
+    """All reported quantities, from base parameters and biases (p,) in mg.
 
-    In the plane delta_k and delta_phi come first; gains and biases of readings in counts are in counts.
+    In the plane delta_k and delta_phi come first. For readings in counts, gains and biases are in counts.
     """
     names = names_of(data)
     eye = np.eye(len(names))
@@ -371,7 +371,7 @@ def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
 
 
 def left_to_the_stage(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
-    """What has to be said where the axes' angle is known by the stage alone, and the stage is wide."""
+    """Warning if only the stage determines the angle between the axes, and its uncertainty is large."""
     u_deg = next((one.u for one in found if one.name == "delta_phi"), None)
     if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:
         return []
@@ -387,13 +387,13 @@ _RANK = {name: rank for rank, name in enumerate(_FIRST)}
 
 
 def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
-    """Covariance (m, m) of outputs by that of the parameters (p, p) in natural units."""
+    """Covariance (m, m) of outputs from the covariance (p, p) of the parameters in natural units."""
     gradients = np.stack([output.gradient for output in outputs])
     return np.asarray(gradients @ natural @ gradients.T)
 
 
 def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estimate, ...]:
-    """Outputs with their uncertainty; None for it where nothing tells the noise."""
+    """Outputs with their uncertainty, which is None without sources."""
     found = []
     for output in outputs:
         u, dof = (None, math.inf) if sources is None else sources.uncertainty(output.gradient[None])
@@ -402,9 +402,9 @@ def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estim
 
 
 def angle_errors(fit: Fit) -> Floats | None:
-    """Angle of the calibrated goniometer minus the declared angle (m,) in rad; None without any.
+    """Angle by the calibrated goniometer minus declared angle (m,) in rad; None without declared angles.
 
-    Where attitudes are free, α is not known and the mean difference stands in for it.
+    With free attitudes α is unknown, and the mean difference is used instead.
     """
     data = fit.data
     declared = np.isfinite(data.angle_rad)
@@ -413,5 +413,5 @@ def angle_errors(fit: Fit) -> Floats | None:
     gravity = fit.gravity[declared]
     shown = np.arctan2(gravity[:, 1], gravity[:, 0]) + data.angle_rad[declared]
     zero = mean_direction(shown) if data.free else float(fit.values.base[0])
-    # Positive for a stage that stands further on than declared: ψ = α − θ.
+    # Positive for a stage at a larger angle than declared: ψ = α − θ.
     return -wrap_radians(shown - zero)

@@ -42,15 +42,15 @@ Kind = Literal["A", "B"]
 REPEATABILITY, FLICKER, FIXTURE = "repeatability", "1/f noise", "fixture"
 GRAVITY, QUANTIZATION, TEMPERATURE, MODEL = "gravity", "quantization", "temperature", "model choice"
 LINKS = "gyro links"
-"""Source of a fit in space with turns between its poses, and of no other."""
+"""Additional source of a fit in space with turns between its poses."""
 SOURCES = (REPEATABILITY, FLICKER, FIXTURE, GRAVITY, QUANTIZATION, TEMPERATURE, MODEL)
 
 GRAVITY_HALF_MPS2 = 0.027
-"""Half the span of gravity over the surface of the Earth (9.780 to 9.834 m/s²): a rectangle about any."""
+"""Half the range of gravity on the surface of the Earth (9.780 to 9.834 m/s²), a rectangular
+distribution."""
 _POOLED, _RESIDUAL, _FIXTURE, _UNSTATED, _EACH = 0, 3, 4, 5, 6
-"""Numbers of the estimates that parts rest on: samples of all dwells together (+ axis), the residual, the
-scatter of the angles, the scatter of readings that state no noise, the samples of one dwell (+ 3 n +
-axis)."""
+"""Numbers of the estimates behind parts: samples of all dwells together (+ axis), the residual, the scatter
+of the angles, the scatter of readings without a stated noise, the samples of one dwell (+ 3 n + axis)."""
 
 
 @dataclass(frozen=True)
@@ -62,28 +62,28 @@ class Source:
     name : str
         One of `SOURCES`.
     kind : {"A", "B"}
-        By statistics of this session, or by other knowledge (GUM 3.3.4).
+        Evaluated by statistics of this session, or by other knowledge (GUM 3.3.4).
     distribution : str
         `normal`, `Student` or `rectangular`.
     u : float or None
-        Standard uncertainty of the source itself, rms over dwells and axes; None: not known.
+        Standard uncertainty of the source itself, rms over dwells and axes; None if unknown.
     unit : str
     moves : (p, k) float
-        What each independent part, at one standard uncertainty, moves the parameters by; natural units.
+        Change of the parameters by each independent part at one standard uncertainty, natural units.
     dof : (k,) float
-        Degrees of freedom of the estimate behind each part; inf where it is not one.
+        Degrees of freedom of the estimate behind each part; inf without an estimate.
     estimate : (k,) int
-        Number of that estimate: parts of one estimate are wrong together.
+        Number of that estimate: parts of one estimate have a common error.
     reading_mg2 : (axes, axes) float
-        What it adds to the covariance of one further reading, as long as those of the session.
+        Contribution to the covariance of a further reading with the length of a dwell of the session.
     note : str
-        What has to be said about it.
+        Remark on the source.
     by_definition : bool
-        True where the parameters are stated relative to it: it moves them, and is no part of their u.
+        True if the parameters are stated relative to it: it moves them but is not part of their u.
     acts_mg : (n, axes, k) float or None
-        What inputs that act on all dwells do to the readings, at one standard uncertainty.
+        Change of the readings by inputs that act on all dwells, at one standard uncertainty.
     further_mg : (axes, k) float or None
-        What the parts do to a further reading, beside what they have done to the parameters.
+        Direct effect of the parts on a further reading, in addition to the effect on the parameters.
     """
 
     name: str
@@ -106,9 +106,9 @@ class Source:
         Parameters
         ----------
         gradient : (m, p) float
-            By the parameters; m values, of which the mean square is meant, count as one quantity.
+            Derivative by the parameters; the quantity is the root mean square of m values.
         reading : (m, axes) float, optional
-            The same by one further reading, per mg.
+            Derivative by one further reading, per mg.
         """
         m = len(gradient)
         variance = (self._moved(gradient, reading) ** 2).sum(axis=0) / m
@@ -120,7 +120,7 @@ class Source:
         return found
 
     def _moved(self, gradient: Floats, reading: Floats | None) -> Floats:
-        """What each part moves the m values by, (m, k)."""
+        """Change (m, k) of the m values by each part."""
         moved = gradient @ self.moves
         if reading is not None and self.further_mg is not None:
             moved = moved + reading @ self.further_mg
@@ -134,14 +134,14 @@ class Source:
 
 @dataclass(frozen=True)
 class Unseen:
-    """Parameters that a session does not show and that were taken as zero.
+    """Parameters that a session does not determine and that were taken as zero.
 
     Attributes
     ----------
     biases : tuple of int
-        Axes.
+        Axes of the biases.
     skews : tuple of int
-        Numbers among the base parameters.
+        Numbers of the skews among the base parameters.
     """
 
     biases: tuple[int, ...] = ()
@@ -182,7 +182,7 @@ class Sources:
 
 
 def dof_of(parts: Sequence[tuple[int, float, float]]) -> float:
-    """Effective degrees of freedom; what rests on one estimate is added up first."""
+    """Effective degrees of freedom; parts of one estimate are added first."""
     by_estimate: dict[int, tuple[float, float]] = {}
     surely = sum(variance for _, dof, variance in parts if math.isinf(dof))
     for estimate, dof, variance in parts:
@@ -200,13 +200,13 @@ def response_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats:
     covariance : (p, p) float
         Inverse information in natural units.
     natural : (p,) float
-        Size of the natural units in those of the fit.
+        Size of the natural units in units of the fit.
     """
     return fit.by_reading((fit.jacobian * natural) @ covariance)
 
 
 def by_rotation_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats | None:
-    """∂parameter/∂rotation of each link (p, m, 3) in natural units per rad; None without links."""
+    """∂parameter/∂rotation (p, m, 3) of each link in natural units per rad; None without links."""
     if fit.data.links is None:
         return None
     return np.asarray(fit.by_rotation((fit.jacobian * natural) @ covariance).transpose(2, 0, 1))
@@ -225,13 +225,13 @@ def sources_of(
     Parameters
     ----------
     data : Readings
-        The readings that were fitted, before `noise` was settled.
+        The fitted readings, before `noise` was estimated.
     fit : Fit
-        On the readings with that noise.
+        Fit of the readings with that noise.
     response : (p, n, axes) float
         ∂parameter/∂reading in natural units per mg.
     unseen : Unseen
-        What was taken as zero.
+        Parameters that were taken as zero.
     rotation : (p, m, 3) float, optional
         ∂parameter/∂rotation of each link, natural units per rad.
     """
@@ -251,7 +251,7 @@ def sources_of(
 
 
 def _links(fit: Fit, rotation: Floats) -> Source:
-    """Noise of the rotations between poses, and what is not known of the gyros."""
+    """Noise of the rotations between poses, and the uncertainty of the gyros."""
     links = fit.data.links
     assert links is not None
     own = np.einsum("pma,maq->pq", rotation, links.own_product(rotation.transpose(1, 2, 0)))
@@ -270,22 +270,22 @@ def _links(fit: Fit, rotation: Floats) -> Source:
         moves,
         *_unlimited(moves.shape[1]),
         np.zeros((fit.data.axes, fit.data.axes)),
-        "turns between the poses: noise of the gyros and what is not known of them",
+        "turns between the poses: noise of the gyros and uncertainty of their parameters",
     )
 
 
 def _each(response: Floats, roots: Floats) -> Floats:
-    """Moves (p, n·axes) of parts that stand in one dwell each: columns of `roots` (n, axes, axes)."""
+    """Moves (p, n·axes) of parts that act on one dwell each: columns of `roots` (n, axes, axes)."""
     return np.asarray(np.einsum("pna,nab->pnb", response, roots).reshape(len(response), -1))
 
 
 def _root(covariance: Floats) -> Floats:
-    """Roots (n, axes, axes), a column an axis."""
+    """Roots (n, axes, axes) of covariances, one column for each axis."""
     axes = covariance.shape[1]
     diagonal = np.sqrt(np.maximum(np.einsum("naa->na", covariance), 0.0))
     if not covariance[:, ~np.eye(axes, dtype=bool)].any():
         return np.asarray(diagonal[:, :, None] * np.eye(axes))
-    # A difference of covariances has eigenvalues of zero and, by rounding, below: no Cholesky factor.
+    # A difference of covariances has eigenvalues of zero, or below by rounding: it has no Cholesky factor.
     size, axis = np.linalg.eigh(covariance)
     least = 1e-12 * np.maximum(np.abs(size).max(axis=1, keepdims=True), 1e-300)
     whole = np.einsum("nij,nj,nkj->nik", axis, np.maximum(size, least), axis)
@@ -301,7 +301,7 @@ def _unlimited(k: int) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
-    """Covariance (n, axes, axes) of the means by the noise that averaging lowers."""
+    """Covariance (n, axes, axes) of the means from noise that averaging lowers."""
     factor = np.where(data.known, 1.0, noise.scale**2)[:, None, None]
     own = data.own_covariance * factor
     for part in (data.quantization, data.flicker):
@@ -310,7 +310,7 @@ def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
 
 
 def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, Floats, NDArray[np.intp]]:
-    """Roots (n, axes, axes) of that; degrees of freedom and numbers (n, axes) of the estimates behind."""
+    """Roots (n, axes, axes) of this noise; degrees of freedom and numbers (n, axes) of its estimates."""
     n, axes = data.mean.shape
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
     dof = np.where(data.known, data.dof, noise.scale_dof)
@@ -427,7 +427,7 @@ def _quantization(data: Readings, response: Floats) -> Source:
 
 
 def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
-    """An unknown coefficient of each bias, as large as the part's figure and the residual allow."""
+    """Unknown temperature coefficient of each bias, within the data sheet and the residual."""
     axes = data.axes
     figure = VARIANTS[data.sensor].performance.bias_tempco_mg_per_c if data.sensor in VARIANTS else 0.0
     temperature = data.conditions.temperature_c
@@ -442,7 +442,7 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
         columns = away[:, None, None] * np.eye(axes)
         left = fit.white(columns)
         left = left - fit.jacobian @ np.linalg.lstsq(fit.jacobian, left, rcond=1e-9)[0]
-        # Prior of the part's figure, and what the residual of this session says of it.
+        # Combine the prior of the data sheet with the information in the residual of this session.
         spread = 1 / np.sqrt(1 / figure**2 + (left**2).sum(axis=0))
         acts = columns * spread
         moves = np.einsum("pna,nab->pb", response, acts)
@@ -463,7 +463,7 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
 
 
 def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, unseen: Unseen) -> Source:
-    """What the residual shows beyond the noise, and biases and skews that had to be taken as zero."""
+    """Residual beyond the noise, and biases and skews that had to be taken as zero."""
     axes = data.axes
     extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
     figures = VARIANTS[data.sensor].performance if data.sensor in VARIANTS else None
@@ -514,7 +514,7 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
         noise.extra_mg**2 * np.eye(axes),
         "; ".join(notes) or "the residual shows no more than the noise",
         acts_mg=acts if acts.any() else None,
-        # A further reading has the same biases; its pose decides what skews and effects do to it.
+        # A further reading has the same biases; the influence of skews and effects depends on its pose.
         further_mg=np.concatenate(
             [np.zeros((axes, extra.shape[1])), biases[0], np.zeros((axes, others.shape[2]))], axis=1
         ),
@@ -522,7 +522,7 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
 
 
 ROUNDING = 1e-10
-"""Share of u below which a contribution is what a computation rounds."""
+"""Share of u below which a contribution is a rounding error."""
 
 
 @dataclass(frozen=True)
@@ -536,15 +536,15 @@ class BudgetRow(JsonRecord):
     source, kind, distribution : str
         Name, type (`A` or `B`) and distribution.
     u, unit : float or None, str
-        Standard uncertainty of the source itself; None where nothing states it.
+        Standard uncertainty of the source itself; None if unknown.
     sensitivity : float or None
-        Contribution per u; of a source that acts in every dwell on its own, the root of the sum of squares.
+        Contribution per u; for a source with independent values in dwells, the root of the sum of squares.
     contribution : float
-        Standard uncertainty that it brings, in the unit of the quantity.
+        Standard uncertainty of the quantity from this source, in the unit of the quantity.
     dof : float
-        Effective degrees of freedom; inf where unlimited.
+        Effective degrees of freedom; inf if unlimited.
     share : float
-        Of the variance; the shares of a budget add up to 1.
+        Share of the variance; the shares of a budget add up to 1.
     """
 
     source: str
@@ -565,9 +565,9 @@ def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None)
     Parameters
     ----------
     gradient : (m, p) float
-        In the quantity's unit by the parameters in natural units; the mean square over m is meant.
+        Derivative of the quantity by the parameters in natural units; its mean square over m counts.
     reading : (m, axes) float, optional
-        The same by one further reading, per mg.
+        Derivative by one further reading, per mg.
     """
     total, _ = sources.uncertainty(gradient, reading)
     rows = []
@@ -595,7 +595,7 @@ def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None)
 
 
 _DESCRIBED = 1e-6
-"""Relative size of a column's remainder below which it is a combination of the parameters' columns."""
+"""Relative size of the rest of a column below which the columns of the parameters describe it."""
 _LARGEST_FACTOR = 1e4
 
 
@@ -605,8 +605,8 @@ def missing_effects(fit: Fit) -> Floats:
     Parameters
     ----------
     fit : Fit
-        The model that does not describe the session, on readings whose noise has the scatter of the
-        residual in it: scatter without any structure is the rival explanation.
+        Fit of the model that does not describe the session, on readings whose noise includes the scatter of
+        the residual: unstructured scatter is the alternative explanation.
     """
     columns = np.concatenate([*_columns(fit), np.zeros((*fit.data.mean.shape, 0))], axis=2)
     white = fit.white(columns)
@@ -635,7 +635,7 @@ def _columns(fit: Fit) -> Iterator[Floats]:
     data = fit.data
     for kind in catalogue(data.model.part).values():
         beside_readings = kind.enters is Enters.SAMPLES or kind.within_dwell
-        # A choice is a discrete number (a dwell, a degree): the scatter of the readings stands for these.
+        # A choice is a discrete number (a dwell, a degree): the scatter of the readings covers these.
         if beside_readings or kind.choices() or data.conditions.lacks(kind.needs):
             continue
         effect = kind(AXES[: data.axes] if kind.by_axis else ())
@@ -646,7 +646,7 @@ def _columns(fit: Fit) -> Iterator[Floats]:
 
 
 def _without(rows: Floats, columns: Floats) -> Floats:
-    """Rows (m, d) less the part that a linear combination of columns (m, p) describes."""
+    """Rows (m, d) minus their projection onto the columns (m, p)."""
     return np.asarray(rows - columns @ np.linalg.lstsq(columns, rows, rcond=1e-9)[0])
 
 
@@ -669,7 +669,7 @@ def _factor(strength: Floats, power: Floats) -> float:
 
 
 PLACES = 72
-"""Angles of a turn over which the uncertainty of a shown angle is averaged."""
+"""Number of angles of a turn over which the uncertainty of a shown angle is averaged."""
 
 
 @dataclass(frozen=True)
@@ -679,7 +679,7 @@ class ShownAngle:
     Attributes
     ----------
     gradient : (m, p) float
-        Degrees by the parameters: base and biases in natural units, or all of a fit in its own.
+        Degrees per unit of the parameters: base and biases in natural units, or all in units of a fit.
     reading : (m, 2) float
         Degrees per mg of the reading.
     """
@@ -689,17 +689,17 @@ class ShownAngle:
 
     @classmethod
     def around(cls, fit: Fit) -> ShownAngle:
-        """All around the turn, by base parameters and biases, at the values of a planar fit.
+        """Slopes at places around the turn, by base parameters and biases, at the values of a planar fit.
 
-        Angle ψ = atan2(v, u) with u = (U_x − b_x)/(G K_x), v = ((U_y − b_y)/(G K_y) − u sin Δφ)/cos Δφ;
-        shown is α − ψ. Where no angle is declared there is no α, and the angle is that of gravity to X.
+        Angle ψ = atan2(v, u) with u = (U_x − b_x)/(G K_x), v = ((U_y − b_y)/(G K_y) − u sin Δφ)/cos Δφ; the
+        shown angle is α − ψ. Without declared angles there is no α, and the angle is between gravity and X.
         """
         gradient = gradient_of_base(fit.values.base, zero=bool(fit.data.visible[0]))
         return cls(gradient, -np.degrees(_by_reading(fit, _around())))
 
     @classmethod
     def at_dwells(cls, fit: Fit) -> ShownAngle:
-        """At the dwells of a planar fit, by all of its parameters, those of its terms among them."""
+        """Slopes at the dwells of a planar fit, by all of its parameters including those of its terms."""
         psi = fit.values.base[0] + fit.turn_rad + fit.values.attitude
         slope = _by_reading(fit, psi)
         gradient = np.einsum("na,nap->np", slope, fit.columns)
@@ -720,7 +720,7 @@ def gradient_of_base(base: Floats, *, zero: bool) -> Floats:
     base : (4,) float
         Base parameters of the plane.
     zero : bool
-        True where angles are declared, so that α is part of what is shown.
+        True if angles are declared, so that α is part of the shown angle.
     """
     _, k_x, k_y, skew = base
     psi = _around()

@@ -1,27 +1,30 @@
-"""Readings: a mean with its covariance, degrees of freedom and conditions, in its measurement's unit.
+"""Readings: the mean of each dwell with its covariance, degrees of freedom and conditions.
 
 The covariance of a reading has three parts.
 
 * *Noise that averaging lowers*: spectral density at zero of the dwell's own samples, divided by their
-  number (`estimation.spectrum`). Dwells whose densities are consistent share one (Bartlett's test at
-  0.1 %), which gives short dwells the degrees of freedom of all; where they are not, each keeps its own.
+  number (`estimation.spectrum`). If the densities of the dwells are consistent (Bartlett's test at 0.1 %),
+  all dwells share one density, which gives short dwells the degrees of freedom of all; otherwise each dwell
+  keeps its own.
 * *Quantization*: with noise of σ before a converter of step q the mean is off by up to
-  (q/π)·exp(−2π²σ²/q²); its variance over all places between two codes is
-  q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², which is q²/12 without noise and nothing at σ > q/2, where the noise
-  dithers and quantization has become part of it.
-* *Bias instability* (1/f noise), which averaging does not lower: from the dwells' lowest frequencies where
-  they show it; else the variant's figure (an estimate: confidence D), but no more than the dwells allow;
-  zero for a sensor without a figure. An Allan deviation s makes the means of N dwells scatter with
-  s²·N ln N / (2 (N − 1) ln 2) (Barnes 1969).
+  (q/π)·exp(−2π²σ²/q²). The variance of this error over all places between two codes is
+  q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², which is q²/12 without noise and negligible at σ > q/2, because then the
+  noise dithers and quantization is part of it.
+* *Bias instability* (1/f noise), which averaging does not lower: from the lowest frequencies of the dwells
+if
+  they show it; otherwise the variant's figure (an estimate: confidence D), limited to the amount that the
+  dwells allow; zero for a sensor without a figure. With an Allan deviation s the means of N dwells scatter
+  with s²·N ln N / (2 (N − 1) ln 2) (Barnes 1969).
 
-Neighbouring dwells share 1/f noise; what they share is kept as modes (`Readings.slow`), one of them the
-constant by which a session differs from one that is measured another day.
+Neighbouring dwells share 1/f noise. The shared part is kept as modes (`Readings.slow`); one mode is the
+constant by which this session differs from a session on another day.
 
-A dwell of one sample is a reading that somebody averaged: `Session.reading_u_mg` is its whole uncertainty.
-Without that it is unknown (`Readings.known`), and a fit estimates it from its residual.
+A dwell of one sample is a reading that was averaged before: `Session.reading_u_mg` is its whole
+uncertainty. Without this key the uncertainty is unknown (`Readings.known`), and a fit estimates it from its
+residual.
 
-Readings in `counts` have neither a known zero nor a known gain: an ellipse or ellipsoid through them gives
-both roughly (`Unit`), so that everything after runs on readings that are nearly in mg.
+Readings in `counts` have neither a known zero nor a known gain. An ellipse or ellipsoid through them gives
+rough values of both (`Unit`), so that all later steps use readings that are nearly in mg.
 """
 
 from __future__ import annotations
@@ -63,30 +66,30 @@ from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, 
 from adis_gonio.model.records import ACCEL_UNITS, MG_PER_MPS2, Dwell, Session
 
 MOST_SHARED = 2000
-"""Dwells up to which 1/f noise that they share counts between them: beyond, its covariance is too large to
-keep, and of so many readings little is left of it."""
+"""Largest number of dwells for which the covariance of shared 1/f noise is computed. For more dwells the
+matrix is too large, and shared noise is small in the mean of so many readings."""
 HISTORY_POINTS = 2000
 LEAST_TURNING, LEAST_TURN, LEAST_AREA = 4, 0.3, 0.5
-"""Positions, least singular value of their cosines, sines and ones, and area (1 of a good sensor) from
-which the sense of rotation is beyond doubt."""
+"""Least number of positions, singular value of their cosines, sines and ones, and area (1 for a good
+sensor) at which the sense of rotation is certain."""
 OFF_UNIT = 2.0
-"""Factor from 1 g beyond which still readings are in another unit: no sensor's gain is so far off."""
+"""Factor from 1 g beyond which readings at rest are in another unit: no gain of a sensor is so far off."""
 UNEQUAL = 0.5
-"""Relative distance of a reading's length from the median of all, that no bias explains."""
+"""Relative distance of a reading's length from the median length that no bias explains."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """Where mg lie in the unit of the file's axes.
+    """Conversion from the unit of the file to mg, for each axis.
 
     Attributes
     ----------
     name : str
-        `mg` or `dps` (any unit of known size), or `counts`.
+        `mg` or `dps` for any unit of known size, or `counts`.
     zero, per_mg : (axes,) float
-        File's value at zero, and counts per mg; both rough for counts, 0 and 1 for mg.
+        Value in the file at zero, and counts per mg; both rough for counts, 0 and 1 for mg.
     scale : float
-        By which the file's values are multiplied first: mg per unit where that is known, else 1.
+        Factor that is applied to the values of the file first: mg per unit, or 1 if that is unknown.
     """
 
     name: str
@@ -100,66 +103,66 @@ class Unit:
 
     @property
     def known(self) -> bool:
-        """False for counts, where the zero of an axis is part of the unit."""
+        """False for counts, since their zero and scale are unknown."""
         return self.name != "counts"
 
 
 def in_mg(axes: int, scale: float = 1.0) -> Unit:
-    """Unit of readings whose scale and zero are known."""
+    """Unit of readings with a known scale and zero."""
     return Unit("mg", np.zeros(axes), np.ones(axes), scale)
 
 
 @dataclass(frozen=True)
 class Readings(ComputedOnce):
-    """One row a dwell.
+    """Readings of a session, one row for each dwell.
 
     Attributes
     ----------
     mean : (n, axes) float
         Mean of each dwell; two columns in a planar session, three in space.
     own_covariance : (n, axes, axes) float
-        Covariance of the means in mg² without what dwells share; where `known` is False a placeholder of
-        1 mg on each axis.
+        Covariance of the means in mg² without the noise that dwells share; if `known` is False a
+        placeholder of 1 mg on each axis.
     dof : (n,) float
-        Degrees of freedom of that covariance; inf where it was stated.
+        Degrees of freedom of that covariance; inf if it was stated.
     known : (n,) bool
-        False where nothing states the uncertainty.
+        False if the uncertainty is unknown.
     angle_rad : (n,) float
-        Declared angle θ; NaN where unknown.
+        Declared angle θ; NaN if unknown.
     conditions : Conditions
-        What surrounded each reading.
+        Conditions of each reading.
     gravity_mg : float
         Local gravity.
     fixture_rad : float
-        Standard uncertainty of a declared angle; inf where attitudes are free, 0 where it is not stated.
+        Standard uncertainty of a declared angle; inf if attitudes are free, 0 if it is not stated.
     fixture_stated : bool
     check : (n,) bool
-        Dwells that take no part in choosing or fitting.
+        Dwells that take no part in the choice of a model or in its fit.
     position, samples : (n,) int
-        Numbers of the dwells in the file, and samples of each.
+        Numbers of the dwells in the file, and their numbers of samples.
     unit : Unit
-        Of the file.
+        Unit of the file.
     slow : (n, axes, k) float or None
-        What each of k independent modes of unit variance adds to the readings: the noise that dwells share
-        (1/f noise). Modes of different axes are independent. None where there is none.
+        Contribution of each of k independent modes of unit variance to the readings: the noise that dwells
+        share (1/f noise). Modes of different axes are independent. None without such noise.
     quantization, flicker : (n, axes) float or None
-        Parts of `own_covariance` that quantization and 1/f noise have; None where there is none.
+        Parts of `own_covariance` from quantization and 1/f noise; None without them.
     flicker_shown : bool
-        True where the dwells show the 1/f noise, False where it is the variant's figure.
+        True if the dwells show the 1/f noise, False if it is the figure of the variant.
     pooled : bool
-        True where the dwells' noise is one estimate, so that `dof` counts once and not for each.
+        True if one estimate of noise serves all dwells, so that `dof` counts once and not for each dwell.
     sensor : str
-        Variant by name, for what its figures say that a session cannot show.
+        Name of the variant, for data-sheet figures that a session cannot show.
     notes : tuple of str
-        What has to be said about the noise.
+        Remarks on the noise, for the result.
     fitted : (p,) bool or None
-        Base parameters that are fitted; None: those that these dwells show. Folds have the session's.
+        Base parameters that are fitted; None: those that these dwells determine. Folds use the session's.
     measurement : Measurement or None
-        What the readings are of; None: a turn in the plane, or poses in space, by their axes.
+        The measured quantity; None: a turn in the plane for two axes, poses in space for three.
     converter : Converter or None
-        What all samples show of it, those of dwells at a limit among them; None without samples.
+        Steps and limits in all samples, including dwells at a limit; None without samples.
     links : Links or None
-        Rotations of the part between poses, by its gyros; None where none is used.
+        Rotations of the part between poses, by its gyros; None if none are used.
     """
 
     mean: Floats
@@ -197,19 +200,19 @@ class Readings(ComputedOnce):
 
     @property
     def planar(self) -> bool:
-        """True where the plane of rotation is known."""
+        """True if the plane of rotation is known."""
         return isinstance(self.model, PlanarTurn)
 
     @cached_property
     def model(self) -> Measurement:
-        """What the readings are of."""
+        """Model of the measured quantity."""
         if self.measurement is not None:
             return self.measurement
         return PlanarTurn(self.gravity_mg) if self.axes == 2 else FreeAttitude(self.gravity_mg)
 
     @property
     def noise_known(self) -> bool:
-        """True where every reading has an uncertainty."""
+        """True if every reading has an uncertainty."""
         return bool(self.known.all())
 
     @property
@@ -222,8 +225,8 @@ class Readings(ComputedOnce):
     def noise_dof(self) -> float:
         """Degrees of freedom of the noise of all readings together.
 
-        Dwells that share one noise (`pooled`) have its degrees of freedom each; those of dwells that have
-        noise of their own add up.
+        If dwells share one estimate (`pooled`), these are its degrees of freedom; otherwise the sum over
+        the dwells.
         """
         finite = self.dof[np.isfinite(self.dof)]
         if not finite.size:
@@ -232,46 +235,46 @@ class Readings(ComputedOnce):
 
     @cached_property
     def fixture(self) -> Floats:
-        """Standard uncertainty (n,) of each declared angle in rad; inf where none is declared."""
+        """Standard uncertainty (n,) of each declared angle in rad; inf without a declared angle."""
         declared = np.isfinite(self.angle_rad) if self.planar else np.zeros(len(self), dtype=bool)
         return np.where(declared, self.fixture_rad, np.inf)
 
     @cached_property
     def fixture_precision(self) -> Floats:
-        """Precision (n,) with which a declared angle is known, in rad⁻²; 0 where it is certain or free."""
+        """Precision (n,) of each declared angle in rad⁻²; 0 if the angle is exact or free."""
         certain = self.fixture == 0
         return np.where(certain, 0.0, 1 / np.where(certain, 1.0, self.fixture) ** 2)
 
     @cached_property
     def turn_rad(self) -> Floats:
-        """−θ (n,); 0 where no angle is declared."""
+        """−θ (n,); 0 without a declared angle."""
         return np.where(np.isfinite(self.angle_rad), -self.angle_rad, 0.0)
 
     @property
     def free(self) -> bool:
-        """True where attitudes are unknown and no declared angle carries information."""
+        """True if attitudes are unknown and no declared angle carries information."""
         return self.model.freedom > 0 and bool(np.isinf(self.fixture).all())
 
     @property
     def equations_each(self) -> int:
-        """Equations that a reading gives: one where its attitude is free, else one an axis."""
+        """Equations from one reading: one if its attitude is free, otherwise one for each axis."""
         return 1 if self.free else self.axes
 
     @property
     def by_axis(self) -> bool:
-        """False where only the length of a reading carries information."""
+        """False if only the length of a reading carries information."""
         return self.model.freedom < 2
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
-        """Base parameters (p,) that are fitted; the others stay at their nominal values."""
+        """Base parameters (p,) that are fitted; the others keep their nominal values."""
         if self.fitted is not None:
             return self.fitted
         return self.model.visible(self.mean, np.isfinite(self.fixture))
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance of the means (n, axes, axes) in mg², what dwells share among it."""
+        """Covariance of the means (n, axes, axes) in mg², including the noise that dwells share."""
         if self.slow is None:
             return self.own_covariance
         shared: Floats = (self.slow**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
@@ -288,7 +291,7 @@ class Readings(ComputedOnce):
         return _inverse_root(self.own_covariance)
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Readings:
-        """Some of the dwells."""
+        """Select dwells."""
         by_dwell = [
             "mean", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples",
         ]  # fmt: skip
@@ -303,10 +306,10 @@ class Readings(ComputedOnce):
 
     @cached_property
     def training(self) -> Readings:
-        """Dwells that may be fitted, with the base parameters that they show settled for all folds.
+        """Dwells that may be fitted, with the fitted base parameters fixed for all folds.
 
-        If too few of them have a noise to test a model by, the noise of every dwell counts as unknown: one
-        noise for all, estimated from the residual.
+        If too few of these dwells have a known noise for a test of a model, the noise of every dwell counts
+        as unknown: one noise for all is estimated from the residual.
 
         Raises
         ------
@@ -336,7 +339,7 @@ class Readings(ComputedOnce):
 
     @property
     def checking(self) -> Readings | None:
-        """Dwells that take no part; None without any."""
+        """The `check` dwells; None without them."""
         return self.rows(self.check) if self.check.any() else None
 
 
@@ -354,7 +357,7 @@ def from_means(
     fixture_rad: float = 0.0,
     **others: object,
 ) -> Readings:
-    """Readings that somebody else reduced: means (n, axes) in mg with their covariance in mg²."""
+    """Readings from means (n, axes) in mg and their covariance (n, axes, axes) in mg²."""
     n, axes = mean.shape
     angle = conditions.angle_rad
     made = Readings(
@@ -379,7 +382,7 @@ def from_means(
 
 
 def _refuse_other_units(session: Session, readings: Readings) -> None:
-    """Raise `DataError` where readings of still poses are nowhere near 1 g: another unit, or no gravity.
+    """Raise `DataError` if readings at rest are far from 1 g: another unit, or no gravity.
 
     Parameters
     ----------
@@ -407,7 +410,7 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
 
 
 def _as_another(session: Session, length: float) -> str:
-    """The units in which readings `length` g long would be 1 g long, and how to say so."""
+    """Clause that names the units in which readings of `length` g would be 1 g, and the option for it."""
     own = mg_per_unit(session)
     fits = [
         unit
@@ -424,7 +427,7 @@ def _as_another(session: Session, length: float) -> str:
 
 
 def _refuse_reversed(session: Session, readings: Readings) -> None:
-    """Raise `DataError` where the readings turn the other way than the declared angles.
+    """Raise `DataError` if the readings turn the other way than the declared angles.
 
     X follows cos(α − θ) and Y sin(α − θ): with x_c, x_s, y_c, y_s their first harmonics, the sense of
     rotation is the sign of x_s y_c − x_c y_s, which neither gains nor a misalignment below 90° change.
@@ -472,7 +475,7 @@ def _checked_readings(session: Session) -> Readings:
 
 
 def reduced(session: Session) -> Readings:
-    """Readings of all dwells, whatever length they have; see `readings_of`."""
+    """Readings of all dwells without a check of their length; see `readings_of`."""
     source = session.source or "session"
     axes = 2 if session.plane == "xy" else 3
     dwells, converter, notes = _usable(session, axes)
@@ -503,7 +506,7 @@ def reduced(session: Session) -> Readings:
     if many.size:
         rows = [dwells[k].accel[:, :axes] for k in many.tolist()]
         noise = noise_of_means(rows, mg)
-        # A dwell at a limit has steps that are none of the converter's: without such, all are looked at.
+        # Dwells at a limit show other steps than the converter's, so they are left out here.
         steps = steps_of(rows) if converter.spoiled else converter.steps
         quantum = mg * (np.maximum(steps, 1.0) if session.accel_unit == "lsb" else steps)
         flicker = _flicker(session, noise)
@@ -549,7 +552,7 @@ def reduced(session: Session) -> Readings:
 
 
 def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
-    """True where no sample of an axis differs from its dwell's others: averages, written repeatedly."""
+    """True if on some axis all samples of each dwell are equal: averages, written repeatedly."""
     if session.accel_unit == "lsb":  # a converter's step may hide the noise
         return False
     ranges = [np.ptp(dwell.accel[:, :axes], axis=0) > 0 for dwell in dwells]
@@ -557,7 +560,7 @@ def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
 
 
 def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[str]]:
-    """Dwells whose mean is a reading, the converter by all dwells, and what is to be said of the others."""
+    """Usable dwells, the converter by all dwells, and sentences about the dwells that are left out."""
     source = session.source or "session"
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if not dwells:
@@ -567,7 +570,7 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[s
     converter = converter_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
     limits = converter.limits
     refuse_dead_data(session, limits, None if session.accel_unit == "counts" else mg_per_unit(session))
-    if len(dwells) > 1:  # of one pose there is nothing else to look at
+    if len(dwells) > 1:  # a single pose is kept even at a limit
         dwells = [dwell for dwell in dwells if dwell.position not in converter.spoiled]
     if not dwells:
         raise DataError(f"{source}: every dwell stands at a limit of the range; record with a wider one")
@@ -577,9 +580,9 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[s
 def _of_flicker(
     dwells: Sequence[Dwell], flicker: Floats, many: NDArray[np.intp], n: int
 ) -> tuple[Floats, Floats | None]:
-    """1/f noise of dwells: variances of each dwell's own (m, axes), and modes (n, axes, k) that they share.
+    """1/f noise of dwells: own variance of each dwell (m, axes), and modes (n, axes, k) that dwells share.
 
-    Both hold what a bias would be found otherwise by in a session twice as long (`covariance_of_means`).
+    Together they describe the deviation from the bias of a session twice as long (`covariance_of_means`).
     """
     begin, end = (np.zeros(len(dwells)),) * 2
     if _keeps_modes(len(dwells), flicker):
@@ -597,7 +600,7 @@ def _keeps_modes(dwells: int, flicker: Floats) -> bool:
 
 
 def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floats, Floats | None]:
-    """1/f noise of dwells that begin and end at (m,) s: variances of each's own, and the modes they share.
+    """1/f noise of dwells that begin and end at (m,) s: own variance of each dwell, and shared modes.
 
     Parameters
     ----------
@@ -620,7 +623,7 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
 
 
 def _unit_of_counts(mean: Floats, gravity_mg: float) -> Unit:
-    """Zero and counts per mg of each axis by the ellipse or ellipsoid through the readings."""
+    """Zero and counts per mg of each axis, by the ellipse or ellipsoid through the readings."""
     if float(np.ptp(mean, axis=0).max()) <= 0:
         raise FitError(
             "readings in counts are all alike; their scale cannot be found: measure more positions"
@@ -663,7 +666,7 @@ def _means(series: list[Floats | None]) -> Floats | None:
 
 
 def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
-    """Temperature of the whole session in at most `HISTORY_POINTS` means of neighbours."""
+    """Times and temperatures of the session, averaged to at most `HISTORY_POINTS` points."""
     time = np.concatenate([dwell.time_s for dwell in dwells]) - start
     temperature = np.concatenate([d.temperature_c for d in dwells if d.temperature_c is not None])
     if (np.diff(time) <= 0).any():
@@ -677,7 +680,7 @@ def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
 
 
 def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Floats] | None:
-    """What the axes read in mg from the first to the last sample of each dwell, linear while it moves."""
+    """Times and readings in mg at the first and last sample of each dwell; linear during moves."""
     ends = np.array([dwell.time_s[[0, -1]] for dwell in dwells]) - start
     kept = np.column_stack([np.ones(len(dwells), dtype=bool), ends[:, 1] > ends[:, 0]])
     times, loads = ends[kept], np.repeat(mean, kept.sum(axis=1), axis=0)
@@ -685,12 +688,12 @@ def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Flo
 
 
 def mg_per_unit(session: Session) -> float:
-    """Size in mg of one of the accelerometers' numbers; 1 for counts, which have none.
+    """Size in mg of the accelerometers' unit; 1 for counts, whose size is unknown.
 
     Raises
     ------
     DataError
-        LSB of a sensor whose LSB is not known.
+        The unit is LSB and the LSB of the sensor is not known.
     """
     if session.accel_unit == "lsb":
         if session.sensor not in VARIANTS:
@@ -702,12 +705,12 @@ def mg_per_unit(session: Session) -> float:
 
 
 def left_by_quantization(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:
-    """Variance (dwells, axes) in mg² that a converter's step leaves on the means of samples × `mg`."""
+    """Variance (dwells, axes) in mg² of the means of samples × `mg` from the converter's step."""
     return quantized_means(np.array([r.var(axis=0) for r in rows]) * mg**2, quantum)
 
 
 def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
-    """The same of samples with this variance (dwells, axes), the rounding among it, in steps (axes,)."""
+    """Variance (dwells, axes) in mg² of means from the steps (axes,); sample variances include rounding."""
     step = np.where(quantum_mg > 0, quantum_mg, 1.0)
     sigma2 = np.maximum(variance_mg2 - quantum_mg**2 / 12, 0.0) / step**2
     if float(sigma2.min(initial=np.inf)) > 1.0:
@@ -730,13 +733,13 @@ def _flicker(session: Session, noise: MeanNoise) -> Floats:
 def conic_through(points: Floats) -> tuple[Floats, Floats]:
     """Centre (d,) and matrix (d, d) of the ellipse or ellipsoid (p − c)ᵀ Q (p − c) = 1 near the points.
 
-    Algebraic least squares on centred and scaled points: with all quadratic terms where there are enough
-    points and they give an ellipsoid, else with fewer (no mixed terms, then a sphere).
+    Algebraic least squares on centred and scaled points: with all quadratic terms if there are enough
+    points and they give an ellipsoid, otherwise with fewer (no mixed terms, then a sphere).
 
     Raises
     ------
     FitError
-        If the points (n, d) lie on no ellipsoid: too few, or all in one place.
+        If the points (n, d) lie on no ellipsoid: too few points, or all in one place.
     """
     n, d = points.shape
     middle = points.mean(axis=0)
@@ -778,14 +781,14 @@ PARTS: tuple[str, ...] = tuple(_READERS)
 
 
 def known_part(part: str) -> str:
-    """The part itself; `UsageError` where there is no such part."""
+    """Return the name of a part; `UsageError` for other names."""
     if part not in _READERS:
         raise UsageError(f"a sensor has no part '{part}'; it has {', '.join(PARTS)}")
     return part
 
 
 def readings_of_part(session: Session, part: str) -> Readings:
-    """Readings of a part of the sensor, as `readings_of` gives those of the accelerometers."""
+    """Readings of a part of the sensor; for accelerometers the same as `readings_of`."""
     module, name = _READERS[known_part(part)]
     reader: Callable[[Session], Readings] = getattr(import_module(module), name)
     return reader(session)

@@ -39,20 +39,20 @@ _LEAST_RUN = 32
 _CHIP_RUN = 512
 _LIVELY = 0.6
 _MOST_GRAVITY = 1.1
-"""Length of a reading at a limit in units of gravity: what is cut is longer, so that more is no limit. A
-tenth for gains and biases of any sensor."""
+"""Largest length, in units of gravity, of a dwell mean that a limit of the range can explain: the true
+reading is longer than the cut one. The tenth above 1 allows for gains and biases."""
 
 
 def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: float | None) -> None:
-    """Raise `DataError` with the positions that are all zero or stuck; see the module for what that is.
+    """Raise `DataError` with the positions that are all zero or stuck, as the module defines it.
 
     Parameters
     ----------
     session : Session
     limits : sequence of Limit
-        Those that its samples show.
+        Limits that the samples show.
     mg_per_unit : float or None
-        Of the samples; None where their scale is not known.
+        Size of the samples' unit in mg; None if unknown.
     """
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     zero = [dwell.position for dwell in dwells if not dwell.accel.any()]
@@ -81,7 +81,7 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
 
 
 def limits_in_words(limits: Sequence[Limit], unit: str) -> list[str]:
-    """A sentence for each limit: what clips has no mean."""
+    """One sentence for each limit, with the dwells that it excludes."""
     lines = []
     for limit in limits:
         where = f"the extreme value {limit.value:g} {unit} ({name_positions(limit.positions)})"
@@ -96,7 +96,7 @@ def limits_in_words(limits: Sequence[Limit], unit: str) -> list[str]:
 
 
 def _at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: float | None) -> set[int]:
-    """Dwells whose mean a limit moves, one that several reach at either end and that gravity allows."""
+    """Dwells with a mean moved by a limit that two or more dwells reach, if gravity allows the reading."""
     if gravity is None:
         return set()
     means = {dwell.position: dwell.accel.mean(axis=0) for dwell in dwells}
@@ -122,13 +122,13 @@ def longest_runs(accel: Floats) -> Floats:
 
 
 def _still_against_others(dwells: Sequence[Dwell]) -> list[int]:
-    """Dwells in which an axis stands for at least half of the time, four times longer than in any other."""
+    """Dwells in which an axis is constant for half of the time, and four times longer than in others."""
     if len(dwells) < 2:
         return []
     runs = np.stack([longest_runs(dwell.accel) for dwell in dwells])
     length = np.array([len(dwell) for dwell in dwells])
     suspect = (runs >= _LEAST_RUN) & (runs >= 0.5 * length[:, None])
-    # What the healthy dwells show; an axis without any healthy dwell is judged by the other rules.
+    # Longest run in the healthy dwells; the other rules judge an axis without any healthy dwell.
     healthy = np.where(suspect, 0.0, runs).max(axis=0)
     lively = np.array([_is_lively(dwells, ~suspect[:, axis], axis) for axis in range(runs.shape[1])])
     stuck = suspect & lively & (runs >= 4 * healthy)
@@ -136,7 +136,7 @@ def _still_against_others(dwells: Sequence[Dwell]) -> list[int]:
 
 
 def _is_lively(dwells: Sequence[Dwell], healthy: NDArray[np.bool_], axis: int) -> bool:
-    """True where an axis of the healthy dwells has more noise than a converter's step hides."""
+    """True if an axis has more noise in the healthy dwells than a converter's step can hide."""
     deviations, steps = [], []
     for dwell, use in zip(dwells, healthy, strict=True):
         if use:
@@ -163,12 +163,12 @@ def _same_everywhere(dwells: Sequence[Dwell]) -> list[int]:
 _PILE, _STEEP = 20, 5
 """Least samples at an extreme value, and least ratio to the value next to it, that show a limit."""
 _LEAST_VALUES = 20
-"""Values that an axis takes, below which its extremes are no evidence: noise of a coarse converter."""
+"""Least number of different values of an axis for evidence of a limit: a coarse converter gives few."""
 _LIVELY = 0.6
-"""Noise in steps of the converter below which samples pile up everywhere (an edge between two codes gives
-0.5)."""
+"""Noise, in steps of the converter, below which samples pile up everywhere (0.5 at an edge between
+codes)."""
 _HARMLESS = 0.1
-"""Shift of a clipped mean, in standard uncertainties of it, up to which the mean is still the reading."""
+"""Largest shift of a clipped mean, in its standard uncertainty, at which it still counts as the reading."""
 
 
 @dataclass(frozen=True)
@@ -181,13 +181,13 @@ class Limit:
     value : float
         In the unit of the samples.
     samples : int
-        Number of samples there.
+        Number of samples at the limit.
     inside : int
-        Number at the value next to it.
+        Number of samples at the next value.
     positions : tuple of int
-        Dwells that have samples there.
+        Dwells that have samples at the limit.
     spoiled : tuple of int
-        Those of them whose mean it moves.
+        Dwells with a mean that the limit moves.
     """
 
     axis: int
@@ -200,14 +200,14 @@ class Limit:
 
 @dataclass(frozen=True)
 class Converter:
-    """What samples show of their converter, in their unit.
+    """Steps and limits of the converter that samples show, in their unit.
 
     Attributes
     ----------
     steps : (axes,) float
-        As `steps_of`.
+        Steps as `steps_of` gives them.
     limits : tuple of Limit
-        At most two an axis.
+        At most two for each axis.
     """
 
     steps: Floats
@@ -215,12 +215,12 @@ class Converter:
 
     @property
     def spoiled(self) -> set[int]:
-        """Positions of the dwells whose mean a limit moves."""
+        """Positions of the dwells with a mean that a limit moves."""
         return {position for limit in self.limits for position in limit.spoiled}
 
 
 def converter_of(dwells: Sequence[Dwell]) -> Converter:
-    """Steps and limits that the samples of dwells show."""
+    """Find the steps and limits in the samples of dwells."""
     steps = steps_of([dwell.accel for dwell in dwells])
     return Converter(steps, _limits(dwells, steps))
 
@@ -240,7 +240,7 @@ def _limits(dwells: Sequence[Dwell], steps: Floats) -> tuple[Limit, ...]:
 
 
 def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
-    """Largest value (smallest for −1), samples at it, and samples at the value next to it."""
+    """Largest value (smallest for sign −1), number of samples at it, and at the next value."""
     most = max if sign > 0 else min
     extreme = most(float(column.max() if sign > 0 else column.min()) for column in columns)
     count = sum(int((column == extreme).sum()) for column in columns)
@@ -254,7 +254,7 @@ def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
 
 
 def _many_values(columns: Sequence[Floats]) -> bool:
-    """True where there are enough different values for an extreme one to say something."""
+    """True if the axis has enough different values for evidence of a limit."""
     seen: Floats = np.empty(0)
     for column in columns:
         seen = np.union1d(seen, column)
@@ -277,7 +277,7 @@ def _limit(dwells: Sequence[Dwell], axis: int, value: float, inside: int) -> Lim
 
 
 def _moves(share: float, n: int) -> bool:
-    """True where cutting this share of a normal distribution moves the mean of n samples."""
+    """True if cutting off this share of a normal distribution moves the mean of n samples notably."""
     if share >= 0.5:
         return True
     z = float(stats.norm.isf(share))
@@ -286,13 +286,13 @@ def _moves(share: float, n: int) -> bool:
 
 
 def steps_of(dwells: Sequence[Floats]) -> Floats:
-    """Step (axes,) between the values that samples take within dwells; 0 where nothing changes.
+    """Step (axes,) between the values of samples within dwells; 0 for a constant axis.
 
     Parameters
     ----------
     dwells : sequence of (n, axes) float
-        Samples. Of whole numbers it is the common divisor of all differences, 1 where they may have it by
-        chance; of others the smallest difference.
+        Samples. For integers the step is the common divisor of all differences, or 1 if the divisor may be
+        chance; for other numbers it is the smallest difference.
     """
     steps = np.zeros(dwells[0].shape[1])
     for axis in range(len(steps)):

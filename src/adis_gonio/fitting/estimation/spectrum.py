@@ -42,25 +42,25 @@ from adis_gonio.base.arrays import Floats
 _CELLS = 32
 _LOWEST = 3
 _ALONE = 64
-"""Lowest ordinates that are kept one by one: those that are looked at by themselves, and more."""
+"""Number of lowest ordinates that are kept one by one, since some are used individually."""
 _AT_ONCE = 1 << 17
-"""Samples whose spectrum is computed at a time."""
+"""Number of samples whose spectrum is computed at once."""
 _LEAST_WEIGHT = 6.0
 _GAINS = (1.323, 2.773)
-"""Upper 25 % quantiles of χ² with one and two degrees of freedom: in doubt the narrower band."""
+"""Upper 25 % quantiles of χ² with one and two degrees of freedom: prefer the narrower band in doubt."""
 _CHOICE_COST = 0.5
-"""Share of the degrees of freedom that is left where the data had to choose band and order (simulated with
-the chip's filter: 0.45 to 0.7)."""
+"""Share of the degrees of freedom that remains after the data have chosen band and order (0.45 to 0.7 in
+simulations with the chip's filter)."""
 _SLOPE = 32
 _FLICKER_POWER = (-1.5, -0.6)
 _CLEARLY = 2.0
-"""Gain in −2 log likelihood at which the power of f counts as the better one. Simulated, 32 ordinates: 1/f
+"""Gain in −2 log likelihood above which a power of f counts as better. In simulations with 32 ordinates 1/f
 noise gains 3 or more; the chip's filter loses, or has a power of −2 in dwells shorter than its window."""
 _NOT_QUITE = 0.05
-"""Share of what h/f explains that further terms may explain beside it: no real noise is 1/f throughout."""
+"""Largest gain of further terms relative to the gain of h/f: real noise is not 1/f at all frequencies."""
 _LEAST_CYCLES = 3.5
-"""Cycles a dwell at the frequency where the density has fallen to 1/e; simulated with the chip's filter, 3
-give two thirds of the true variance and 6 all of it."""
+"""Least number of cycles in a dwell at the frequency at which the density is 1/e of its value at zero. In
+simulations with the chip's filter 3 cycles give two thirds of the true variance, and 6 give all of it."""
 _ALLAN_OF_FLICKER = 4 * math.log(2)
 """Allan variance of noise with S(f) = h/f, two-sided, in units of h."""
 
@@ -72,17 +72,17 @@ class MeanNoise:
     Attributes
     ----------
     covariance : (d, axes, axes) float
-        Covariance of each mean from noise that averaging lowers, squared unit of the samples.
+        Covariance of each mean from noise that averaging lowers, in the squared unit of the samples.
     dof : (d,) float
         Degrees of freedom of that covariance, common to its axes.
     pooled : bool
-        True where all dwells share one spectral density.
+        True if all dwells share one spectral density.
     flicker : (axes,) float
-        Allan variance of 1/f noise that the dwells show, zero where they show none.
+        Allan variance of the 1/f noise that the dwells show, zero if they show none.
     flicker_limit : (axes,) float
-        Upper limit (95 %) of the same.
+        Upper limit (95 %) of that Allan variance.
     too_short : bool
-        True where dwells are too short to tell their correlation from a drift.
+        True if dwells are too short to distinguish correlation from drift.
     """
 
     covariance: Floats
@@ -97,8 +97,8 @@ class MeanNoise:
 class _Ordinates:
     """Periodograms of the dwells of one length.
 
-    The lowest ordinates stand by themselves. The higher ones of a long dwell are joined into bins that no
-    band and no cell of `_cells` divides, so that sums over bands and cells are what they were.
+    The lowest ordinates are separate. Higher ordinates of a long dwell are joined into bins that lie within
+    one band and one cell of `_cells`, so that sums over bands and cells do not change.
     """
 
     dwell: NDArray[np.intp]
@@ -131,7 +131,7 @@ class _Foot:
 
     @property
     def corner(self) -> float:
-        """Frequency where the density has fallen to 1/e of that at zero; the band's edge if nowhere."""
+        """Frequency at which the density is 1/e of its value at zero; the band's edge if there is none."""
         x = np.linspace(0.0, 1.0, 65)
         fallen = np.flatnonzero(self.log_shape(x) < -1)
         return self.band * (float(x[fallen[0]]) if fallen.size else 1.0)
@@ -149,7 +149,7 @@ def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> Me
     samples : d arrays (n, axes)
         Samples of each dwell, n at least 2; any unit.
     scale : float or (axes,) float
-        By which they are multiplied.
+        Factor by which the samples are multiplied.
     """
     groups = _periodograms(samples, scale)
     foot = _choose_foot(groups)
@@ -219,8 +219,8 @@ def _periodograms(samples: Sequence[Floats], scale: Floats | float) -> list[_Ord
 def _bins(frequency: Floats) -> NDArray[np.intp]:
     """First ordinate of each bin.
 
-    Bands end at 0.5/2^j and have `_CELLS` cells each: an octave below the end of a band has half of them, a
-    band twice as wide has cells twice as wide. Only what lies on a band's end has a bin of its own.
+    Bands end at 0.5/2^j and have `_CELLS` cells each: the upper octave of a band has half of them, and a
+    band twice as wide has cells twice as wide. Only an ordinate at the end of a band has a separate bin.
     """
     mantissa, octave = np.frexp(2 * frequency)
     cell = np.where(mantissa == 0.5, -1, np.floor(mantissa * _CELLS).astype(int))
@@ -252,7 +252,7 @@ def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floa
 def _whittle_with_flicker(
     design: Floats, inverse_x: Floats, weight: Floats, mean: Floats
 ) -> tuple[Floats, Floats, float]:
-    """As `_whittle` for exp(polynomial) + h/x; h is left out of what is returned, not of the covariance."""
+    """Like `_whittle` for exp(polynomial) + h/x; h is not returned, but its covariance is included."""
     terms = design.shape[1]
     beta = np.zeros(terms + 1)
     high = inverse_x <= np.median(inverse_x)
@@ -280,7 +280,7 @@ def _whittle_with_flicker(
 
 
 def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
-    """True where the lowest ordinates follow a power of f near −1 better than the foot of a filter does."""
+    """True if the lowest ordinates fit a power of f near −1 better than the low end of a filter."""
     lowest = _lowest(groups)
     if lowest is None:
         return False
@@ -292,9 +292,9 @@ def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
 
 
 def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
-    """True where the lowest ordinates follow white noise plus h/f better than the foot of a filter does.
+    """True if the lowest ordinates fit white noise plus h/f better than the low end of a filter.
 
-    Over a wide band the fall of a long filter looks like h/f beside a polynomial; here it is flat.
+    Over a wide band the decrease of a long filter resembles h/f plus a polynomial; here the filter is flat.
     """
     lowest = _lowest(groups)
     if lowest is None:
@@ -305,13 +305,13 @@ def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
 
 
 def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
-    """−2 log likelihood of the foot of a filter over the lowest ordinates."""
+    """−2 log likelihood of the low end of a filter over the lowest ordinates."""
     x2 = (k / _SLOPE) ** 2
     return _whittle(np.stack([np.ones(_SLOPE), x2, x2**2], axis=1), total, mean)[2]
 
 
 def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
-    """Numbers, weights and pooled means of the lowest ordinates; None where no dwell has so many."""
+    """Numbers, weights and pooled means of the lowest ordinates; None if no dwell has enough."""
     groups = [group for group in groups if len(group.weight) > _SLOPE]
     if not groups:
         return None
@@ -325,7 +325,7 @@ def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
 
 
 def _choose_foot(groups: list[_Ordinates]) -> _Foot:
-    """Foot of the least variance at zero; bands are halved as long as they may hold a better one."""
+    """Fit near zero with the smallest variance at zero; bands are halved while a better fit is possible."""
     best: _Foot | None = None
     flicker = _flicker_at_foot(groups)
     band = 0.5
@@ -350,7 +350,7 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
 
 
 def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _Foot | None:
-    """Polynomial of the least order that one or two terms more do not clearly better, or None."""
+    """Polynomial of the lowest order that one or two further terms do not improve clearly, or None."""
     fits: list[tuple[Floats, Floats, float]] = []
     for order in range(min(3, len(x))):
         for p in range(len(fits), min(order + 3, len(x))):
@@ -380,7 +380,7 @@ def _foot(
 def _beside_flicker(
     x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
 ) -> tuple[Floats, Floats] | None:
-    """Polynomial beside 1/f noise and its covariance, where that does better than one or two terms more."""
+    """Polynomial plus 1/f noise, and its covariance, if better than one or two further terms."""
     for order in range(min(3, len(x) - 2)):
         one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
         beta, covariance, deviance = _whittle_with_flicker(_basis(x, order), inverse_x, weight, mean)
@@ -399,9 +399,9 @@ def _beside_flicker(
 
 
 def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats, Floats] | None:
-    """Pooled ordinates below `band`, each dwell and axis relative to its own mean there.
+    """Pooled ordinates below `band`, relative to the mean of each dwell and axis in this band.
 
-    Returns x = f/band, weight, mean and mean of 1/x of the cells that hold anything.
+    Returns x = f/band, weight, mean, and mean of 1/x of the cells that are not empty.
     """
     total, moment, first = np.zeros(_CELLS), np.zeros(_CELLS), np.zeros(_CELLS)
     inverse = np.zeros(_CELLS)
@@ -473,7 +473,7 @@ def _all_flicker(groups: list[_Ordinates]) -> Floats:
         if len(group.weight) <= _LOWEST:
             continue
         auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
-        # By ordinates that are not averaged: a low one would otherwise count more for being low.
+        # Weight by higher ordinates: a low ordinate would otherwise get more weight because it is low.
         quiet = _reciprocal(auto[:, _LOWEST:].mean(axis=1))
         moment += (quiet * np.einsum("k,dka->da", k / group.n, auto[:, :_LOWEST])).sum(axis=0) / len(k)
         total += quiet.sum(axis=0)
@@ -481,7 +481,7 @@ def _all_flicker(groups: list[_Ordinates]) -> Floats:
 
 
 def _reciprocal(level: Floats) -> Floats:
-    """1/level of dwells (d, …, axes); 0 where there is none but rounding beside others."""
+    """1/level of dwells (d, …, axes); 0 for a level that is only rounding against the others."""
     least = np.maximum(1e-9 * level.max(axis=tuple(range(level.ndim - 1))), 1e-300)
     return np.where(level > least, 1 / np.maximum(level, least), 0.0)
 
@@ -489,7 +489,7 @@ def _reciprocal(level: Floats) -> Floats:
 def _flicker(
     groups: list[_Ordinates], density: Floats, foot: _Foot, dof: float, n: Floats
 ) -> tuple[Floats, Floats]:
-    """Allan variance of 1/f noise (axes,) from the lowest ordinates, and its upper limit."""
+    """Allan variance of 1/f noise (axes,) from the lowest ordinates, and its 95 % upper limit."""
     from scipy.special import fdtri
 
     axes = density.shape[1]
@@ -502,7 +502,7 @@ def _flicker(
         expected = np.diagonal(density[group.dwell], axis1=1, axis2=2)[:, None, :] * shape[None, :, None]
         auto = np.diagonal(group.cross[:, lowest], axis1=2, axis2=3)
         w = group.weight[lowest]
-        # A dwell without any noise beside noisy ones says nothing; its rounding must not be a ratio.
+        # A dwell without noise among noisy ones has no information; avoid a ratio of rounding errors.
         each = _reciprocal(expected)
         excess += np.einsum("k,dka->a", w, np.where(each > 0, auto * each, 1) - 1)
         weight += len(group.dwell) * float(w @ (1 / k))
@@ -511,7 +511,7 @@ def _flicker(
     spread = np.sqrt(ordinates * (1 + ordinates * 2 / dof)) / weight
     threshold = float(fdtri(2 * ordinates, max(dof, 1.0), 0.99))
     shown = 1 + excess / ordinates > threshold
-    # One in all dwells, in loud ones a small part of what they show.
+    # One 1/f noise for all dwells: noisy dwells, in which it is a small part, get little weight.
     quiet = _reciprocal(np.diagonal(density, axis1=1, axis2=2) / n[:, None])
     per_mean = _ALLAN_OF_FLICKER * (quiet > 0).sum(axis=0) / np.maximum(quiet.sum(axis=0), 1e-300)
     flicker = np.where(shown, np.maximum(relative, 0.0), 0.0) * per_mean
@@ -519,8 +519,8 @@ def _flicker(
 
 
 MOST_MODES = 128
-"""Modes in which the covariance is kept. Those of fewer dwells are kept all; of 1000 dwells the
-rest, faster than about 16 dwells, is taken as noise of its own in each dwell."""
+"""Largest number of modes of the covariance. For 1000 dwells the other modes, faster than about 16 dwells,
+are treated as independent noise of each dwell."""
 
 
 def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
@@ -529,8 +529,8 @@ def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
     Parameters
     ----------
     begin_s, end_s : (n,) float
-        When each dwell began and ended. Where a dwell has no length, or begins before the one before it has
-        ended, these are not the times of one session and the dwells are taken as one after the other.
+        Begin and end of each dwell. If a dwell has no length, or begins before the previous one has ended,
+        these are not the times of one session, and the dwells are taken as consecutive.
 
     Source
     ------
@@ -558,7 +558,7 @@ _SHORTEST_S = 1e-9
 def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
     """Begin and end of dwells of one session."""
     length = end_s - begin_s
-    # Shorter ones are none that a file may mean, and their squares leave the numbers that there are.
+    # Shorter dwells are not plausible, and their squares would underflow.
     if (length < _SHORTEST_S).any():
         length = np.ones(len(begin_s))
         begin_s = np.arange(len(begin_s), dtype=float)
@@ -568,19 +568,19 @@ def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
 
 
 def spans(times_s: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """When dwells of two samples or more began and ended (n,), the last sample's own time included."""
+    """Begin and end (n,) of dwells of two or more samples, including the period of the last sample."""
     begin = np.array([float(time[0]) for time in times_s])
     period = np.array([float(np.ptp(time)) / (len(time) - 1) for time in times_s])
     return begin, np.array([float(time[-1]) for time in times_s]) + period
 
 
 def scatter_of_means(dwells: int) -> float:
-    """Variance by which the means of dwells one after the other scatter, for an Allan variance of 1."""
+    """Variance of the means of consecutive dwells, for an Allan variance of 1."""
     return 1.0 if dwells < 2 else dwells * math.log(dwells) / (2 * (dwells - 1) * math.log(2))
 
 
 def modes(covariance: Floats) -> tuple[Floats, Floats]:
-    """Factor (n, k) of the slowest modes of a covariance, and the variances (n,) that it leaves out."""
+    """Factor (n, k) of the slowest modes of a covariance, and the remaining variances (n,)."""
     from scipy.linalg import eigh
 
     n = len(covariance)
