@@ -43,8 +43,8 @@ def test_positions_that_would_show_what_is_lost_are_named(lost: list[str], advic
 @pytest.mark.parametrize(
     ("sensor", "held"),
     [
-        ("adis16354", "the uncertainty holds the part's figure for it"),
-        ("generic", "no uncertainty here holds that"),
+        ("adis16354", "the uncertainty includes the part's figure for it"),
+        ("generic", "the uncertainty does not include it"),
     ],
 )
 def test_two_positions_say_whether_u_holds_the_bias_that_they_cannot_see(sensor: str, held: str) -> None:

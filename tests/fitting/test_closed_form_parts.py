@@ -250,12 +250,12 @@ def test_what_a_bias_does_to_two_positions_is_its_slope() -> None:
         f"on X moves delta_phi by {phi[0]:+.2g}° and delta_k by {k[0]:+.2g}, "
         f"on Y by {phi[1]:+.2g}° and {k[1]:+.2g}," in told
     )
-    assert "no uncertainty here holds that" in told
+    assert "the uncertainty does not include it" in told
     assert told.endswith("measure 180° and 270° too and use method four-position")
     assert found.undetermined == ("bias_x", "bias_y")
     assert found.dof == 0
     sheet = fit_positions(turned((0.0, 90.0), sensor="adis16354"), "two-position", (0, 90))
-    assert any("the uncertainty holds the part's figure" in line for line in sheet.warnings)
+    assert any("the uncertainty includes the part's figure" in line for line in sheet.warnings)
 
 
 # -- which method ----------------------------------------------------------------------------------------

@@ -269,5 +269,5 @@ def test_trials_without_a_result_are_counted_and_none_at_all_is_an_error(
     with pytest.raises(FitError, match="no trial"):
         monte_carlo(stated, 1, np.random.default_rng(6))
     unknown = fit(turn((0, 90), noise=0.0, sigma=0.0, stated=None, bias=(0.0, 0.0)))
-    with pytest.raises(FitError, match="nothing tells the noise"):
+    with pytest.raises(FitError, match="noise of a reading is unknown"):
         monte_carlo(unknown, 5, np.random.default_rng(6))

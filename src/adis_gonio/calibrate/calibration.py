@@ -1,8 +1,8 @@
-"""`Calibration`: parameters of a fit or a trace, and what they make of a reading.
+"""`Calibration`: parameters of a fit or a trace, and the gravity and angle that they give for a reading.
 
-In the one convention of `model.measurement` a reading is U = diag(K) D g + b + Σ effects(diag(K) D g); here
-it is solved for g. Effects are small against the reading, so that the fixed point of
-a ← U − b − Σ effects(a) is found in a few passes.
+In the convention of `model.measurement` a reading is U = diag(K) D g + b + Σ effects(diag(K) D g). Here
+this equation is solved for g. Effects are small against the reading, so the fixed-point iteration a ← U − b
+− Σ effects(a) converges in a few passes.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ TurnPlane = Literal["xy", "xz", "yz"]
 
 @dataclass(frozen=True)
 class EffectTerm:
-    """An effect of the catalogue that is corrected.
+    """An effect of the catalogue that the calibration corrects.
 
     Attributes
     ----------
@@ -58,9 +58,9 @@ class EffectTerm:
 
 @dataclass(frozen=True)
 class AngleReading:
-    """Angles (n,) in degrees, −180 to 180, and their standard uncertainties (n,), NaN where not known.
+    """Angles (n,) in degrees, −180 to 180, and their standard uncertainties (n,), NaN if unknown.
 
-    One reading (axes,) gives arrays without an axis, which are as good as numbers.
+    One reading (axes,) gives arrays of zero dimensions, which can be used as numbers.
     """
 
     angle_deg: Floats
@@ -69,38 +69,38 @@ class AngleReading:
     def __repr__(self) -> str:
         u_deg = np.atleast_1d(self.u_deg)
         known = u_deg[np.isfinite(u_deg)]
-        told = f"{known.max():.4f}°" if known.size else "unknown"
+        u = f"{known.max():.4f}°" if known.size else "unknown"
         if np.ndim(self.angle_deg) == 0:
-            return f"AngleReading({float(self.angle_deg):.4f}°, u {told})"
+            return f"AngleReading({float(self.angle_deg):.4f}°, u {u})"
         n = len(self.angle_deg)
-        return f"AngleReading({counted(n, 'angle')}, u up to {told})"
+        return f"AngleReading({counted(n, 'angle')}, u up to {u})"
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration(Coefficients):
-    """What turns readings of a sensor into gravity and angle.
+    """Calibration of accelerometers: from readings to gravity and angle.
 
     Attributes
     ----------
     method : str
         A method of `fit`, or `trace`.
     provenance : Provenance
-        Sensor, plane, gravity and whatever is known of the session.
+        Sensor, plane, gravity and the known facts about the session.
     parameters : tuple of Coefficient
-        Base parameters (gains, misalignment or skews, biases), in the plane the start angle `alpha` where
-        it is known, then the values of the effects.
+        Base parameters (gains, misalignment or skews, biases; in the plane also the start angle `alpha` if
+        it is known), then the values of the effects.
     covariance : (p, p) float or None
-        In the order and units of `parameters`; None where no noise is known.
+        In the order and units of `parameters`; None if the noise is unknown.
     effects : tuple of EffectTerm
-        Effects of a trace that are functions of the reading, the temperature or the supply.
+        Effects of a trace that depend on the reading, the temperature or the supply.
     not_corrected : tuple of NotCorrected
-        Effects that belong to the bench, or that no single reading shows.
+        Effects of the bench, or effects that need more than one reading.
     assumed : tuple of str
-        Parameters that the session did not determine and that stand at their nominal values.
+        Parameters that the session did not determine; they keep their nominal values.
     counts_per_mg : tuple of float or None
-        Of each axis, rough, where readings are in counts; None where they are in mg.
+        Rough scale of each axis for readings in counts; None for readings in mg.
     gyro : GyroCalibration or None
-        Of the gyros, where the session calibrates them.
+        Calibration of the gyros; None if the session gives none.
     """
 
     method: str
@@ -113,7 +113,7 @@ class Calibration(Coefficients):
     counts_per_mg: tuple[float, ...] | None = None
     gyro: GyroCalibration | None = None
 
-    # -- what it is --------------------------------------------------------------------------------
+    # -- description --------------------------------------------------------------------------------
 
     @property
     def planar(self) -> bool:
@@ -122,12 +122,12 @@ class Calibration(Coefficients):
 
     @property
     def axes(self) -> int:
-        """Axes of a reading that are used: 2 in the plane, 3 in space."""
+        """Number of axes that are used: 2 in the plane, 3 in space."""
         return 2 if self.planar else 3
 
     @property
     def unit(self) -> str:
-        """Unit of the readings that it takes: mg, or counts."""
+        """Unit of the readings: mg or counts."""
         return "counts" if self.provenance.counts else "mg"
 
     @property
@@ -136,9 +136,9 @@ class Calibration(Coefficients):
         return self.provenance.gravity_mps2 * MG_PER_MPS2
 
     def __repr__(self) -> str:
-        where = "in the plane xy" if self.planar else "in space"
-        beside = "".join(f" + {term.effect.name}" for term in self.effects)
-        return f"Calibration({self.provenance.sensor} {where}, {self.method}{beside}, {self._lead()})"
+        space = "in the plane xy" if self.planar else "in space"
+        effects = "".join(f" + {term.effect.name}" for term in self.effects)
+        return f"Calibration({self.provenance.sensor} {space}, {self.method}{effects}, {self._lead()})"
 
     def _lead(self) -> str:
         from adis_gonio.calibrate.document import derived_delta_k
@@ -148,7 +148,7 @@ class Calibration(Coefficients):
         return ", ".join(map(str, [ratio, *first] if ratio else first))
 
     def summary(self) -> str:
-        """What it holds in lines of text: origin, parameters with u, effects, and what it does not do."""
+        """Describe it in lines of text: origin, parameters with u, and effects that are not corrected."""
         from adis_gonio.calibrate.document import summary_of
 
         return summary_of(self)
@@ -171,14 +171,14 @@ class Calibration(Coefficients):
         Parameters
         ----------
         accel : (n, 2), (n, 3), (2,) or (3,) float
-            Readings in `unit`, mg as `ScanBlock.accel_mg` gives them; in the plane z takes no part.
+            Readings in `unit`, such as mg from `ScanBlock.accel_mg`; in the plane z is ignored.
         temperature_c, supply_v : (n,) float or float, optional
-            For effects that follow them; without them the session's mean, which holds near it only.
+            For effects that depend on them; the mean of the session by default.
 
         Returns
         -------
         (n, axes) or (axes,) float
-            NaN where a reading lies so far out that the model has no inverse.
+            NaN for a reading so large that the model has no inverse.
 
         Raises
         ------
@@ -194,7 +194,7 @@ class Calibration(Coefficients):
     def readings_of(
         self, gravity: ArrayLike, temperature_c: float | None = None, *, supply_v: float | None = None
     ) -> Floats:
-        """Readings (n, axes) in `unit` of gravity (n, axes) in units of local gravity: `apply` undone."""
+        """Readings (n, axes) in `unit` for gravity (n, axes) in local gravity: the inverse of `apply`."""
         gravity = np.asarray(gravity, dtype=float)
         base, bias = self.natural(self.values)
         matrix = self.measurement.calibrated(base, np.eye(self.axes))
@@ -212,24 +212,24 @@ class Calibration(Coefficients):
         reading_u: float | Sequence[float] | None = None,
         plane: TurnPlane | None = None,
     ) -> AngleReading:
-        """Angle ψ at which gravity stands from the first axis of the plane towards the second.
+        """Angle ψ of gravity from the first axis of the plane towards the second.
 
-        A stage that is turned by θ in the sense of equation (6) lessens it: ψ = α − θ, see `stage_angle`.
+        A turn of the stage by θ in the sense of equation (6) reduces it: ψ = α − θ, see `stage_angle`.
 
         Parameters
         ----------
         accel, temperature_c, supply_v
             As in `apply`.
         reading_u : float or sequence of float, optional
-            Standard uncertainty of a reading on every axis, or axis by axis, in `unit`; by default only
-            the uncertainty of the calibration is stated.
+            Standard uncertainty of a reading, for all axes or for each axis, in `unit`; by default the
+            result has only the uncertainty of the calibration.
         plane : {"xy", "xz", "yz"}, optional
-            Needed for a calibration in space, which has no plane of its own.
+            Required for a calibration in space.
 
         Raises
         ------
         UsageError
-            As `apply`; no plane, or another than the calibrated one; an uncertainty that is negative.
+            As `apply`; a missing plane, or another than the calibrated one; a negative uncertainty.
         """
         i, j = self._plane(plane)
 
@@ -247,7 +247,7 @@ class Calibration(Coefficients):
         supply_v: ArrayLike | None = None,
         reading_u: float | Sequence[float] | None = None,
     ) -> AngleReading:
-        """Angle θ = α − ψ of the session's stage, as its positions were declared, with u.
+        """Angle θ = α − ψ of the session's stage in the sense of the declared positions, with u.
 
         Raises
         ------
@@ -265,23 +265,23 @@ class Calibration(Coefficients):
         return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> Calibration:
-        """Return the calibration for a part whose offset registers hold other numbers.
+        """Return the calibration for a part with other numbers in its offset registers.
 
-        The part adds XACCL_OFF … to its outputs, so a bias that the chip corrects now is not corrected
-        again. An axis without a bias among the parameters gets one that is the difference of the offsets,
-        without an uncertainty.
+        The part adds XACCL_OFF … to its outputs, so the part of a bias that the chip corrects now is
+        removed from the calibration. An axis without a bias among the parameters gets the difference of the
+        offsets as its bias, without an uncertainty.
 
         Raises
         ------
         UsageError
-            The session does not say what the registers held, or the part has none.
+            The contents of the registers are unknown, or the part has no such registers.
         """
         from adis_gonio.device.sensor.variants import VARIANTS
 
         then = self.provenance.offsets_lsb
         if then is None or self.provenance.sensor not in VARIANTS or self.provenance.counts:
             raise UsageError(
-                "the session does not say which offsets stood in the chip while it was recorded"
+                "the session does not state the contents of the offset registers while it was recorded"
             )
         now = checked_offsets(offsets_lsb)
         lsb_mg = VARIANTS[self.provenance.sensor].accel_mg_per_lsb
@@ -292,7 +292,7 @@ class Calibration(Coefficients):
         if covariance is not None:
             covariance = np.pad(covariance, (0, len(new)))
         where = replace(self.provenance, offsets_lsb=now, written_lsb=None)
-        # The gyros feel what the accelerometers read, which the chip has moved.
+        # g-sensitivity of the gyros refers to the readings, which the offsets have moved.
         moved_g = (np.array(now) - np.array(then)) * lsb_mg / 1000
         gyro = None if self.gyro is None else self.gyro.with_force_moved(moved_g)
         return replace(
@@ -318,7 +318,7 @@ class Calibration(Coefficients):
             moved = replace(moved, gyro=gyro.with_offsets(gyro_offsets_lsb))
         return moved
 
-    # -- how ---------------------------------------------------------------------------------------
+    # -- computation ---------------------------------------------------------------------------------------
 
     @property
     def measurement(self) -> Measurement:
@@ -331,7 +331,7 @@ class Calibration(Coefficients):
         return np.ones(self.axes) if self.counts_per_mg is None else np.array(self.counts_per_mg)
 
     def natural(self, values: Floats) -> tuple[Floats, Floats]:
-        """Base parameters in natural units, and biases (axes,) in mg, of parameters (p,) as stated."""
+        """Base parameters in natural units and biases (axes,) in mg, of stated parameters (p,)."""
         at = {one.name: k for k, one in enumerate(self.parameters)}
         per_mg = self.per_mg
         base = self.measurement.nominal
@@ -424,7 +424,7 @@ class Calibration(Coefficients):
 
 
 def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Conditions) -> Floats:
-    """Ideal readings a (n, axes), a + Σ effects(a) = `free`; NaN where the iteration does not settle."""
+    """Solve a + Σ effects(a) = `free` for ideal readings a (n, axes); NaN without convergence."""
     ideal = free
     for _ in range(_PASSES):
         new = free - sum((e.reading(own, ideal, conditions) for e, own in terms), np.zeros(free.shape))
@@ -437,21 +437,20 @@ def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Co
 
 
 LEAST_LENGTH = 0.02
-"""Length of a reading in units of gravity below which no angle could be told: 1 g given in g or in m/s²
-is shorter (0.001 and 0.0098)."""
+"""Least length of readings in units of gravity: 1 g given in g or in m/s² is shorter (0.001 and 0.0098)."""
 MOST_LENGTH = 2.0
-"""Median length of many readings in units of gravity above which they are another unit: 1 g is 2140 LSB."""
+"""Largest median length of many readings in units of gravity: 1 g is 2140 LSB."""
 MANY = 8
-"""Readings whose median no single shock moves."""
+"""Least number of readings for the test of their median, so that a single shock does not move it."""
 
 
 def checked_readings(accel: ArrayLike, calibration: Calibration) -> tuple[Floats, bool]:
-    """Readings (n, axes), and whether one reading without an axis of its own was given.
+    """Readings (n, axes), and True if a single reading (axes,) was given.
 
     Raises
     ------
     UsageError
-        Wrong shape, no numbers, NaN or infinity, another unit.
+        Wrong shape, no numbers, NaN or infinity, or another unit.
     """
     given = checked_numbers("readings", accel, plural=True)
     axes, unit = calibration.axes, calibration.unit
@@ -475,11 +474,11 @@ def _refuse_other_units(readings: Floats, calibration: Calibration) -> None:
     length = float(np.median(np.linalg.norm(readings, axis=1))) / calibration.gravity_mg
     if length < LEAST_LENGTH:
         raise UsageError(
-            f"readings are {length * calibration.gravity_mg:.3g} long where gravity is about 1000: give mg "
+            f"readings are {length * calibration.gravity_mg:.3g} long, but gravity is about 1000: give mg "
             "(1 g = 1000, 1 m/s² = 101.97)"
         )
     if length > MOST_LENGTH and len(readings) >= MANY:
         raise UsageError(
-            f"readings are {length * calibration.gravity_mg:.4g} long where gravity is about 1000: give "
+            f"readings are {length * calibration.gravity_mg:.4g} long, but gravity is about 1000: give "
             "mg, not words of the sensor (ScanBlock.accel_mg)"
         )

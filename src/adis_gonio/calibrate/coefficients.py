@@ -1,4 +1,4 @@
-"""Parameters with their covariance: the half that calibrations of accelerometers and gyros share."""
+"""Parameters with their covariance: common base of the calibrations of accelerometers and gyros."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from adis_gonio.base.numbers import format_uncertain
 from adis_gonio.base.tables import ParameterTable
 
 STEP = 0.01
-"""Of the central difference along each axis of the covariance, in standard uncertainties."""
+"""Step of central differences along each axis of the covariance, in standard uncertainties."""
 
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A parameter: value, standard uncertainty (None: not known) and unit.
+    """A parameter: value, standard uncertainty (None if unknown) and unit.
 
     Attributes
     ----------
     dof : float or None
-        Effective degrees of freedom of u, where the result states them.
+        Effective degrees of freedom of u; None if the result does not state them.
     """
 
     name: str
@@ -47,30 +47,31 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class NotCorrected:
-    """What the model holds and no later reading can be corrected for, with the reason."""
+    """An effect of the model that a calibration cannot correct, with the reason."""
 
     effect: str
     reason: str
 
 
 class Coefficients(ParameterTable):
-    """Base of the calibrations: parameters by name, and what follows from their covariance.
+    """Base of the calibrations: parameters by name, and propagation of their covariance.
 
     Attributes
     ----------
     parameters : tuple of Coefficient
     covariance : (p, p) float or None
-        In the order and units of `parameters`; None where no noise is known.
+        In the order and units of `parameters`; None if the noise is unknown.
     """
 
     method: str
     parameters: tuple[Coefficient, ...]
     covariance: Floats | None
     of_session: ClassVar[Callable[[str | Path], Any] | None] = None
-    """Reads a file that may be a session; set by `adis_gonio.tracing.trace_calibrations`."""
+    """Function that loads a calibration file or fits a session; set by
+    `adis_gonio.tracing.trace_calibrations`."""
 
     def __getitem__(self, name: str) -> Coefficient:
-        """Parameter by name; `KeyError` without it."""
+        """Parameter by name; `KeyError` for other names."""
         for one in self.parameters:
             if one.name == name:
                 return one
@@ -97,14 +98,14 @@ class Coefficients(ParameterTable):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Calibration of a JSON file (`save`, `adis-gonio export`), or of a session, which is fitted.
+        """Load a calibration from a JSON file (`save`, `adis-gonio export`), or fit a session file.
 
         Raises
         ------
         DataError
-            The file is neither, is damaged, or is of a newer version.
+            The file is neither of these, is damaged, or has a newer version.
         FitError
-            The file holds no calibration of this part, or the session does not determine it.
+            The file has no calibration of this part, or the session does not determine it.
         """
         if cls.of_session is not None:
             made: Self = cls.of_session(path)
@@ -118,7 +119,7 @@ class Coefficients(ParameterTable):
         raise DataError(f"{path}: is no such calibration; fit a session by adis_gonio.fit")
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write it as JSON (`schema/calibration-1.json`), bit-exact.
+        """Write it as JSON (`schema/calibration-1.json`); `load` gives exactly the same numbers.
 
         Raises
         ------
@@ -132,7 +133,7 @@ class Coefficients(ParameterTable):
         save_document(self.as_dict(), path, force=force)
 
     def _moved(self, by: Mapping[str, float]) -> tuple[Coefficient, ...]:
-        """Parameters with something added to the values of some."""
+        """Parameters with these amounts added to the values by name."""
         return tuple(replace(one, value=one.value + by.get(one.name, 0.0)) for one in self.parameters)
 
     def _with_variance(
@@ -140,7 +141,7 @@ class Coefficients(ParameterTable):
         function: Callable[[Floats], Floats],
         difference: Callable[[Floats, Floats], Floats] = np.subtract,
     ) -> tuple[Floats, Floats]:
-        """Function of the parameters (p,), and its variance by their covariance, NaN if none is known."""
+        """Value of a function of the parameters (p,), and its variance; NaN without a covariance."""
         value = function(self.values)
         if self.covariance is None:
             return value, np.full(value.shape, np.nan)
@@ -153,7 +154,7 @@ class Coefficients(ParameterTable):
 
 
 def _directions(covariance: Floats) -> Floats:
-    """Principal axes (k, p) of a covariance, each as long as its standard uncertainty."""
+    """Principal axes (k, p) of a covariance, with the length of their standard uncertainty."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(scale > 0, scale, 1.0)
     sizes, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
@@ -161,12 +162,12 @@ def _directions(covariance: Floats) -> Floats:
 
 
 def checked_numbers(name: str, given: ArrayLike, *, plural: bool = False) -> Floats:
-    """Argument of a method as an array.
+    """Convert an argument to an array of numbers.
 
     Raises
     ------
     UsageError
-        No numbers.
+        The argument has no numbers.
     """
     try:
         return np.asarray(given, dtype=float)
@@ -176,12 +177,12 @@ def checked_numbers(name: str, given: ArrayLike, *, plural: bool = False) -> Flo
 
 
 def finite_numbers(name: str, given: ArrayLike) -> Floats:
-    """Argument of a method as an array.
+    """Convert an argument to an array of finite numbers.
 
     Raises
     ------
     UsageError
-        No numbers, NaN or infinity.
+        The argument has no numbers, NaN or infinity.
     """
     values = checked_numbers(name, given)
     if not np.isfinite(values).all():
@@ -192,12 +193,12 @@ def finite_numbers(name: str, given: ArrayLike) -> Floats:
 def checked_condition(
     name: str, given: ArrayLike | None, n: int, default: float | None, dies: int = 1
 ) -> Floats | None:
-    """Condition of n readings.
+    """Convert a condition, such as a temperature, to one value for each of n readings.
 
     Parameters
     ----------
     given : float, (n,) or (n, dies) float, optional
-        Without it the default holds for all readings.
+        If it is None, all readings get the default.
 
     Returns
     -------
@@ -214,7 +215,7 @@ def checked_condition(
     values = finite_numbers(name, given)
     if values.ndim < 2 and values.size in (1, n):
         rows = values.reshape(-1, 1)
-    elif dies > 1 and values.shape in ((n, dies), (dies,)[: n == 1]):
+    elif dies > 1 and (values.shape == (n, dies) or (n == 1 and values.shape == (dies,))):
         rows = values.reshape(n, dies)
     else:
         raise UsageError(
@@ -224,12 +225,12 @@ def checked_condition(
 
 
 def checked_offsets(offsets_lsb: Sequence[int]) -> tuple[int, int, int]:
-    """Numbers of three offset registers.
+    """Contents of three offset registers as integers.
 
     Raises
     ------
     UsageError
-        They are not three.
+        There are not three numbers.
     """
     if len(offsets_lsb) != 3:
         raise UsageError(f"offsets are three numbers (x, y, z), not {len(offsets_lsb)}")

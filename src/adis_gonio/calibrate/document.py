@@ -43,14 +43,14 @@ _SOURCE = ("title", "serial", "operator", "stage", "source", "sha256", "recorded
 
 
 def json_text(document: Mapping[str, Any]) -> str:
-    """One JSON document as text; numbers with the fewest digits that give the same float again."""
+    """Format a JSON document; numbers have the fewest digits that restore the same float."""
     return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
 
 
 def save_document(document: Mapping[str, Any], path: str | Path, *, force: bool) -> None:
-    """Write a document to a file, whole or not at all; errors as `adis_gonio.base.output.check_output`."""
-    with replacing(check_output(path, force=force)) as beside:
-        write_utf8(beside, json_text(document))
+    """Write a document to a file atomically; errors as `adis_gonio.base.output.check_output`."""
+    with replacing(check_output(path, force=force)) as temporary:
+        write_utf8(temporary, json_text(document))
 
 
 def document_of(calibration: Calibration) -> dict[str, Any]:
@@ -91,7 +91,7 @@ def gyro_document_of(gyro: GyroCalibration) -> dict[str, Any]:
 def _body(
     calibration: Calibration | GyroCalibration, where: Provenance | GyroCalibration
 ) -> dict[str, Any]:
-    """Entries that both kinds of calibrations have."""
+    """Entries that both kinds of calibrations share."""
     covariance = calibration.covariance
     return {
         "parameters": {one.name: _coefficient(one) for one in calibration.parameters},
@@ -109,12 +109,13 @@ def _body(
 
 
 def calibration_from(document: Any, name: str = "calibration") -> Calibration:
-    """Calibration of a JSON document.
+    """Read a calibration from a JSON document.
 
     Raises
     ------
     DataError
-        It is no calibration, of a newer version, or something in it cannot be used; `name` says where.
+        The document is not a calibration, is of a newer version or has unusable entries. The message begins
+        with `name`.
     """
     hint = "; make one with adis-gonio export SESSION -o NAME.json"
     made = _read_from(document, name, SCHEMA, "calibration", _read, hint)
@@ -124,7 +125,7 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
 
 
 def gyro_calibration_from(document: Any, name: str = "gyro calibration") -> GyroCalibration:
-    """Gyro calibration of a JSON document; errors as `calibration_from`."""
+    """Read a gyro calibration from a JSON document; errors as `calibration_from`."""
     return _read_from(document, name, GYRO_SCHEMA, "gyro calibration", _read_gyro)
 
 
@@ -146,8 +147,8 @@ def _read_from(
     try:
         return read(document)
     except (KeyError, TypeError, ValueError, AttributeError, UsageError, FitError) as error:
-        what = f"lacks {error}" if isinstance(error, KeyError) else str(error).lstrip(" .")
-        raise DataError(f"{name}: is a damaged {kind}: {what}") from None
+        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error).lstrip(" .")
+        raise DataError(f"{name}: is a damaged {kind}: {reason}") from None
 
 
 _GAINS, _LEAST_GAIN = ("scale_x", "scale_y", "scale_z"), 1e-6
@@ -201,7 +202,7 @@ DOCUMENT = fields(
     },
     others=anything,
 )
-"""Types and ranges of all that is read of a calibration file."""
+"""Types and ranges of the entries of a calibration file."""
 GYRO_DOCUMENT = fields(
     {
         **_BODY,
@@ -211,7 +212,7 @@ GYRO_DOCUMENT = fields(
     {"source": text},
     others=anything,
 )
-"""Types and ranges of all that is read of a gyro calibration."""
+"""Types and ranges of the entries of a gyro calibration."""
 
 
 def _read(document: Mapping[str, Any]) -> Calibration:
@@ -236,7 +237,7 @@ def _read(document: Mapping[str, Any]) -> Calibration:
 def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
     GYRO_DOCUMENT(document)
     reference = document["reference"]
-    # Effects in temperature and supply are zero there: another reference would move every zero rate.
+    # Effects of temperature and supply are zero at the reference: another one would move the zero rates.
     if (reference["temperature_c"], reference["supply_v"]) != (REFERENCE_C, REFERENCE_V):
         raise ValueError(f"its reference is not {REFERENCE_C:g} °C and {REFERENCE_V:g} V")
     names = list(document["parameters"])
@@ -246,14 +247,14 @@ def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
         raise ValueError(f"{strange[0]} is no parameter of a gyro")
     if missing:
         raise ValueError(f"parameter {missing[0]} is missing")
-    # Files of older versions have no source.
+    # Files of older versions lack the source.
     made = GyroCalibration(source=document.get("source", ""), **_read_body(document))
     made.check()
     return made
 
 
 def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes that both kinds of calibrations have."""
+    """Attributes that both kinds of calibrations share."""
     covariance, offsets, reference = document["covariance"], document["offsets_lsb"], document["reference"]
     return {
         "method": document["method"],
@@ -268,12 +269,12 @@ def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
-    """Covariance (p, p) of p parameters.
+    """Read the covariance (p, p) of p parameters.
 
     Raises
     ------
     ValueError
-        Other names, another size, not symmetric, or a negative variance.
+        Names or size differ, the matrix is not symmetric, or a variance is negative.
     """
     if covariance["names"] != names:
         raise ValueError("the covariance's names are not those of the parameters")
@@ -288,7 +289,7 @@ def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
 
 
 def _checked(calibration: Calibration) -> Calibration:
-    """The same, or `ValueError` where parts of it do not fit together."""
+    """Return the calibration; `ValueError` if its parts are not consistent."""
     names = set(calibration.names)
     for term in calibration.effects:
         wanted = len(term.effect.parameters)
@@ -322,12 +323,12 @@ def derived_delta_k(calibration: Calibration) -> Coefficient | None:
 
 
 def summary_of(calibration: Calibration) -> str:
-    """Lines of text about a calibration."""
+    """Describe a calibration in lines of text."""
     where = calibration.provenance
     lines = [repr(calibration).removeprefix("Calibration(").removesuffix(")")]
-    told = [("part", where.serial), ("operator", where.operator), ("stage", where.stage)]
-    told += [("title", where.title), ("file", where.source), ("recorded", where.recorded_utc)]
-    lines += [f"  {label}: {text}" for label, text in told if text]
+    facts = [("part", where.serial), ("operator", where.operator), ("stage", where.stage)]
+    facts += [("title", where.title), ("file", where.source), ("recorded", where.recorded_utc)]
+    lines += [f"  {label}: {text}" for label, text in facts if text]
     ratio = derived_delta_k(calibration)
     lines += [f"  {one}" for one in (*([ratio] if ratio else []), *calibration.parameters)]
     if where.temperature_c is not None:
@@ -366,25 +367,25 @@ def _covered(entry: Mapping[str, Any] | None) -> Covered | None:
 
 
 LARGEST_BYTES = 10_000_000
-"""Of a calibration file; it has some ten thousand."""
+"""Largest size of a calibration file; usual files have some ten thousand bytes."""
 
 
 def calibration_in(path: str | Path) -> Calibration | None:
-    """Calibration of a JSON file; None where the file begins as no JSON does.
+    """Read a calibration from a JSON file; None if the file does not begin like JSON.
 
     Raises
     ------
     DataError
-        It is JSON, but no calibration, or damaged.
+        The file is JSON but not a calibration, or it is damaged.
     """
     document = json_document(Path(path))
     return None if document is None else calibration_from(document, str(path))
 
 
 def json_document(path: Path) -> Any:
-    """Document of a file that begins as JSON does; None for others, which `load_session` judges.
+    """Read the JSON document of a file; None if the file does not begin like JSON.
 
-    Its texts are printable lines, since they end in messages, comments and pages.
+    Each text becomes one printable line, because texts appear in messages, comments and pages.
     """
     try:
         with path.open("rb") as file:
@@ -403,7 +404,7 @@ def json_document(path: Path) -> Any:
 
 
 def _printable(value: Any) -> Any:
-    """A JSON value with each of its texts as one printable line."""
+    """Convert each text of a JSON value to one printable line."""
     if isinstance(value, str):
         return one_line(value)
     if isinstance(value, list):

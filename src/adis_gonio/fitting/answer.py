@@ -136,7 +136,7 @@ class Answer:
         temperature = self.reference_temperature_c
         if temperature is None or {"delta_k", "delta_phi"} & set(self.values):
             return ()
-        return (f"Parameters hold at {temperature:.1f} °C, the mean of the session.",)
+        return (f"Parameters are valid at {temperature:.1f} °C, the mean of the session.",)
 
     @property
     def reference_temperature_c(self) -> float | None:
@@ -219,7 +219,7 @@ class Answer:
         if not dwells:
             return "Methods cannot be compared: no dwell can be left out of a fit."
         same = counted(dwells, "dwell")
-        return f"Every method on the same {same}, each left out of the fit where it was in it:"
+        return f"Errors of every method on the same {same}, each left out of its fit:"
 
     def facts(self) -> list[str]:
         """Residual and links of the fit, in one or two lines."""
@@ -227,18 +227,18 @@ class Answer:
         if r.dof:
             left = f"residual {r.residual_rms_mg:.3g} mg rms, χ² {r.chi2:.1f} at {r.dof} degrees of freedom"
         else:
-            left = "no degree of freedom is left to test the model by"
+            left = "no degree of freedom remains for a test of the model"
         return [left, *([] if r.links is None else [r.links.line])]
 
     def warnings(self, *, everything: bool = False) -> list[str]:
         """Warnings of the shown method without its doubts, or of all methods with their names."""
         if not everything:
             return [text for text in self.result.warnings if text not in self.result.doubts]
-        said: dict[str, list[str]] = {}
+        methods: dict[str, list[str]] = {}
         for result in self.comparison.results:
             for warning in result.warnings:
-                said.setdefault(warning, []).append(result.method)
-        return [*self.result.session_notes, *(f"{', '.join(m)}: {w}" for w, m in said.items())]
+                methods.setdefault(warning, []).append(result.method)
+        return [*self.result.session_notes, *(f"{', '.join(m)}: {w}" for w, m in methods.items())]
 
 
 def with_notes(best: FitResult, given: FitResult) -> FitResult:
@@ -278,9 +278,9 @@ def blocks(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str]
     """Tables of all parameters of all methods, value ± u; as many as the width requires."""
     names = list(dict.fromkeys(e.name for result in results for e in result.parameters))
     units = {e.name: e.unit for result in results for e in result.parameters}
-    beside = max(1, (width - 26) // _METHOD_WIDTH)
-    for start in range(0, len(results), beside):
-        part = results[start : start + beside]
+    columns = max(1, (width - 26) // _METHOD_WIDTH)
+    for start in range(0, len(results), columns):
+        part = results[start : start + columns]
         rows = [[name, units[name], *(_cell(result, name) for result in part)] for name in names]
         rows.append(["residual, rms", "mg", *(f"{r.residual_rms_mg:.3f}" for r in part)])
         rows.append(["χ² / dof", "", *(f"{r.chi2:.1f} / {r.dof}" if r.dof else "none left" for r in part)])

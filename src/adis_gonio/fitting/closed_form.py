@@ -66,7 +66,7 @@ class _Linear:
 
 
 def rows_at(readings: Readings, angles_deg: tuple[int, ...]) -> list[NDArray[np.intp]]:
-    """Dwells at each of the angles (modulo 360°); an empty array where there are none."""
+    """Dwells at each of the angles (modulo 360°); an empty array if there are none."""
     degrees = np.degrees(readings.angle_rad)
     with np.errstate(invalid="ignore"):
         return [np.flatnonzero(np.abs(wrap_degrees(degrees - a)) <= TOLERANCE_DEG) for a in angles_deg]
@@ -176,7 +176,7 @@ def fit_paper(readings: Readings) -> FitResult:
     if math.hypot(phi, u_at) > _NEAR_POLE * distance or min(abs(first[0]), abs(second[1])) < _LEAST_READING:
         if distance > _FAR_FROM_POLE:
             raise SingularError(
-                f"method paper does not hold here: delta_phi would be {math.degrees(phi):.1f} ± "
+                f"method paper is not valid here: delta_phi would be {math.degrees(phi):.1f} ± "
                 f"{math.degrees(u_at):.1g}°, and its equations are for small angles; use two-position"
             )
         times = f"{1 / distance:.0f} times" if distance > 1e-6 else "more than a million times"
@@ -192,7 +192,7 @@ def fit_paper(readings: Readings) -> FitResult:
     warnings.append(
         f"equation 5 is exact at alpha = 0° only: at {math.degrees(alpha):.2f}° this result is off by "
         f"{off_k:+.2g} in delta_k and {off_phi:+.2g}° in delta_phi from method two-position on the same "
-        "readings, which its uncertainty does not hold"
+        "readings, and its uncertainty does not include this"
     )
     return _finish(chosen, "paper", linear, noise, warnings, ("delta_k", "delta_phi", "alpha"))
 
@@ -268,7 +268,7 @@ def turn_parameters(harmonics: Floats) -> Floats:
 
 
 def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tuple[Readings, Floats]:
-    """Dwells at the angles and the weights (angles, n) that average those of one angle."""
+    """Dwells at the angles, and weights (angles, n) that average the dwells of each angle."""
     groups = rows_at(readings, angles_deg)
     missing = [str(a) for a, rows in zip(angles_deg, groups, strict=True) if not len(rows)]
     if missing:
@@ -326,7 +326,7 @@ def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
             return NoiseAssumptions(
                 sigma_rad=readings.fixture_rad,
                 known=False,
-                notes=("nothing states the noise of a reading: no uncertainty can be given",),
+                notes=("the noise of a reading is unknown: no uncertainty can be given",),
             )
         stated = ("fixture_sigma_deg is not stated: declared angles were taken as exact",)
         return NoiseAssumptions(
@@ -359,7 +359,11 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
         - moved[SCALE_Y] * linear.beta[SCALE_X] / linear.beta[SCALE_Y] ** 2
     )
     held = chosen.sensor in VARIANTS
-    stated = "the uncertainty holds the part's figure for it" if held else "no uncertainty here holds that"
+    stated = (
+        "the uncertainty includes the part's figure for it"
+        if held
+        else "the uncertainty does not include it"
+    )
     remedy = _bias_of_four(readings, chosen)
     if remedy is None:
         remedy = (
@@ -375,7 +379,7 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
 
 
 def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
-    """Describe the bias that the session's four positions show, and what it does to two positions.
+    """Describe the bias that the session's four positions show, and its influence on two positions.
 
     Returns
     -------

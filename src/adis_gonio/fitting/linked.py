@@ -99,18 +99,18 @@ class LinkReport:
         """Summary in one line."""
         if not self.used:
             return f"turns between the poses are not used: {self.why}"
-        told = [f"{counted(self.used, 'turn')} between the poses by the gyros"]
+        parts = [f"{counted(self.used, 'turn')} between the poses by the gyros"]
         if self.gained:
-            told.append(f"they determine {', '.join(self.gained)}")
+            parts.append(f"they determine {', '.join(self.gained)}")
         if self.ratio is not None:
             of = "u of the others" if self.gained else "u with them"
-            told.append(f"{of} is {self.ratio:.2f} of that without, median")
-        told.append(f"χ² {self.chi2:.1f} at {counted(self.dof, 'degree')} of freedom")
+            parts.append(f"{of} is {self.ratio:.2f} of that without, median")
+        parts.append(f"χ² {self.chi2:.1f} at {counted(self.dof, 'degree')} of freedom")
         left = "; ".join(f"{b} to {a} left out: {why}" for b, a, why in self.refused[:2])
         more = len(self.refused) - 2
         if more > 0:
             left += f"; and {more} more"
-        return "; ".join([*told, *([left] if left else [])])
+        return "; ".join([*parts, *([left] if left else [])])
 
 
 def linked_readings(
@@ -190,7 +190,7 @@ class _Judged:
             return cls(None, tuple(refused), "poses are too few to test them by")
         alone = settle(readings)
         if not alone.noise.known:
-            return cls(None, tuple(refused), "nothing tells the noise of the poses")
+            return cls(None, tuple(refused), "the noise of the poses is unknown")
         data, plain = alone.noise.applied(readings), alone.determination
         position = readings.position
         links = found.at(found.prior.values, position.tolist())
@@ -212,8 +212,8 @@ class _Judged:
             if chi2 <= _quantile(dof):
                 return cls(links, tuple(refused), "", chi2, dof, plain, linked)
             if left_out >= allowed:
-                told = f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom)"
-                return cls(None, tuple(refused), told, chi2, dof)
+                reason = f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom)"
+                return cls(None, tuple(refused), reason, chi2, dof)
             worst = _worst(linked.fit)
             refused.append((*_ends(links, position, worst), "it contradicts gravity and the other turns"))
             links = links.only(np.arange(len(links)) != worst)
@@ -228,7 +228,7 @@ class _Judged:
         return LinkReport(used, self.chi2, self.dof, self.refused, calibrated, self.why, gained, ratio)
 
 
-_FAR = "the gyros turn gravity to where it is not"
+_FAR = "the gyros turn gravity to a wrong direction"
 
 
 def _ends(links: Links, position: NDArray[np.intp], link: int) -> tuple[int, int]:

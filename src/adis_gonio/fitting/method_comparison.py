@@ -175,14 +175,14 @@ def _why(
         reasons.append("no method sees the biases in these positions, which are taken as zero")
     if scored:
         own = scores[result.method]
-        said = (
+        error = (
             f"{own.angle_rms_deg:.2g}° rms"
             if own.angle_rms_deg is not None
             else f"{own.residual_rms_mg:.2g} mg rms"
         )
         how = "as well as any" if len(good) > 1 else "best"
         reasons.append(
-            f"it predicts the {counted(own.dwells, 'dwell')} {how}, each left out of its fit ({said})"
+            f"it predicts the {counted(own.dwells, 'dwell')} {how}, each left out of its fit ({error})"
         )
     else:
         reasons.append("no dwell can be left out to compare the methods by")

@@ -70,7 +70,7 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
     DataError
         Unusable samples: all zero, stuck, not finite.
     FitError
-        The session lacks what the method needs.
+        The session lacks positions or angles that the method needs.
     SingularError
         The session does not determine the parameters of the method.
     """

@@ -98,10 +98,10 @@ class MonteCarlo(JsonRecord):
     @property
     def remarks(self) -> list[str]:
         """Differences between both ways, with reasons, and the number of failed trials."""
-        said = [f"{p.name}: {p.why}" for p in self.parameters if p.why]
+        remarks = [f"{p.name}: {p.why}" for p in self.parameters if p.why]
         if self.failed:
-            said.append(f"{self.failed} trials gave no result and were left out")
-        return said or ["the linear uncertainties agree within 1 % and the error of the trials"]
+            remarks.append(f"{self.failed} trials gave no result and were left out")
+        return remarks or ["the linear uncertainties agree within 1 % and the error of the trials"]
 
 
 def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> MonteCarlo:
@@ -121,7 +121,7 @@ def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> Mon
     """
     made = result.origin
     if made is None or made.sources is None:
-        raise FitError("nothing tells the noise of a reading: there are no distributions to propagate")
+        raise FitError("the noise of a reading is unknown: there are no distributions to propagate")
     names = [e.name for e in result.parameters]
     values, failed = [], 0
     draw, refit = _drawing(made, rng), METHOD_TABLE[result.method].refit
@@ -221,7 +221,7 @@ def _why(made: Origin, linear: Estimate, u: float, doubt: float, k: int) -> str:
     if math.isinf(wide):
         return f"{ratio}: with {linear.dof:.3g} degrees of freedom no standard deviation exists; compare U"
     return (
-        f"{ratio}: the model is not linear enough over the inputs' spread; the interval of the trials holds"
+        f"{ratio}: the model is not linear enough over the inputs' spread; use the interval of the trials"
     )
 
 

@@ -110,7 +110,7 @@ def settle(readings: Readings) -> Settled:
         ratio = math.sqrt(chi2 / dof)
         note = (
             f"the residual is {ratio:.3g} times what the noise within the dwells explains (chi2 "
-            f"{chi2:.4g}, dof {dof}): the model does not describe this session; each u holds "
+            f"{chi2:.4g}, dof {dof}): the model does not describe this session; each u includes "
             f"{extra:.3g} mg of scatter on every reading and the catalogue's effects that the data allow"
         )
         noise = replace(noise, extra_mg=extra, dof=float(dof), notes=(*noise.notes, note))
@@ -227,14 +227,15 @@ def _unknown_readings(
     notes = ["fixture_sigma_deg is not stated: declared angles were taken as exact"] if open_sigma else []
     if dof <= 0:
         notes.append(
-            "nothing states the noise of a reading and no position is left over to show it: no uncertainty "
-            "can be given; state reading_u_mg, keep the samples of each dwell, or measure more positions"
+            "the noise of a reading is unknown and there are too few positions to estimate it: no "
+            "uncertainty can be given; state reading_u_mg, keep the samples of each dwell, or measure "
+            "more positions"
         )
         return replace(noise, known=False, notes=tuple(notes))
     scale = _equal_to_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, _LEAST_SCALE, _LARGEST_SCALE)
     if scale <= _LEAST_SCALE:
         notes.append(
-            "nothing states the noise of a reading and the model passes through all of them: no "
+            "the noise of a reading is unknown and the model fits all readings exactly: no "
             "uncertainty can be given; state reading_u_mg, or keep the samples of each dwell"
         )
         return replace(noise, known=False, notes=tuple(notes))

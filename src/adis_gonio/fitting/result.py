@@ -186,8 +186,8 @@ class FitResult(ParameterTable):
         lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
             :2
         ]
-        told = ", ".join(f"{one.name} {format_uncertain(one.value, one.u, one.unit)}" for one in lead)
-        return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {told})"
+        values = ", ".join(f"{one.name} {format_uncertain(one.value, one.u, one.unit)}" for one in lead)
+        return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
 
     def calibration(self) -> Calibration:
         """Calibration from readings to angles by these parameters.
@@ -197,7 +197,7 @@ class FitResult(ParameterTable):
         UsageError
             The result was made from readings, not from a session.
         FitError
-            The session does not determine what an angle needs.
+            The session does not determine a parameter that an angle needs.
         """
         from adis_gonio.fitting.calibrations import as_written, calibration_as_recorded
 
@@ -376,9 +376,9 @@ def left_to_the_stage(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
     if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:
         return []
     return [
-        f"u of delta_phi is {u_deg:.2g}°: these positions leave it to the stage "
-        f"({math.degrees(sigma_rad):.3g}°), and the uncertainties of gains and biases beside, which are "
-        "linear in it, are rough; five positions or more, spread over the turn, need no stage for it"
+        f"u of delta_phi is {u_deg:.2g}°: only the stage determines it in these positions "
+        f"({math.degrees(sigma_rad):.3g}°), and the uncertainties of gains and biases, "
+        "which are linear in it, are rough; five or more positions all around the turn need no stage for it"
     ]
 
 

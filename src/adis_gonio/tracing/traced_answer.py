@@ -83,7 +83,9 @@ class TracedAnswer(Answer):
     def remarks(self) -> tuple[str, ...]:
         """Remarks on the values, such as the temperature at which they hold."""
         temperature = self.traced.reference_temperature_c
-        return super().remarks if temperature is None else (f"Parameters hold at {temperature:.1f} °C.",)
+        return (
+            super().remarks if temperature is None else (f"Parameters are valid at {temperature:.1f} °C.",)
+        )
 
     @property
     def reference_temperature_c(self) -> float | None:

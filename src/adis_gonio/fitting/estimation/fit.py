@@ -162,11 +162,11 @@ class Fit:
     @cached_property
     def gravity(self) -> Floats:
         """Gravity (n, axes) that the calibrated sensor computes from each reading alone."""
-        beside = np.zeros(self.data.mean.shape)
+        added = np.zeros(self.data.mean.shape)
         for index, term in enumerate(self.terms):
             if not term.enters_angle:
-                beside = beside + self.added(index)
-        return self.data.model.calibrated(self.values.base, self.data.mean - beside)
+                added = added + self.added(index)
+        return self.data.model.calibrated(self.values.base, self.data.mean - added)
 
     def added(self, index: int) -> Floats:
         """Contribution of a term to the readings (n, axes), to first order if the term turns the part."""

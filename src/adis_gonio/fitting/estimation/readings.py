@@ -403,9 +403,9 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
         return
     also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""
     raise DataError(
-        f"{session.source or 'session'}: readings are {length:.3g} g long where 1 g acts: accel_unit "
+        f"{session.source or 'session'}: readings are {length:.3g} g long instead of 1 g: accel_unit "
         f"{session.accel_unit} cannot be right (lsb goes by the sensor, {session.sensor}); state the unit "
-        f"of the file, or counts where it is not known{_as_another(session, length)}{also}"
+        f"of the file, or counts if it is unknown{_as_another(session, length)}{also}"
     )
 
 
@@ -573,7 +573,7 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[s
     if len(dwells) > 1:  # a single pose is kept even at a limit
         dwells = [dwell for dwell in dwells if dwell.position not in converter.spoiled]
     if not dwells:
-        raise DataError(f"{source}: every dwell stands at a limit of the range; record with a wider one")
+        raise DataError(f"{source}: every dwell is at a limit of the range; record with a wider range")
     return dwells, converter, limits_in_words(limits, session.accel_unit)
 
 

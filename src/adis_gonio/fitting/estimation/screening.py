@@ -10,7 +10,7 @@ another known fact:
   dwells are identical;
 * the chip: an ADIS1635x has 4.7 mg (16354) of noise before its filter and 1 LSB rms behind the longest
   filter. The chance that two axes keep one word for 256 samples, or one axis for 512, is below 1e-4. This
-  holds if its words have all their bits.
+  rule applies if the words have all their bits.
 
 **A limit of the range** shows as a pile of samples: noise has fewer samples at its extreme value than at
 the value next to it, a limit has many times as many. A dwell whose samples all have the extreme value is at
@@ -75,7 +75,7 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
         ]
     if stuck:
         raise DataError(
-            f"{where}stuck data in {name_positions(stuck)}: words repeat where a working sensor shows"
+            f"{where}stuck data in {name_positions(stuck)}: words repeat although a working sensor shows"
             " noise or follows the rotation; check the sensor and record again"
         )
 
@@ -86,11 +86,11 @@ def limits_in_words(limits: Sequence[Limit], unit: str) -> list[str]:
     for limit in limits:
         where = f"the extreme value {limit.value:g} {unit} ({name_positions(limit.positions)})"
         samples = f"{counted(limit.samples, 'sample')} of {'xyz'[limit.axis]}"
-        line = f"{samples} stand at {where}: a limit was reached there"
+        line = f"{samples} are at {where}: a limit was reached there"
         if limit.spoiled:
             word = "takes" if len(limit.spoiled) == 1 else "take"
             where = name_positions(limit.spoiled)
-            line += f", a mean is not the reading, and {where} {word} no part in the fit"
+            line += f"; the mean is not the reading, so {where} {word} no part in the fit"
         lines.append(line)
     return lines
 

@@ -343,7 +343,7 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
         if total < _LEAST_WEIGHT:
             return best or _Foot(band, 0.0, 1 / total, total, np.zeros(1))
         band /= 2
-    if best is None:  # the narrowest band holds no ordinate at all: take the whole one as flat
+    if best is None:  # the narrowest band has no ordinate: take the whole band as flat
         total = sum(float(group.weight.sum()) * len(group.dwell) for group in groups)
         best = _Foot(0.5, 0.0, 1 / total, total, np.zeros(1))
     return best
@@ -365,8 +365,8 @@ def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _F
 def _foot_beside_flicker(
     band: float, x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
 ) -> _Foot | None:
-    beside = _beside_flicker(x, weight, mean, inverse_x)
-    return None if beside is None else _foot(band, *beside, weight, beside_flicker=True)
+    found = _beside_flicker(x, weight, mean, inverse_x)
+    return None if found is None else _foot(band, *found, weight, beside_flicker=True)
 
 
 def _foot(
@@ -432,7 +432,7 @@ def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Float
 
 
 def _homogeneous(level: Floats, weight: Floats) -> bool:
-    """True where the dwells' levels are consistent with one (Bartlett's test for each axis, 0.1 %)."""
+    """True if the dwells' levels are consistent with one level (Bartlett's test for each axis, 0.1 %)."""
     use = weight > 0
     if use.sum() < 2:
         return True
@@ -451,7 +451,7 @@ def _homogeneous(level: Floats, weight: Floats) -> bool:
 
 
 def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
-    """Set correlations between axes to zero where chance explains them (three standard errors)."""
+    """Set correlations between axes to zero if chance explains them (three standard errors)."""
     deviation = np.sqrt(np.maximum(np.diagonal(level, axis1=1, axis2=2), 1e-300))
     correlation = level / (deviation[:, :, None] * deviation[:, None, :])
     keep = np.abs(correlation) > 3 / np.sqrt(dof)[:, None, None]
@@ -524,7 +524,7 @@ are treated as independent noise of each dwell."""
 
 
 def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
-    """Covariance (n, n) of dwells' means about that of twice their session, for an Allan variance of 1.
+    """Covariance (n, n) of dwell means about the mean of a session twice as long, for Allan variance 1.
 
     Parameters
     ----------
