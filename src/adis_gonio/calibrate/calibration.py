@@ -197,6 +197,7 @@ class Calibration(Coefficients):
         """Readings (n, axes) in `unit` for gravity (n, axes) in local gravity: the inverse of `apply`."""
         gravity = np.asarray(gravity, dtype=float)
         base, bias = self.natural(self.values)
+        # Matrix of the calibration, by its effect on unit vectors; its inverse gives ideal readings.
         matrix = self.measurement.calibrated(base, np.eye(self.axes))
         ideal = np.asarray(gravity @ np.linalg.inv(matrix))
         conditions = self._conditions(len(gravity), temperature_c, supply_v)
@@ -407,6 +408,7 @@ class Calibration(Coefficients):
         if reading_u is not None:
             u = self._reading_u(reading_u)
             steps = np.maximum(STEP * u, 1e-6)
+            # Derivative of the angle by the reading, for the noise of the reading.
             slopes = central_differences(
                 lambda r: shown(values, r, conditions), readings, steps, np.eye(self.axes), apart
             )
@@ -427,6 +429,7 @@ def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Co
     """Solve a + Σ effects(a) = `free` for ideal readings a (n, axes); NaN without convergence."""
     ideal = free
     for _ in range(_PASSES):
+        # Fixed point: subtract the effects at the current ideal readings.
         new = free - sum((e.reading(own, ideal, conditions) for e, own in terms), np.zeros(free.shape))
         moving = np.asarray(~(np.abs(new - ideal) <= _SETTLED_MG).all(axis=1))
         ideal = new

@@ -148,6 +148,7 @@ class Coefficients(ParameterTable):
         variance = np.zeros(value.shape)
         for direction in _directions(self.covariance):
             step = STEP * direction
+            # Derivative along each principal axis; these contributions are independent.
             rise = difference(function(self.values + step), function(self.values - step))
             variance += (rise / (2 * STEP)) ** 2
         return value, variance
@@ -157,6 +158,7 @@ def _directions(covariance: Floats) -> Floats:
     """Principal axes (k, p) of a covariance, with the length of their standard uncertainty."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(scale > 0, scale, 1.0)
+    # Eigenvectors of the correlation matrix: parameters have different units.
     sizes, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
     return np.asarray((vectors * np.sqrt(np.maximum(sizes, 0.0))).T * unit)
 

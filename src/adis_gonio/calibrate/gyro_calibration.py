@@ -335,6 +335,7 @@ class GyroCalibration(Coefficients):
     def _values(self, values: Floats) -> _Values:
         held = {one.name: float(v) for one, v in zip(self.parameters, values, strict=True)}
         misalignment = np.sin(np.radians(self._matrix("gyro_misalignment", held)))
+        # Component along the own axis, so that each direction is a unit vector.
         own = np.sqrt(np.maximum(1 - (misalignment**2).sum(axis=1), 0.0))
         gains = self._vector("gyro_scale", held, 1.0)
         return _Values(
@@ -420,12 +421,14 @@ def _taken(
     given, matrix = list(covariance[0]), np.asarray(covariance[1], dtype=float)
     taken: Floats = np.diag([float(one.u or 0.0) ** 2 for one in parameters])
     inside = [k for k, name in enumerate(names) if name in given]
+    # Replace the diagonal by the given covariance for the parameters in it.
     rows = [given.index(names[k]) for k in inside]
     taken[np.ix_(inside, inside)] = (matrix[np.ix_(rows, rows)] + matrix[np.ix_(rows, rows)].T) / 2
     return taken
 
 
 def _corrected(v: _Values, rate: Floats, force: Floats, warm: Floats, volts: Floats) -> Floats:
+    # Solve the equation of the module docstring for the true rate.
     free = (rate - _zero(v, force, warm, volts)) / (1 + v.scale_per_c * warm)
     return np.asarray(free @ np.linalg.inv(v.sensitivity).T)
 

@@ -168,6 +168,7 @@ def fit_paper(readings: Readings) -> FitResult:
     spread = _sources(replace(chosen, sensor="generic"), exact, noise).covariance
     alpha, phi = float(exact.beta[ALPHA]), float(exact.beta[DELTA_PHI])
     at = 2 * alpha + phi
+    # Uncertainty of 2α + Δφ, whose cosine is the distance from the pole.
     gradient = np.zeros(6)
     gradient[ALPHA], gradient[DELTA_PHI] = 2.0, 1.0
     u_at = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
@@ -212,6 +213,7 @@ def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linea
     beta = exact.beta.copy()
     beta[DELTA_PHI] = values[1]
     beta[SCALE_Y] = beta[SCALE_X] / (1 + values[0])
+    # Derivatives of Δφ and K_y = K_x/(1 + ΔK) by the printed equations replace the exact ones.
     derivatives = exact.derivative.copy()
     derivatives[DELTA_PHI] = derivative[1]
     derivatives[SCALE_Y] = (
@@ -240,6 +242,7 @@ def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
 
 def _paper(first: Floats, second: Floats, weights: Floats) -> tuple[Floats, Floats]:
     """(ΔK, Δφ) and their derivatives (2, n, 2) by the readings, by complex step."""
+    # Complex step: the imaginary part over the step is the derivative without cancellation.
     point = np.array([first[0], first[1], second[0], second[1]], dtype=np.complex128)
     values = np.array(as_printed(*point.tolist()), dtype=np.complex128)
     stepped = [np.array(as_printed(*(point + 1e-30j * unit).tolist())) for unit in np.eye(4)]
@@ -290,6 +293,7 @@ def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tu
 def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
     """Fit of cosine, sine and (with `bias`) a constant to each axis of the averaged readings."""
     natural = chosen.mean / chosen.gravity_mg
+    # Mean declared angle of each group, as the direction of the mean unit vector.
     turn = weights @ np.exp(1j * chosen.angle_rad)
     theta = np.angle(turn)
     columns = [np.cos(theta), np.sin(theta)] + ([np.ones_like(theta)] if bias else [])
@@ -299,6 +303,7 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
             "the declared angles do not determine cosine, sine and zero of a turn; spread the positions "
             "over it (0°, 90°, 180°, 270°)"
         )
+    # Pseudo-inverse times averaging: harmonics are linear in the readings.
     inverse = np.linalg.pinv(design) @ weights
     harmonics = inverse @ natural
     (a_x, a_y), (b_x, b_y) = harmonics[:2]
@@ -307,6 +312,7 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
     k_x, k_y = beta[SCALE_X], beta[SCALE_Y]
     if min(k_x, k_y) < 1e-3:
         raise SingularError("an axis does not follow the rotation; check the declared angles and the plane")
+    # Derivatives of atan2 and hypot of the harmonics, by the chain rule.
     derivative[ALPHA, :, 0] = (a_x * inverse[1] - b_x * inverse[0]) / k_x**2
     derivative[DELTA_PHI, :, 0] = -derivative[ALPHA, :, 0]
     derivative[DELTA_PHI, :, 1] = (a_y * inverse[1] - b_y * inverse[0]) / k_y**2
@@ -352,6 +358,7 @@ def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Source
 
 def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:
     """Warning about the influence of a bias on two positions, with a remedy."""
+    # A bias of 1 mg adds to all readings of an axis.
     moved = linear.derivative.sum(axis=1) / chosen.gravity_mg
     phi = np.degrees(moved[DELTA_PHI])
     k = (

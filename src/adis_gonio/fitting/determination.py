@@ -128,9 +128,11 @@ def determine(data: Readings, held: Sequence[int] = ()) -> Determination:
     may_hold = _may_hold(data)
     out = list(held)
     while True:
+        # A prior on the bias keeps this search from running along directions without information.
         rough = _start(data)
         rough = rough.refit(_ITERATIONS, 1e-6, _directions(rough, free, np.zeros((len(free), 0))))
         null = _null_space(rough, free)
+        # Parameters that may be held and that take part in an undetermined direction.
         lost = [k for k in may_hold if free[k] and (null[k] ** 2).sum() > _PARTICIPATES]
         if not lost:
             break
@@ -169,6 +171,7 @@ def _complement(free: NDArray[np.bool_], null: Floats) -> Floats:
     basis = np.eye(len(free))[:, free]
     if not null.shape[1]:
         return basis
+    # Project the undetermined directions out of the free ones.
     left, values, _ = np.linalg.svd(basis - null @ (null.T @ basis), full_matrices=False)
     return np.asarray(left[:, values > 0.5])
 
@@ -176,9 +179,11 @@ def _complement(free: NDArray[np.bool_], null: Floats) -> Floats:
 def _null_space(fit: Fit, free: NDArray[np.bool_]) -> Floats:
     index = np.flatnonzero(free)
     most = limits(fit.data)[index]
+    # Scaled by the limits, an eigenvalue below 1 is an uncertainty above the limit.
     values, vectors = np.linalg.eigh(information(fit)[np.ix_(index, index)] * np.outer(most, most))
     poor = values < max(1.0, 1e-14 * float(values[-1]) if len(values) else 0.0)
     null = np.zeros((len(free), int(poor.sum())))
+    # Back to natural units, orthonormal again.
     null[index] = np.linalg.qr(most[:, None] * vectors[:, poor])[0]
     return null
 
@@ -189,6 +194,7 @@ def covariance(fisher: Floats, free: NDArray[np.bool_], null: Floats) -> Floats:
     It is valid only for functions of the parameters with a gradient orthogonal to `null`.
     """
     basis = _complement(free, null)
+    # Invert the information within the determined directions, scaled to a unit diagonal.
     inner = basis.T @ fisher @ basis
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     inverse = np.linalg.inv(inner / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -212,6 +218,7 @@ def in_words(null: Floats, names: Sequence[str]) -> list[str]:
     """Format each undetermined direction as a combination of parameters, in natural units."""
     words = []
     for direction in null.T:
+        # Largest components first; the first one gets a positive sign.
         order = np.argsort(-np.abs(direction))
         parts = [k for k in order.tolist() if abs(direction[k]) > 0.1]
         lead = math.copysign(1.0, direction[parts[0]])

@@ -153,6 +153,7 @@ def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Rea
     report = judged.report(calibrated=gyros is not None)
     if judged.links is None:
         return readings, report
+    # Links are numbered among the fitted readings: renumber them among all readings.
     rows = np.flatnonzero(~readings.check)
     links = replace(judged.links, before=rows[judged.links.before], after=rows[judged.links.after])
     return replace(readings, links=links), report
@@ -239,9 +240,11 @@ def _ends(links: Links, position: NDArray[np.intp], link: int) -> tuple[int, int
 def _near(links: Links, fit: Fit) -> NDArray[np.bool_]:
     """True for links (m,) that can be right for some parameters."""
     attitude = fit.settled(4).values.attitude
+    # Gravity before the turn, carried by the gyros, against gravity after it.
     came = (links.rotation @ attitude[links.before][:, :, None])[:, :, 0]
     there = attitude[links.after]
     away = np.arctan2(np.linalg.norm(np.cross(came, there), axis=1), (came * there).sum(axis=1))
+    # Angle of a rotation from its trace: 1 + 2 cos θ.
     turned = np.arccos(np.clip((np.trace(links.rotation, axis1=1, axis2=2) - 1) / 2, -1, 1))
     return np.asarray(away <= np.maximum(FAR_RAD, FAR_SHARE * turned))
 
@@ -275,6 +278,7 @@ def _gyros_of(fit: Fit, prior: GyroPrior) -> Floats:
     assert rows is not None
     flat = fit.unshared_residual
     count = links.links.modes_rad.shape[2]
+    # Posterior mean of the shared modes with unit prior; the gyros' modes are the last ones.
     found = np.linalg.solve(np.eye(rows.shape[1]) + rows.T @ rows, rows.T @ flat)
     return np.asarray(prior.values + prior.root @ found[-count:])
 
@@ -283,6 +287,7 @@ def _worst(fit: Fit) -> int:
     """Number of the link with the largest residual."""
     links = fit.link_rows
     assert links is not None
+    # The last rows of the residual belong to the links, two for each.
     rows = fit.residual[-2 * len(links.links) :].reshape(-1, 2)
     return int((rows**2).sum(axis=1).argmax())
 

@@ -141,6 +141,7 @@ def _rms(score: Score) -> float:
 def surely_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
     """True if the squared errors of `one` are larger by more than `BEYOND` standard errors."""
     base = _squares(best)
+    # Paired differences: both methods predict the same dwells.
     difference = _squares(one) - base
     difference = difference[np.isfinite(difference)]
     if len(difference) < 3:
@@ -236,6 +237,7 @@ def scores_of(found: Mapping[str, DwellPrediction]) -> dict[str, Score]:
     """Scores of the models on the dwells that all of them predict."""
     if not found:
         return {}
+    # Compare all methods on the dwells that each of them can predict.
     common = np.all([np.isfinite(p.residual_mg).all(axis=1) for p in found.values()], axis=0)
     return {name: _score(prediction, common) for name, prediction in found.items()}
 
@@ -305,6 +307,7 @@ def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
     """Errors of the angle (n,) in rad and residuals (n, r) in mg of dwells that were not fitted."""
     there = model.on(replace(rows, fitted=model.data.fitted))
     if not rows.planar:
+        # In space only the length of gravity is known for each dwell.
         norm = np.linalg.norm(there.gravity, axis=1, keepdims=True) - 1
         return np.full(len(rows), np.nan), norm * rows.gravity_mg
     shown = _shown(there)

@@ -151,6 +151,7 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
     roots, dof, estimate = repeatability_of(data, noise)
     sigma = np.where(np.isfinite(fit.data.fixture), fit.data.fixture, 0.0)
     by_name = {} if made.sources is None else {source.name: source for source in made.sources.each}
+    # Half width of a rectangle with the variance of quantization.
     rounding = np.zeros((n, axes)) if data.quantization is None else np.sqrt(3 * data.quantization)
     flicker = np.zeros((n, axes)) if data.flicker is None else np.sqrt(data.flicker)
     attitude, turn, model = fit.values.attitude, fit.turn_rad, data.model
@@ -166,6 +167,7 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
         if noise.extra_mg:
             moved += noise.extra_mg * _student(rng, noise.dof) * rng.standard_normal((n, axes))
         if sigma.any():
+            # Turn the part by the error of the declared angle, exactly and not to first order.
             away = sigma * _student(rng, noise.sigma_dof) * rng.standard_normal(n)
             moved += model.ideal(fit.values.base, attitude + away, turn) - exact
         for columns in shared:
@@ -202,6 +204,7 @@ def _propagated(made: Origin, linear: Estimate, values: Floats, k: int) -> Propa
         values = linear.value + wrap_degrees(values - linear.value)
     centred = values - values.mean()
     u = float(np.sqrt((centred**2).sum() / (n - 1)))
+    # Standard error of a standard deviation, from the fourth moment of the trials.
     kurtosis = float((centred**4).mean() / max((centred**2).mean() ** 2, 1e-300))
     doubt = math.sqrt(max(kurtosis - 1, 1e-3) / (4 * n))
     low, high = np.quantile(centred, [0.5 * (1 - COVERED), 0.5 * (1 + COVERED)]) + values.mean()

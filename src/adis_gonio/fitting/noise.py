@@ -66,6 +66,7 @@ class NoiseAssumptions:
 
     def applied(self, readings: Readings) -> Readings:
         """Readings with the assumed noise."""
+        # Readings without a stated noise have a placeholder of 1 mg, scaled here.
         factor = np.where(readings.known, 1.0, self.scale**2)[:, None, None]
         covariance = readings.own_covariance * factor + self.extra_mg**2 * np.eye(readings.axes)
         return replace(readings, own_covariance=covariance, fixture_rad=self.sigma_rad)
@@ -106,6 +107,7 @@ def settle(readings: Readings) -> Settled:
     chi2 = determination.fit.chi2
     if dof > 0 and chi2 > _chi2_quantile(dof):
         low, high = 1e-7 * readings.gravity_mg, readings.gravity_mg
+        # Solve χ²(extra) = dof for the additional standard deviation.
         extra = _equal_to_dof(lambda s: follow(replace(noise, extra_mg=s)).chi2, dof, low, high)
         ratio = math.sqrt(chi2 / dof)
         note = (
@@ -260,13 +262,16 @@ def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> Nois
         sigma = math.exp(log_sigma)
         fit = follow(replace(noise, sigma_rad=sigma))
         free = follow.first.free
+        # Whitened tangent: σ² times its square is the variance of a dwell from its angle.
         along = fit.data.root @ fit.tangent
         carried = np.where(np.isfinite(fit.data.fixture), (along**2).sum(axis=(1, 2)), 0.0)
+        # Log determinants of the covariance and of the information: restricted likelihood.
         spread = np.log1p(sigma**2 * carried).sum()
         return fit.chi2 + float(spread + np.linalg.slogdet(information(fit)[np.ix_(free, free)])[1])
 
     low, high = math.log(1e-6), math.log(_LARGEST_SIGMA_RAD)
     found = minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 0.02})
+    # No clear gain over an exact fixture.
     if float(found.fun) > deviance(low) - 0.1:
         return replace(
             noise,
@@ -294,6 +299,7 @@ def _equal_to_dof(cost: Callable[[float], float], dof: int, low: float, high: fl
     def gap(log_s: float) -> float:
         return math.log(max(cost(math.exp(log_s)), 1e-300) / dof)
 
+    # χ² decreases with s, so that a sign change brackets the solution.
     a, b = math.log(low), math.log(high)
     if gap(a) <= 0:
         return low

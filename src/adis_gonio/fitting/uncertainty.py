@@ -111,9 +111,11 @@ class Source:
             Derivative by one further reading, per mg.
         """
         m = len(gradient)
+        # Parts are independent: their mean squares over the m values add up.
         variance = (self._moved(gradient, reading) ** 2).sum(axis=0) / m
         found = list(zip(self.estimate.tolist(), self.dof.tolist(), variance.tolist(), strict=True))
         if reading is not None and self.reading_mg2.any():
+            # A further reading brings noise of its own, with the degrees of freedom of the largest part.
             own = float(np.einsum("ma,ab,mb->", reading, self.reading_mg2, reading)) / m
             where = max(found, key=lambda part: part[2], default=(_POOLED, math.inf, 0.0))
             found.append((where[0], where[1], own))
@@ -254,6 +256,7 @@ def _links(fit: Fit, rotation: Floats) -> Source:
     """Noise of the rotations between poses, and the uncertainty of the gyros."""
     links = fit.data.links
     assert links is not None
+    # Covariance of the parameters from the own errors of all links.
     own = np.einsum("pma,maq->pq", rotation, links.own_product(rotation.transpose(1, 2, 0)))
     size, axes = np.linalg.eigh((own + own.T) / 2)
     # Parts of one source are independent: any root of their covariance is one.
@@ -288,6 +291,7 @@ def _root(covariance: Floats) -> Floats:
     # A difference of covariances has eigenvalues of zero, or below by rounding: it has no Cholesky factor.
     size, axis = np.linalg.eigh(covariance)
     least = 1e-12 * np.maximum(np.abs(size).max(axis=1, keepdims=True), 1e-300)
+    # Rebuild the covariance with positive eigenvalues.
     whole = np.einsum("nij,nj,nkj->nik", axis, np.maximum(size, least), axis)
     return np.asarray(np.linalg.cholesky(whole))
 
@@ -441,6 +445,7 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
         away = temperature - temperature.mean()
         columns = away[:, None, None] * np.eye(axes)
         left = fit.white(columns)
+        # Part of the columns that the parameters do not explain, which the residual can show.
         left = left - fit.jacobian @ np.linalg.lstsq(fit.jacobian, left, rcond=1e-9)[0]
         # Combine the prior of the data sheet with the information in the residual of this session.
         spread = 1 / np.sqrt(1 / figure**2 + (left**2).sum(axis=0))
@@ -476,6 +481,7 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
     if noise.extra_mg > 0:
         missing = missing_effects(fit)
     acts = np.concatenate([biases, skews, missing], axis=2)
+    # Change of the parameters by unseen biases, skews and missing effects.
     blind = np.einsum("pna,nak->pk", response, acts)
     notes, u = [], noise.extra_mg
     if noise.extra_mg > 0:
@@ -611,6 +617,7 @@ def missing_effects(fit: Fit) -> Floats:
     columns = np.concatenate([*_columns(fit), np.zeros((*fit.data.mean.shape, 0))], axis=2)
     white = fit.white(columns)
     size = np.linalg.norm(white, axis=0)
+    # Only the part that the parameters do not describe shows in the residual.
     remaining = _without(white, fit.jacobian)
     shown = np.linalg.norm(remaining, axis=0) > _DESCRIBED * size
     columns, remaining = columns[:, :, shown], remaining[:, shown]
@@ -624,8 +631,10 @@ def missing_effects(fit: Fit) -> Floats:
     # Directions of θ that the residual does not show keep the prior s².
     precision = factor**-2 + singular**2
     mean = right.T @ (singular * along / precision)
+    # Second moment of the amplitudes in the basis of the columns.
     moment = factor**2 * np.eye(columns.shape[2])
     moment += (right.T * (1 / precision - factor**2)) @ right + np.outer(mean, mean)
+    # Root of the second moment: independent inputs at one standard uncertainty each.
     values, vectors = np.linalg.eigh(moment)
     return np.asarray(columns @ (vectors * np.sqrt(np.maximum(values, 0.0))))
 
@@ -707,6 +716,7 @@ class ShownAngle:
 
     def variances(self, covariance: Floats, reading_mg2: Floats) -> Floats:
         """Variance (m,) in degrees² at each place."""
+        # gᵀ C g at each place, for the parameters and for the reading.
         by_parameters = np.einsum("mp,pq,mq->m", self.gradient, covariance, self.gradient)
         by_reading = np.einsum("ma,ab,mb->m", self.reading, reading_mg2, self.reading)
         return np.asarray(by_parameters + by_reading)

@@ -192,9 +192,11 @@ class Fit:
         size = np.linalg.norm(along, axis=1, keepdims=True)
         unit = along / np.maximum(size, 1e-300)
         if self.data.free:
+            # A free angle uses up the direction of the tangent: keep only the direction across it.
             across = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
             return across[:, None, :] @ root
         with np.errstate(divide="ignore"):
+            # Shrink the direction of the tangent by the variance of the declared angle (module docstring).
             beta = 1 - 1 / np.sqrt(1 + (self.data.fixture[:, None] * size) ** 2)
         whitening: Floats = root - (beta * unit)[:, :, None] * (unit[:, None, :] @ root)
         return whitening
@@ -216,6 +218,7 @@ class Fit:
         found = [] if slow is None or not slow.shape[2] else [self._own(slow)]
         if links is not None:
             own = links.modes
+            # Modes of the gyros do not act on the rows of dwells, which come first.
             rest = np.zeros((len(self.data) * self.whitener.shape[1], own.shape[1]))
             found.append(np.concatenate([rest, own]))
         return np.concatenate(found, axis=1) if found else None
@@ -227,6 +230,7 @@ class Fit:
         if rows is None:
             return None
         values, vectors = np.linalg.eigh(rows.T @ rows)
+        # g(λ) = 1/(r (r + 1)) with r = √(1 + λ) gives the symmetric inverse root of 1 + A Aᵀ.
         root = np.sqrt(1 + np.maximum(values, 0.0))
         return rows, (vectors / (root * (root + 1))) @ vectors.T
 
@@ -256,6 +260,7 @@ class Fit:
         """∂(slopeᵀ · whitened readings)/∂reading, (d, n, axes), of `slope` (rows, d)."""
         slope = self._without_shared(slope)
         of_dwells = len(self.data) * self.whitener.shape[1]
+        # Undo `_own`: split the rows of dwells from the rows of links, and apply the transposed whitener.
         by_dwell = slope[:of_dwells].reshape(len(self.data), -1, slope.shape[1])
         found = np.asarray(np.einsum("nrd,nra->dna", by_dwell, self.whitener))
         links = self.link_rows
@@ -279,6 +284,7 @@ class Fit:
         """Flat residual (rows,) before the modes that rows share are taken into account."""
         flat = self._own(self.left[:, :, None])[:, 0]
         if self.link_rows is not None:
+            # Links have a misclosure of their own, in addition to the effect of the misfits.
             flat[-2 * len(self.link_rows.links) :] += self.link_rows.residual
         return flat
 
@@ -313,6 +319,7 @@ class Fit:
                 widths[k] = own.shape[-1]
                 continue
             for axis in term.axes:
+                # Terms that share a basis have equal columns on an axis.
                 key = (id(term.basis), term.where, axis)
                 if key not in of_axis:
                     of_axis[key] = term.on_axis(axis, driven, conditions)
@@ -368,10 +375,12 @@ class Fit:
     @cached_property
     def _half(self) -> Floats:
         """Root (p + q, k) of the covariance."""
+        # Scale columns to unit length first: parameters have different units.
         scaled = self._with_prior(self.jacobian)
         size = np.linalg.norm(scaled, axis=0)
         size[size == 0] = 1.0
         _, s, vt = np.linalg.svd(scaled / size, full_matrices=False)
+        # Directions without information get no variance instead of an infinite one.
         keep = s > 1e-9 * (s[0] if s.size else 1.0)
         half: Floats = (vt[keep].T / s[keep]) / size[:, None]
         return half
@@ -431,6 +440,7 @@ class Fit:
         """Least-squares steps (p, k) of the base parameters, with their priors, for rows (rows, k)."""
         count = len(self.values.base)
         held = self._prior[0][:count] > 0
+        # A prior is one further row 1/σ with the target (centre − value)/σ.
         rows = np.concatenate([self.jacobian[:, :count], np.diag(self._prior[0][:count])[held]])
         right = np.concatenate([left, np.repeat(-self._away[:count, None][held], left.shape[1], axis=1)])
         size = np.linalg.norm(rows, axis=0)
@@ -451,14 +461,17 @@ class Fit:
         attitude = self.values.attitude
         for _ in range(passes):
             at = self.values.base, attitude, self.turn_rad
+            # One Gauss–Newton step of each attitude, whitened by the covariance of its reading.
             along = data.root @ model.tangent(*at)
             left = data.root @ (data.mean - self._predicted(model.ideal(*at)))[:, :, None]
             pull = precision[:, None] * model.deviation_rad(attitude)
             if freedom == 1:
                 gram = (along**2).sum(axis=1) + precision[:, None]
                 step = ((along * left).sum(axis=1) - pull) / np.maximum(gram, 1e-300)
+                # An exact declared angle leaves no freedom.
                 step[fixed] = 0.0
             else:
+                # In space each pose has a 2 × 2 system of normal equations.
                 right = (along.transpose(0, 2, 1) @ left)[:, :, 0] - pull
                 gram = along.transpose(0, 2, 1) @ along + precision[:, None, None] * np.eye(freedom)
                 # If an axis has no gain, a pose has only one tangent and the matrix is singular.
@@ -487,6 +500,7 @@ class Fit:
         for _ in range(iterations):
             rows = fit._with_prior(fit.jacobian)
             held = fit._prior[0] > 0
+            # Residuals of the readings, then of the priors.
             left = np.concatenate([fit.residual.ravel(), -fit._away[held]])
             if within is not None:
                 rows = rows @ within
@@ -494,10 +508,12 @@ class Fit:
             size[size == 0] = 1.0
             step = np.linalg.lstsq(rows / size, left, rcond=1e-9)[0] / size
             least = tolerance * max(1.0, 1e-3 * fit.loss)
+            # Decrease of χ² that the linear model predicts for this step.
             if left @ left - np.square(left - rows @ step).sum() < least:
                 break  # the expected decrease of χ² is below the tolerance
             if within is not None:
                 step = within @ step
+            # Take the largest of these step lengths that does not increase χ².
             for damping in _DAMPING:
                 trial = fit._tried(damping * step)
                 if trial is not fit and trial.loss <= fit.loss * (1 + 1e-12):
@@ -527,6 +543,7 @@ class Fit:
             terms.append(term.limited(own, own + step[self.slice_of(index)]))
         base = old.base + step[: len(old.base)]
         if self.with_prior:
+            # With a prior, also keep the parameters within physical bounds.
             base = np.clip(base, [p.low for p in model.parameters], [p.high for p in model.parameters])
         return replace(self, values=Values(base, old.attitude, tuple(terms)))
 
@@ -535,6 +552,7 @@ class Fit:
         values = []
         for term, old in zip(self.terms, self.values.terms, strict=True):
             slopes = term.derivative(old, data.mean, data.conditions)
+            # Amplitudes whose columns vanish on these readings.
             unseen = [k for k in term.amplitude_index(old) if not slopes[..., k].any()]
             own = old.copy()
             own[unseen] = 0.0
@@ -551,6 +569,7 @@ class Fit:
         model = data.model
         _, attitude = model.begin(data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions)
         if isinstance(model, PlanarTurn):
+            # Start an undeclared dwell at the angle of its reading, a declared one at its declared angle.
             shown = np.arctan2(data.mean[:, 1], data.mean[:, 0]) - self.values.base[0]
             attitude = np.where(np.isfinite(data.angle_rad), 0.0, shown)
         return replace(self, data=data, values=replace(self.values, attitude=attitude))
@@ -602,11 +621,13 @@ def foreseen(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:
     """
     if not len(rest):
         return np.zeros(len(left), dtype=bool)
+    # Scaled columns, so that the rank of the other rows is judged without units.
     size = np.linalg.norm(rest, axis=0)
     size = np.where(size > 0, size, 1.0)
     _, s, vt = np.linalg.svd(rest / size, full_matrices=False)
     seen = s > 1e-8 * s[0]
     scaled = left / size
     carried = scaled @ (vt[seen].T / s[seen])
+    # Part of a held-out row outside the space of the other rows: such a row cannot be predicted.
     missing = np.abs(scaled - scaled @ vt[seen].T @ vt[seen]).max(axis=2) > 1e-6
     return np.asarray(((1 + (carried**2).sum(axis=2) <= most) & ~missing).all(axis=1))

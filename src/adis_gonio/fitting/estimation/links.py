@@ -75,6 +75,7 @@ class Links:
 
     def rows(self, kept: NDArray[np.intp]) -> Links | None:
         """Links between the kept readings, renumbered; None if there are none."""
+        # New number of each kept reading, −1 for the others.
         place = np.full(max(int(self.after.max()), int(kept.max(initial=0))) + 1, -1, dtype=np.intp)
         place[kept] = np.arange(len(kept))
         before, after = place[self.before], place[self.after]
@@ -146,17 +147,22 @@ class LinkRows:
         whitened = root @ tangent
         gram = whitened.transpose(0, 2, 1) @ whitened
         trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
+        # Covariance of the fitted attitude; a small ridge keeps a pose with one tangent invertible.
         spread = np.linalg.inv(gram + (1e-12 * trace + 1e-300) * np.eye(2))
         estimator = spread @ whitened.transpose(0, 2, 1) @ root
         directions = across(attitude)
         there = directions[after].transpose(0, 2, 1)
+        # Attitude after the turn, carried from before by the gyros.
         came = (links.rotation @ attitude[before][:, :, None])[:, :, 0]
         carried = there @ links.rotation @ directions[before]
         turned = -there @ _crossing(came)
         misclosure = (there @ (attitude[after] - came)[:, :, None])[:, :, 0]
+        # Subtract the expected error of the rotation.
         misclosure = misclosure - (turned @ links.offset_rad[:, :, None])[:, :, 0]
+        # Diagonal blocks: noise of both readings and the own error of the link.
         own = spread[after] + carried @ spread[before] @ carried.transpose(0, 2, 1)
         own = own + turned @ links.own_rad2 @ turned.transpose(0, 2, 1)
+        # Blocks between neighbouring links: the shared dwell and the shared error of the gyros.
         shared = turned[:-1] @ links.next_rad2[:-1] @ turned[1:].transpose(0, 2, 1)
         shared = shared - spread[after[:-1]] @ carried[1:].transpose(0, 2, 1)
         band = Band.of(own, shared * links.joined[:, None, None])
@@ -206,6 +212,7 @@ class Band:
 
         m, d = own.shape[:2]
         band = np.zeros((2 * d, m, d))
+        # Store block-tridiagonal rows in the lower band form of scipy.linalg.
         for i in range(d):
             for j in range(i + 1):
                 band[i - j, :, j] = own[:, i, j]
@@ -222,6 +229,7 @@ class Band:
             return np.asarray(solve_banded((width, 0), self.lower, columns))
         upper = np.zeros_like(self.lower)
         for k in range(width + 1):
+            # Transpose the band: row k of the lower form becomes row width − k of the upper form.
             upper[width - k, k:] = self.lower[k, : self.lower.shape[1] - k]
         return np.asarray(solve_banded((0, width), upper, columns))
 

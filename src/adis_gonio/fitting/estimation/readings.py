@@ -436,6 +436,7 @@ def _refuse_reversed(session: Session, readings: Readings) -> None:
     if session.plane != "xy" or readings.free or not readings.unit.known or readings.axes != 2:
         return
     theta = readings.angle_rad[rows]
+    # First harmonics of both axes by least squares.
     design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
     if len(theta) < LEAST_TURNING or np.linalg.svd(design, compute_uv=False)[-1] < LEAST_TURN:
         return
@@ -618,6 +619,7 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
     k = factor.shape[1]
     slow = np.zeros((m, axes, axes * k))
     for axis in range(axes):
+        # Modes of different axes are independent: a block of columns for each axis.
         slow[:, axis, axis * k : (axis + 1) * k] = np.sqrt(flicker[axis]) * factor
     return left[:, None] * flicker, slow[:, :, (slow != 0).any(axis=(0, 1))]
 
@@ -672,6 +674,7 @@ def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
     if (np.diff(time) <= 0).any():
         return None
     if len(time) > HISTORY_POINTS:
+        # Means of blocks of neighbouring samples.
         cuts = np.linspace(0, len(time), HISTORY_POINTS, endpoint=False).astype(np.intp)
         counts = np.diff(np.append(cuts, len(time)))
         time = np.add.reduceat(time, cuts) / counts
@@ -682,6 +685,7 @@ def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
 def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Floats] | None:
     """Times and readings in mg at the first and last sample of each dwell; linear during moves."""
     ends = np.array([dwell.time_s[[0, -1]] for dwell in dwells]) - start
+    # A dwell of one sample has one time, others have a begin and an end.
     kept = np.column_stack([np.ones(len(dwells), dtype=bool), ends[:, 1] > ends[:, 0]])
     times, loads = ends[kept], np.repeat(mean, kept.sum(axis=1), axis=0)
     return (times, loads) if (np.diff(times) > 0).all() else None
@@ -712,6 +716,7 @@ def left_by_quantization(rows: Sequence[Floats], mg: Floats, quantum: Floats) ->
 def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
     """Variance (dwells, axes) in mg² of means from the steps (axes,); sample variances include rounding."""
     step = np.where(quantum_mg > 0, quantum_mg, 1.0)
+    # Noise before the converter, in steps: subtract the variance of rounding.
     sigma2 = np.maximum(variance_mg2 - quantum_mg**2 / 12, 0.0) / step**2
     if float(sigma2.min(initial=np.inf)) > 1.0:
         return np.zeros_like(variance_mg2)
@@ -753,6 +758,7 @@ def conic_through(points: Floats) -> tuple[Floats, Floats]:
     mixed = [2 * p[:, i] * p[:, j] for i, j in pairs]
     squares = list((p**2).T)
     linear = list((2 * p).T)
+    # From the general ellipsoid to an aligned one to a sphere.
     for quadratic in (squares + mixed, squares, [np.sum(p**2, axis=1)]):
         design = np.stack(quadratic + linear, axis=1)
         if n < design.shape[1]:
@@ -766,6 +772,7 @@ def conic_through(points: Floats) -> tuple[Floats, Floats]:
             matrix[i, j] = matrix[j, i] = value
         if not np.all(np.linalg.eigvalsh(matrix) > 0):
             continue
+        # Complete the square: centre, and the level by which to normalise the matrix.
         centre = -np.linalg.solve(matrix, q[terms:])
         level = 1 + centre @ matrix @ centre
         return middle + size * centre, np.asarray(matrix / (level * size**2), dtype=np.float64)

@@ -158,12 +158,14 @@ def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> Me
     weight = np.zeros(d)
     n = np.array([len(rows) for rows in samples], dtype=float)
     for group in groups:
+        # Mean density of each dwell in the chosen band, weighted by the number of ordinates.
         w = group.weight * (group.frequency <= foot.band)
         weight[group.dwell] = w.sum()
         level[group.dwell] = np.einsum("k,dkab->dab", w, group.cross) / max(w.sum(), 1e-300)
     usable = weight > 0
     pooled_level = np.einsum("d,dab->ab", weight, level) / weight.sum()
     pooled = _homogeneous(level, weight)
+    # Variance of log density at zero that comes from the fitted shape, not from the level.
     shape_variance = max(foot.log_zero_variance - 1 / foot.total_weight, 0.0)
     kept = 1.0 if foot.is_white else _CHOICE_COST
     if pooled:
@@ -203,10 +205,12 @@ def _periodograms(samples: Sequence[Floats], scale: Floats | float) -> list[_Ord
         step = max(1, _AT_ONCE // n)
         for at in range(0, len(dwell), step):
             rows = np.stack([samples[k] for k in dwell[at : at + step].tolist()]) * scale
+            # Remove the mean: ordinate zero is the mean itself and is not noise.
             rows -= rows.mean(axis=1, keepdims=True)
             lines = np.fft.rfft(rows, axis=1)[:, 1:]
             for a in range(axes):
                 for b in range(a, axes):
+                    # Cross-periodogram of two axes; the Nyquist ordinate has half the weight.
                     power = (lines[:, :, a] * lines[:, :, b].conj()).real / n * weight
                     mean = np.add.reduceat(power, starts, axis=1) / total
                     cross[at : at + step, :, a, b] = cross[at : at + step, :, b, a] = mean
@@ -222,6 +226,7 @@ def _bins(frequency: Floats) -> NDArray[np.intp]:
     Bands end at 0.5/2^j and have `_CELLS` cells each: the upper octave of a band has half of them, and a
     band twice as wide has cells twice as wide. Only an ordinate at the end of a band has a separate bin.
     """
+    # frexp splits 2f into octave (band) and mantissa (cell within the band).
     mantissa, octave = np.frexp(2 * frequency)
     cell = np.where(mantissa == 0.5, -1, np.floor(mantissa * _CELLS).astype(int))
     new = (np.diff(octave, prepend=octave[0] - 1) != 0) | (np.diff(cell, prepend=-2) != 0)
@@ -241,6 +246,7 @@ def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floa
     beta[0] = math.log(max(float(np.average(mean, weights=weight)), 1e-300))
     for _ in range(50):
         step = inverse @ (design.T @ (weight * (mean * np.exp(-design @ beta) - 1)))
+        # Limit a step to a factor e² in the density, for convergence from a poor start.
         step /= max(1.0, float(np.abs(design @ step).max()) / 2)
         beta = beta + step
         if np.abs(step).max() < 1e-5:
@@ -255,6 +261,7 @@ def _whittle_with_flicker(
     """Like `_whittle` for exp(polynomial) + h/x; h is not returned, but its covariance is included."""
     terms = design.shape[1]
     beta = np.zeros(terms + 1)
+    # Start values: white level from the upper half, h from the excess of the lowest ordinate.
     high = inverse_x <= np.median(inverse_x)
     level = max(float(np.average(mean[high], weights=weight[high])), 1e-300)
     beta[0] = math.log(level)
@@ -265,6 +272,7 @@ def _whittle_with_flicker(
         smooth = np.exp(np.clip(design @ beta[:-1], -60, 60))
         rising = math.exp(min(max(float(beta[-1]), -60.0), 60.0)) * inverse_x
         expected = smooth + rising
+        # Derivative of log density by the coefficients and by log h.
         slope = np.column_stack([design * smooth[:, None], rising]) / expected[:, None]
         inverse = np.asarray(np.linalg.pinv(slope.T @ (weight[:, None] * slope)), dtype=np.float64)
         step = inverse @ (slope.T @ (weight * (mean / expected - 1)))
@@ -318,6 +326,7 @@ def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
     total, moment = np.zeros(_SLOPE), np.zeros(_SLOPE)
     for group in groups:
         auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
+        # Each dwell and axis relative to its own mean, so that loud dwells do not dominate.
         own = auto.mean(axis=1, keepdims=True)
         total += len(group.dwell) * auto.shape[2]
         moment += np.where(own > 0, auto / np.where(own > 0, own, 1.0), 0.0).sum(axis=(0, 2))
@@ -332,6 +341,7 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
     while (cells := _cells(groups, band)) is not None:
         x, weight, mean, inverse_x = cells
         total = float(weight.sum())
+        # 1/total is the variance of a flat fit, the smallest possible one in this band.
         if best is not None and (total < _LEAST_WEIGHT or 1 / total > best.log_zero_variance):
             break
         feet = [_polynomial_foot(band, x, weight, mean)]
@@ -356,6 +366,7 @@ def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _F
         for p in range(len(fits), min(order + 3, len(x))):
             fits.append(_whittle(_basis(x, p), weight, mean))
         beta, covariance, deviance = fits[order]
+        # Likelihood-ratio test against one and two further terms.
         richer = fits[order + 1 : order + 3]
         if not any(deviance - fit[2] > gain for fit, gain in zip(richer, _GAINS, strict=False)):
             return _foot(band, beta, covariance, weight)
@@ -372,6 +383,7 @@ def _foot_beside_flicker(
 def _foot(
     band: float, beta: Floats, covariance: Floats, weight: Floats, *, beside_flicker: bool = False
 ) -> _Foot:
+    # Value and variance of log density, extrapolated to frequency zero.
     at_zero = _basis(np.zeros(1), len(beta) - 1)[0]
     variance = float(at_zero @ covariance @ at_zero)
     return _Foot(band, float(at_zero @ beta), variance, float(weight.sum()), beta, beside_flicker)
@@ -412,8 +424,10 @@ def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Float
         f, w = group.frequency[inside], group.weight[inside]
         auto = np.diagonal(group.cross[:, inside], axis1=2, axis2=3)
         own = np.einsum("k,dka->da", w, auto) / w.sum()
+        # Axes without any noise have no relative density.
         alive = own > 0
         relative = np.where(alive[:, None, :], auto / np.where(alive, own, 1.0)[:, None, :], 0.0)
+        # Cell of each bin within the band.
         cell = np.minimum((f / band * _CELLS).astype(int), _CELLS - 1)
         count = float(alive.sum())
         total += np.bincount(cell, w * count, _CELLS)
@@ -509,6 +523,7 @@ def _flicker(
         ordinates += len(group.dwell) * float(w.sum())
     relative = excess / weight
     spread = np.sqrt(ordinates * (1 + ordinates * 2 / dof)) / weight
+    # F test (1 %) of the lowest ordinates against the fitted density.
     threshold = float(fdtri(2 * ordinates, max(dof, 1.0), 0.99))
     shown = 1 + excess / ordinates > threshold
     # One 1/f noise for all dwells: noisy dwells, in which it is a small part, get little weight.
@@ -540,6 +555,7 @@ def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
     first = float(begin_s[0])
     begin_s, end_s = np.append(begin_s, first), np.append(end_s, 2 * float(end_s[-1]) - first)
     length = end_s - begin_s
+    # F of the module docstring, combined over the four pairs of interval ends.
     crossed = (
         _second_integral(begin_s[:, None] - end_s[None, :])
         + _second_integral(end_s[:, None] - begin_s[None, :])
@@ -547,6 +563,7 @@ def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
         - _second_integral(end_s[:, None] - end_s[None, :])
     )
     mean_log = crossed / (length[:, None] * length[None, :])
+    # The last interval is the doubled session: rows are differences from its mean.
     about = np.eye(len(length))[:-1] - np.eye(len(length))[-1]
     covariance: Floats = -about @ mean_log @ about.T / (2 * math.log(2))
     return (covariance + covariance.T) / 2
