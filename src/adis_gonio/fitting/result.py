@@ -11,30 +11,30 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, mean_direction, unsolvable, wrap_radians
+from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.intervals import factor_over
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.values import Value
-from adis_gonio.fitting.determination import LIMIT, names_of
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.coefficients import Coefficient
+from adis_gonio.fitting.determination import LIMIT, Determination, is_determined, names_of
+from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.linked import LinkReport
+from adis_gonio.fitting.noise import NoiseAssumptions
+from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.position_diagnosis import listed
-from adis_gonio.fitting.uncertainty import Sources
+from adis_gonio.fitting.uncertainty import BudgetRow, ShownAngle, Sources, budget_of
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.measurement import PlanarTurn
+from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_MPS2
 from adis_gonio.record.provenance import Provenance
+from adis_gonio.record.write_journal import INTERRUPTED
 
 if TYPE_CHECKING:
-    from adis_gonio.calibrate import Calibration
-    from adis_gonio.fitting.determination import Determination
-    from adis_gonio.fitting.estimation.fit import Fit
-    from adis_gonio.fitting.estimation.readings import Readings
-    from adis_gonio.fitting.linked import LinkReport
     from adis_gonio.fitting.method_comparison import MethodComparison
-    from adis_gonio.fitting.noise import NoiseAssumptions
-    from adis_gonio.fitting.slips import PositionFinding
-    from adis_gonio.fitting.uncertainty import BudgetRow, ShownAngle, Sources
 
 
 @dataclass(frozen=True)
@@ -199,8 +199,6 @@ class FitResult(ParameterTable):
         FitError
             The session does not determine a parameter that an angle needs.
         """
-        from adis_gonio.fitting.calibrations import as_written, calibration_as_recorded
-
         return as_written(calibration_as_recorded(self))
 
     @property
@@ -226,8 +224,6 @@ class FitResult(ParameterTable):
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
         """Uncertainty budget of `delta_k`, `delta_phi` and `angle`; empty in space or without a noise."""
-        from adis_gonio.fitting.uncertainty import budget_of
-
         made = self.origin
         if made is None or made.sources is None or not made.readings.planar:
             return {}
@@ -244,9 +240,6 @@ class FitResult(ParameterTable):
     @cached_property
     def _around(self) -> ShownAngle | None:
         """Slopes of the angle after calibration; None if the session leaves part of it undetermined."""
-        from adis_gonio.fitting.determination import is_determined
-        from adis_gonio.fitting.uncertainty import ShownAngle
-
         assert self.origin is not None
         shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
         sure = found is None or all(is_determined(slope, found.null) for slope in shown.gradient)
@@ -415,3 +408,81 @@ def angle_errors(fit: Fit) -> Floats | None:
     zero = mean_direction(shown) if data.free else float(fit.values.base[0])
     # Positive for a stage at a larger angle than declared: ψ = α − θ.
     return -wrap_radians(shown - zero)
+
+
+def calibration_as_recorded(result: FitResult) -> Calibration:
+    """Return the calibration by a fit, for the offsets in force while its session was recorded.
+
+    Use only this calibration for the session's own readings: a later write changes the sensor and the
+    coefficients, but not the recorded readings.
+
+    Raises
+    ------
+    UsageError
+        The result was not made from a session (`fit_readings`).
+    FitError
+        The session does not determine a parameter that an angle needs.
+    """
+    where = known_provenance(result.provenance)
+    gravity_mg = where.gravity_mps2 * MG_PER_MPS2
+    model = PlanarTurn(gravity_mg) if where.plane == "xy" else FreeAttitude(gravity_mg)
+    estimates = {one.name: one for one in result.parameters}
+    if where.plane == "xy" and "scale_x" not in estimates and "delta_k" in estimates:
+        # Only the ratio of the gains is known, which is enough for an angle: the gain of Y is set to 1.
+        ratio = estimates["delta_k"]
+        estimates["scale_x"] = Estimate("scale_x", 1 + ratio.value, ratio.u, "1")
+    names = [name for name in _names(model) if name in estimates]
+    given = [one.name for one in result.parameters]
+    rows = [given.index("delta_k" if name not in given else name) for name in names]
+    matrix = None if result.covariance is None else result.covariance[np.ix_(rows, rows)]
+    parameters = tuple(Coefficient.of(name, estimates[name]) for name in names)
+    assumed = assumed_parameters(model, names)
+    scales = [estimates[f"scale_{axis}"].value for axis in AXES[: model.axes]] if where.counts else []
+    counts = tuple(scale / MG_PER_MPS2 for scale in scales) or None
+    return Calibration(result.method, where, parameters, matrix, assumed=assumed, counts_per_mg=counts)
+
+
+def as_written(calibration: Calibration) -> Calibration:
+    """Return the calibration for the offsets that the sensor holds now.
+
+    Raises
+    ------
+    SessionError
+        A write of offsets was interrupted.
+    """
+    where = calibration.provenance
+    if where.write_open:
+        raise SessionError(f"{where.source}: {INTERRUPTED}")
+    return calibration if where.written_lsb is None else calibration.with_offsets(where.written_lsb)
+
+
+def known_provenance(where: Provenance | None) -> Provenance:
+    """Return the provenance of a result that was made from a session.
+
+    Raises
+    ------
+    UsageError
+        The result was made from readings.
+    """
+    if where is None:
+        raise UsageError("this result was made from readings: fit or trace a session to get a calibration")
+    return where
+
+
+def _names(model: Measurement) -> list[str]:
+    return [*model.names, *(f"bias_{axis}" for axis in AXES[: model.axes])]
+
+
+def assumed_parameters(model: Measurement, names: Sequence[str]) -> tuple[str, ...]:
+    """Parameters that keep their nominal values.
+
+    Raises
+    ------
+    FitError
+        One of them is needed for an angle.
+    """
+    missing = [name for name in _names(model) if name not in names]
+    needed = [name for name in missing if not name.startswith(("bias", "alpha", "scale_y"))]
+    if needed:
+        raise FitError(f"the session does not determine {', '.join(needed)}: it gives no calibration")
+    return tuple(missing)

@@ -29,7 +29,6 @@ from adis_gonio.calibrate.document import (
     json_document,
 )
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-from adis_gonio.fitting.calibrations import as_written, assumed_parameters, known_provenance
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.gyros.gyro_fit import (
@@ -40,6 +39,7 @@ from adis_gonio.fitting.gyros.gyro_fit import (
     make_gyro_calibration,
     stated_parameters,
 )
+from adis_gonio.fitting.result import as_written, assumed_parameters, known_provenance
 from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.measurement import BaseParameter
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
