@@ -7,18 +7,21 @@ this equation is solved for g. Effects are small against the reading, so the fix
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats, central_differences, wrap_radians
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, join_words
 from adis_gonio.calibrate.coefficients import (
     STEP,
+    VERSION,
     Coefficient,
     Coefficients,
     NotCorrected,
@@ -38,6 +41,8 @@ if TYPE_CHECKING:
 _PASSES = 60
 _SETTLED_MG = 1e-9
 
+_SOURCE = ("title", "serial", "operator", "stage", "source", "sha256", "recorded_utc", "software")
+
 TurnPlane = Literal["xy", "xz", "yz"]
 
 
@@ -54,6 +59,14 @@ class EffectTerm:
 
     effect: Effect
     parameters: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `effects`."""
+        effect = self.effect
+        choices = {choice: getattr(effect, choice) for choice in effect.choices()}
+        return json_object(
+            effect=effect.name, axes=effect.axes, choices=choices, parameters=self.parameters
+        )
 
 
 @dataclass(frozen=True)
@@ -112,6 +125,7 @@ class Calibration(Coefficients):
     assumed: tuple[str, ...] = ()
     counts_per_mg: tuple[float, ...] | None = None
     gyro: GyroCalibration | None = None
+    schema: ClassVar[str] = "adis-gonio/calibration"
 
     # -- description --------------------------------------------------------------------------------
 
@@ -141,23 +155,59 @@ class Calibration(Coefficients):
         return f"Calibration({self.provenance.sensor} {space}, {self.method}{effects}, {self._lead()})"
 
     def _lead(self) -> str:
-        from adis_gonio.calibrate.document import derived_delta_k
+        names = ("delta_phi", "skew_xy")
+        first = [self.delta_k, *(self[name] for name in names if name in self)]
+        return ", ".join(str(one) for one in first if one is not None)
 
-        ratio = derived_delta_k(self)
-        first = [self[name] for name in ("delta_phi", "skew_xy") if name in self]
-        return ", ".join(map(str, [ratio, *first] if ratio else first))
+    @property
+    def delta_k(self) -> Coefficient | None:
+        """ΔK = K_x/K_y − 1 with u; None in space."""
+        if not self.planar or "scale_x" not in self:
+            return None
+        k_x = self["scale_x"].value
+        k_y = self["scale_y"].value if "scale_y" in self else 1.0
+        u = None
+        if self.covariance is not None:
+            slopes = {"scale_x": 1 / k_y, "scale_y": -k_x / k_y**2}
+            slope = np.array([slopes.get(name, 0.0) for name in self.names])
+            u = math.sqrt(max(float(slope @ self.covariance @ slope), 0.0))
+        return Coefficient("delta_k", k_x / k_y - 1, u, "1")
 
     def summary(self) -> str:
         """Describe it in lines of text: origin, parameters with u, and effects that are not corrected."""
-        from adis_gonio.calibrate.document import summary_of
-
-        return summary_of(self)
+        where = self.provenance
+        lines = [repr(self).removeprefix("Calibration(").removesuffix(")")]
+        facts = [("part", where.serial), ("operator", where.operator), ("stage", where.stage)]
+        facts += [("title", where.title), ("file", where.source), ("recorded", where.recorded_utc)]
+        lines += [f"  {label}: {text}" for label, text in facts if text]
+        lines += [f"  {one}" for one in (self.delta_k, *self.parameters) if one is not None]
+        t = where.temperature_c
+        if t is not None:
+            degrees = f"{t.low:.1f} to {t.high:.1f} °C"
+            lines.append(f"  measured at {degrees}; effects of temperature are zero at 25 °C")
+        lines += [f"  {name}: not determined, taken as nominal" for name in self.assumed]
+        lines += [f"  not corrected: {one.effect}: {one.reason}" for one in self.not_corrected]
+        lines += [] if self.gyro is None else [self.gyro.summary()]
+        return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document."""
-        from adis_gonio.calibrate.document import document_of
-
-        return document_of(self)
+        """JSON document, as `schema/calibration-1.json` describes it."""
+        where, ratio = self.provenance, self.delta_k
+        return json_object(
+            schema=self.schema,
+            version=VERSION,
+            method=self.method,
+            sensor=where.sensor,
+            plane=where.plane,
+            unit=self.unit,
+            counts_per_mg=self.counts_per_mg,
+            gravity_mps2=where.gravity_mps2,
+            derived={} if ratio is None else {"delta_k": ratio},
+            effects=self.effects,
+            **self._entries(where),
+            source={name: getattr(where, name) for name in _SOURCE},
+            **{} if self.gyro is None else {"gyro": self.gyro},
+        )
 
     # -- use ---------------------------------------------------------------------------------------
 

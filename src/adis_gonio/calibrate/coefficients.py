@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import format_uncertain
+from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.tables import ParameterTable
+from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
+from adis_gonio.record.provenance import Provenance
+
+if TYPE_CHECKING:
+    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
 STEP = 0.01
 """Step of central differences along each axis of the covariance, in standard uncertainties."""
 
 
+VERSION = 1
+"""Version of the JSON documents."""
+
+
+def json_text(document: Mapping[str, Any]) -> str:
+    """Format a JSON document; numbers have the fewest digits that restore the same float."""
+    return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
+
+
 @dataclass(frozen=True)
-class Coefficient:
+class Coefficient(JsonRecord):
     """A parameter: value, standard uncertainty (None if unknown) and unit.
 
     Attributes
@@ -29,11 +46,11 @@ class Coefficient:
         Effective degrees of freedom of u; None if the result does not state them.
     """
 
-    name: str
+    name: str = field(metadata=HIDDEN)
     value: float
     u: float | None
     unit: str
-    dof: float | None = None
+    dof: float | None = field(default=None, metadata=OPTIONAL)
 
     @classmethod
     def of(cls, name: str, estimate: Any) -> Coefficient:
@@ -63,9 +80,12 @@ class Coefficients(ParameterTable):
         In the order and units of `parameters`; None if the noise is unknown.
     """
 
+    schema: ClassVar[str]
     method: str
     parameters: tuple[Coefficient, ...]
     covariance: Floats | None
+    not_corrected: tuple[NotCorrected, ...]
+    assumed: tuple[str, ...]
     of_session: ClassVar[Callable[[str | Path], Any] | None] = None
     """Function that loads a calibration file or fits a session; set by
     `adis_gonio.tracing.trace_calibrations`."""
@@ -128,9 +148,25 @@ class Coefficients(ParameterTable):
         OutputError
             The file cannot be written.
         """
-        from adis_gonio.calibrate.document import save_document
+        with replacing(check_output(path, force=force)) as temporary:
+            write_utf8(temporary, json_text(self.as_dict()))
 
-        save_document(self.as_dict(), path, force=force)
+    def _entries(self, where: Provenance | GyroCalibration) -> dict[str, Any]:
+        """Entries of the document that both kinds of calibrations share."""
+        covariance = {"names": self.names, "matrix": self.covariance}
+        return {
+            "parameters": {one.name: one for one in self.parameters},
+            "covariance": None if self.covariance is None else covariance,
+            "not_corrected": self.not_corrected,
+            "assumed": self.assumed,
+            "reference": {
+                "temperature_c": REFERENCE_C,
+                "supply_v": REFERENCE_V,
+                "session_temperature_c": where.temperature_c,
+                "session_supply_v": where.supply_v,
+            },
+            "offsets_lsb": where.offsets_lsb,
+        }
 
     def _moved(self, by: Mapping[str, float]) -> tuple[Coefficient, ...]:
         """Parameters with these amounts added to the values by name."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +11,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, FitError, UsageError, one_line
-from adis_gonio.base.jsonable import json_object, json_value
-from adis_gonio.base.output import check_output, replacing, write_utf8
+from adis_gonio.base.jsonable import json_value
 from adis_gonio.base.shapes import (
     anything,
     choice,
@@ -27,7 +24,7 @@ from adis_gonio.base.shapes import (
     whole,
 )
 from adis_gonio.calibrate.calibration import Calibration, EffectTerm
-from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
+from adis_gonio.calibrate.coefficients import VERSION, Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.model.effects import AXES, effect
@@ -35,77 +32,7 @@ from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import SENSORS
 from adis_gonio.record.provenance import Covered, Provenance
 
-SCHEMA = "adis-gonio/calibration"
-GYRO_SCHEMA = "adis-gonio/gyro-calibration"
-VERSION = 1
 Made = TypeVar("Made", Calibration, GyroCalibration)
-_SOURCE = ("title", "serial", "operator", "stage", "source", "sha256", "recorded_utc", "software")
-
-
-def json_text(document: Mapping[str, Any]) -> str:
-    """Format a JSON document; numbers have the fewest digits that restore the same float."""
-    return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
-
-
-def save_document(document: Mapping[str, Any], path: str | Path, *, force: bool) -> None:
-    """Write a document to a file atomically; errors as `adis_gonio.base.output.check_output`."""
-    with replacing(check_output(path, force=force)) as temporary:
-        write_utf8(temporary, json_text(document))
-
-
-def document_of(calibration: Calibration) -> dict[str, Any]:
-    """JSON document of a calibration, as `schema/calibration-1.json` describes it."""
-    where = calibration.provenance
-    ratio = derived_delta_k(calibration)
-    return json_object(
-        schema=SCHEMA,
-        version=VERSION,
-        method=calibration.method,
-        sensor=where.sensor,
-        plane=where.plane,
-        unit=calibration.unit,
-        counts_per_mg=calibration.counts_per_mg,
-        gravity_mps2=where.gravity_mps2,
-        derived={} if ratio is None else {"delta_k": _coefficient(ratio)},
-        effects=[_effect(term) for term in calibration.effects],
-        **_body(calibration, where),
-        source={name: getattr(where, name) for name in _SOURCE},
-        **{} if calibration.gyro is None else {"gyro": calibration.gyro},
-    )
-
-
-def gyro_document_of(gyro: GyroCalibration) -> dict[str, Any]:
-    """JSON document of a gyro calibration; `derived` follows from the parameters."""
-    derived = ("bias_dps", "sensitivity", "g_sensitivity_dps_per_g")
-    return json_object(
-        schema=GYRO_SCHEMA,
-        version=VERSION,
-        method=gyro.method,
-        unit="dps",
-        derived={name: getattr(gyro, name) for name in derived},
-        **_body(gyro, gyro),
-        source=gyro.source,
-    )
-
-
-def _body(
-    calibration: Calibration | GyroCalibration, where: Provenance | GyroCalibration
-) -> dict[str, Any]:
-    """Entries that both kinds of calibrations share."""
-    covariance = calibration.covariance
-    return {
-        "parameters": {one.name: _coefficient(one) for one in calibration.parameters},
-        "covariance": None if covariance is None else {"names": calibration.names, "matrix": covariance},
-        "not_corrected": calibration.not_corrected,
-        "assumed": calibration.assumed,
-        "reference": {
-            "temperature_c": REFERENCE_C,
-            "supply_v": REFERENCE_V,
-            "session_temperature_c": where.temperature_c,
-            "session_supply_v": where.supply_v,
-        },
-        "offsets_lsb": where.offsets_lsb,
-    }
 
 
 def calibration_from(document: Any, name: str = "calibration") -> Calibration:
@@ -118,7 +45,7 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
         with `name`.
     """
     hint = "; make one with adis-gonio export SESSION -o NAME.json"
-    made = _read_from(document, name, SCHEMA, "calibration", _read, hint)
+    made = _read_from(document, name, Calibration.schema, "calibration", _read, hint)
     if document.get("gyro") is None:
         return made
     return replace(made, gyro=gyro_calibration_from(document["gyro"], f"{name}: gyro"))
@@ -126,7 +53,7 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
 
 def gyro_calibration_from(document: Any, name: str = "gyro calibration") -> GyroCalibration:
     """Read a gyro calibration from a JSON document; errors as `calibration_from`."""
-    return _read_from(document, name, GYRO_SCHEMA, "gyro calibration", _read_gyro)
+    return _read_from(document, name, GyroCalibration.schema, "gyro calibration", _read_gyro)
 
 
 def _read_from(
@@ -308,58 +235,10 @@ def _checked(calibration: Calibration) -> Calibration:
     return calibration
 
 
-def derived_delta_k(calibration: Calibration) -> Coefficient | None:
-    """ΔK = K_x/K_y − 1 with u; None in space."""
-    if not calibration.planar or "scale_x" not in calibration:
-        return None
-    k_x = calibration["scale_x"].value
-    k_y = calibration["scale_y"].value if "scale_y" in calibration else 1.0
-    u = None
-    if calibration.covariance is not None:
-        slopes = {"scale_x": 1 / k_y, "scale_y": -k_x / k_y**2}
-        slope = np.array([slopes.get(name, 0.0) for name in calibration.names])
-        u = math.sqrt(max(float(slope @ calibration.covariance @ slope), 0.0))
-    return Coefficient("delta_k", k_x / k_y - 1, u, "1")
-
-
-def summary_of(calibration: Calibration) -> str:
-    """Describe a calibration in lines of text."""
-    where = calibration.provenance
-    lines = [repr(calibration).removeprefix("Calibration(").removesuffix(")")]
-    facts = [("part", where.serial), ("operator", where.operator), ("stage", where.stage)]
-    facts += [("title", where.title), ("file", where.source), ("recorded", where.recorded_utc)]
-    lines += [f"  {label}: {text}" for label, text in facts if text]
-    ratio = derived_delta_k(calibration)
-    lines += [f"  {one}" for one in (*([ratio] if ratio else []), *calibration.parameters)]
-    if where.temperature_c is not None:
-        t = where.temperature_c
-        lines.append(
-            f"  measured at {t.low:.1f} to {t.high:.1f} °C; effects of temperature are zero at 25 °C"
-        )
-    lines += [f"  {name}: not determined, taken as nominal" for name in calibration.assumed]
-    lines += [f"  not corrected: {one.effect}: {one.reason}" for one in calibration.not_corrected]
-    lines += [] if calibration.gyro is None else [calibration.gyro.summary()]
-    return "\n".join(lines)
-
-
-def _coefficient(one: Coefficient) -> dict[str, Any]:
-    document: dict[str, Any] = {"value": one.value, "u": one.u, "unit": one.unit}
-    return document if one.dof is None or math.isinf(one.dof) else document | {"dof": one.dof}
-
-
 def _parameter(name: str, entry: Mapping[str, Any]) -> Coefficient:
     u, dof = entry["u"], entry.get("dof")
     known_u, known_dof = (None if one is None else float(one) for one in (u, dof))
     return Coefficient(name, float(entry["value"]), known_u, entry["unit"], known_dof)
-
-
-def _effect(term: EffectTerm) -> dict[str, Any]:
-    return {
-        "effect": term.effect.name,
-        "axes": list(term.effect.axes),
-        "choices": {choice: getattr(term.effect, choice) for choice in term.effect.choices()},
-        "parameters": list(term.parameters),
-    }
 
 
 def _covered(entry: Mapping[str, Any] | None) -> Covered | None:

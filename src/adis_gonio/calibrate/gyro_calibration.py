@@ -15,14 +15,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.jsonable import json_object
 from adis_gonio.calibrate.coefficients import (
+    VERSION,
     Coefficient,
     Coefficients,
     NotCorrected,
@@ -115,6 +117,7 @@ class GyroCalibration(Coefficients):
     supply_v: Covered | None = None
     offsets_lsb: tuple[int, int, int] | None = None
     source: str = ""
+    schema: ClassVar[str] = "adis-gonio/gyro-calibration"
 
     @classmethod
     def of(
@@ -207,10 +210,17 @@ class GyroCalibration(Coefficients):
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document."""
-        from adis_gonio.calibrate.document import gyro_document_of
-
-        return gyro_document_of(self)
+        """JSON document; `derived` follows from the parameters."""
+        derived = ("bias_dps", "sensitivity", "g_sensitivity_dps_per_g")
+        return json_object(
+            schema=self.schema,
+            version=VERSION,
+            method=self.method,
+            unit="dps",
+            derived={name: getattr(self, name) for name in derived},
+            **self._entries(self),
+            source=self.source,
+        )
 
     # -- use ----------------------------------------------------------------------------------------
 

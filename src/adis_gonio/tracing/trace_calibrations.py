@@ -21,8 +21,6 @@ from adis_gonio.base.output import ends_in
 from adis_gonio.calibrate.calibration import Calibration, EffectTerm
 from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
 from adis_gonio.calibrate.document import (
-    GYRO_SCHEMA,
-    SCHEMA,
     calibration_from,
     calibration_in,
     gyro_calibration_from,
@@ -445,7 +443,7 @@ def load_gyro_calibration(
         _refuse_another_part(part, _named(provenance_of(session)), path)
         return gyro_calibration_of(session, traced=traced)
     schema = document.get("schema") if isinstance(document, dict) else None
-    if schema == SCHEMA:
+    if schema == Calibration.schema:
         whole = calibration_from(document, str(path))
         _refuse_another_part(part, _named(whole.provenance), path)
         if whole.gyro is None:
@@ -455,7 +453,7 @@ def load_gyro_calibration(
         # What `export` makes of a session that calibrates its gyros alone, as one of the plan gyro-turns.
         _refuse_another_part(part, _exported(document.get("session")), path)
         return gyro_calibration_from(document["gyro"], str(path))
-    if schema != GYRO_SCHEMA:
+    if schema != GyroCalibration.schema:
         raise DataError(f"{path}: is no gyro calibration; GyroCalibration.save makes one")
     return gyro_calibration_from(document, str(path))
 
