@@ -192,7 +192,7 @@ def test_offsets_of_the_chip_leave_the_zero_rate_and_force_moves_with_the_accele
     force = np.array([0.2, -0.4, 0.9])
     rate = made.readings_of(np.zeros(3), force).rate_dps
     assert moved.correct(rate, force + np.array([0.04672, 0, 0])) == pytest.approx(np.zeros(3), abs=1e-12)
-    with pytest.raises(UsageError, match="does not say"):
+    with pytest.raises(UsageError, match="does not state"):
         replace(made, offsets_lsb=None).with_offsets((1, 2, 3))
 
 

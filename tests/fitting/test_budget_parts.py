@@ -163,7 +163,7 @@ def test_an_angle_between_axes_that_the_stage_alone_knows_is_remarked_on(
     lines = left_to_the_stage(found, sigma_rad)
     assert len(lines) == told
     if told:
-        assert lines[0].startswith(f"u of delta_phi is {math.degrees(u_rad):.2g}°: these positions leave")
+        assert lines[0].startswith(f"u of delta_phi is {math.degrees(u_rad):.2g}°: only the stage")
         assert "(11.5°)" in lines[0]
     assert left_to_the_stage(found[:1], sigma_rad) == []
 
