@@ -62,7 +62,7 @@ def refit_by_scipy(data: Readings, term: Term) -> float:
 
     def residual(x: Floats) -> Floats:
         at = replace(start, values=replace(start.values, base=x[:4]))
-        return at.having((term,), (term.start(x[4:]),)).residual.ravel()
+        return at.with_terms((term,), (term.start(x[4:]),)).residual.ravel()
 
     begun = time.perf_counter()
     least_squares(residual, np.concatenate([start.values.base, np.zeros(columns)]), x_scale="jac")

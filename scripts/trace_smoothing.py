@@ -66,7 +66,7 @@ def told_error(blind: Blind, fitted: Readings, checked: Readings) -> float:
         scores = evidence(fit, beside, left, candidates)
         term = candidates[int(np.argmax(scores))].term
         width = term.columns(fitted.mean, fitted.conditions).shape[-1]
-        fit = fit.having((term,), (np.zeros(width),)).refit()
+        fit = fit.with_terms((term,), (np.zeros(width),)).refit()
     return rms(leave(fit, checked).residual, True)
 
 

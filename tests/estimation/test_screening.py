@@ -15,7 +15,7 @@ from adis_gonio.fitting.estimation.screening import (
     _at_limit,
     _same_everywhere,
     _still_against_others,
-    limits_in_words,
+    limit_notes,
     longest_runs,
     refuse_dead_data,
 )
@@ -143,11 +143,11 @@ def test_a_limit_that_several_reach_is_one_if_gravity_allows_the_reading(
 
 def test_limits_are_told_with_their_samples_and_what_they_spoil() -> None:
     whole = "1 sample of x are at the extreme value 990 mg (position 4): a limit was reached there"
-    assert limits_in_words([Limit(0, 990.0, 1, 0, (4,), ())], "mg") == [whole]
-    (one,) = limits_in_words([Limit(2, -990.0, 40, 0, (4, 5), (5,))], "mg")
+    assert limit_notes([Limit(0, 990.0, 1, 0, (4,), ())], "mg") == [whole]
+    (one,) = limit_notes([Limit(2, -990.0, 40, 0, (4, 5), (5,))], "mg")
     assert one.startswith("40 samples of z are at the extreme value -990 mg (positions 4, 5): a limit")
     assert one.endswith("position 5 takes no part in the fit")
-    (two,) = limits_in_words([Limit(1, 990.0, 40, 0, (4, 5), (4, 5))], "mg")
+    (two,) = limit_notes([Limit(1, 990.0, 40, 0, (4, 5), (4, 5))], "mg")
     assert two.endswith("positions 4, 5 take no part in the fit")
 
 

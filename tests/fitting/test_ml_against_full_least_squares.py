@@ -32,7 +32,7 @@ def ml(z, cov, theta=None, sigma=math.inf):
         fitted=None if axes == 2 else np.ones(6, dtype=bool),
     )
     bias = NamedTerm("bias", (), 0.0, effect("bias", "xyz"[:axes]))
-    fit = Fit.begin(data, with_prior=False).having((bias,), (np.zeros(axes),)).refit(100, 1e-13)
+    fit = Fit.begin(data, with_prior=False).with_terms((bias,), (np.zeros(axes),)).refit(100, 1e-13)
     order = PLANAR if axes == 2 else SPATIAL
     size = np.array([1.0] * len(data.model.parameters) + [G_MG] * axes)
     scaled = fit.covariance / np.outer(size, size)

@@ -30,8 +30,8 @@ from adis_gonio.fitting.result import (
     Origin,
     angle_errors,
     estimates,
-    left_to_the_stage,
     outputs_of,
+    stage_warnings,
     variances,
 )
 from adis_gonio.fitting.uncertainty import Sources, Unseen, sources_of
@@ -346,7 +346,7 @@ def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
     fit = Fit.begin(data, with_prior=False)
     values = replace(fit.values, base=beta[:BIAS_X].copy())
     terms, own = ((term,), (beta[BIAS_X:] * data.gravity_mg,)) if bias else ((), ())
-    return replace(fit, values=values).having(terms, own)
+    return replace(fit, values=values).with_terms(terms, own)
 
 
 def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Sources:
@@ -428,7 +428,7 @@ def _finish(
     ]
     sources = _sources(chosen, linear, noise) if noise.known else None
     found = estimates(outputs, sources)
-    warnings = [*warnings, *left_to_the_stage(found, noise.sigma_rad)]
+    warnings = [*warnings, *stage_warnings(found, noise.sigma_rad)]
     assumed = NoiseAssumptions(scale=noise.scale, sigma_rad=noise.sigma_rad).applied(chosen)
     fit = _fit(assumed, linear.beta, bias=linear.has_bias)
     dof = 2 * len(chosen) - (6 if linear.has_bias else 4)

@@ -158,7 +158,7 @@ def _bias(data: Readings, spread: float | None = None) -> NamedTerm:
 
 def _start(data: Readings) -> Fit:
     term = _bias(data, _SPREAD * data.gravity_mg)
-    return Fit.begin(data).having((term,), (np.zeros(data.axes),))
+    return Fit.begin(data).with_terms((term,), (np.zeros(data.axes),))
 
 
 def _directions(fit: Fit, free: NDArray[np.bool_], null: Floats) -> Floats:
@@ -214,7 +214,7 @@ def shift_by_held(determination: Determination, held: int) -> Floats:
     return np.asarray(-covariance(fisher, determination.free, determination.null) @ fisher[:, held])
 
 
-def in_words(null: Floats, names: Sequence[str]) -> list[str]:
+def format_directions(null: Floats, names: Sequence[str]) -> list[str]:
     """Format each undetermined direction as a combination of parameters, in natural units."""
     words = []
     for direction in null.T:

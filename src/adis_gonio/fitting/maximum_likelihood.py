@@ -13,7 +13,7 @@ from adis_gonio.base.numbers import counted, use_minus, with_unit
 from adis_gonio.fitting.determination import (
     Determination,
     covariance,
-    in_words,
+    format_directions,
     is_determined,
     natural_units,
     shift_by_held,
@@ -27,8 +27,8 @@ from adis_gonio.fitting.result import (
     Output,
     angle_errors,
     estimates,
-    left_to_the_stage,
     outputs_of,
+    stage_warnings,
     variances,
 )
 from adis_gonio.fitting.uncertainty import Sources, Unseen, by_rotation_of, response_of, sources_of
@@ -56,7 +56,7 @@ def fit_ml(readings: Readings) -> FitResult:
     lost = [o.name for o in outputs if not is_determined(o.gradient, null)]
     wanted = ("delta_k", "delta_phi") if readings.planar else names
     if not any(o.name in wanted for o in reported):
-        directions = "; ".join(in_words(null, names))
+        directions = "; ".join(format_directions(null, names))
         raise SingularError(
             f"{counted(len(readings), 'position')} cannot determine {' or '.join(wanted[:2])}: without "
             f"information is {directions}; {_advice(lost)}"
@@ -64,7 +64,7 @@ def fit_ml(readings: Readings) -> FitResult:
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
     sources = _sources(readings, settled)
     found = estimates(reported, sources)
-    warnings += left_to_the_stage(found, noise.sigma_rad)
+    warnings += stage_warnings(found, noise.sigma_rad)
     norm = np.linalg.norm(fit.gravity, axis=1)[:, None] - 1
     return FitResult(
         method="ml",
@@ -119,7 +119,7 @@ def _warnings(
             f"{name} cannot be seen in these positions and was taken as zero{moved}; {_advice([name])}"
         )
     if determination.null.shape[1]:
-        for direction in in_words(determination.null, names):
+        for direction in format_directions(determination.null, names):
             warnings.append(f"not determined by these positions: {direction}")
         warnings.append(f"left out because not determined: {', '.join(lost)}; {_advice(lost)}")
     return warnings

@@ -118,7 +118,7 @@ def recommend(
     good = able
     if scored:
         first = min(able, key=lambda r: _rms(scores[r.method]))
-        good = [r for r in able if not surely_worse(found[r.method], found[first.method])]
+        good = [r for r in able if not predicts_worse(found[r.method], found[first.method])]
     least = min(_doubt(result) for result in good)
     equal = [result for result in good if _doubt(result) <= least * (1 + ALIKE)]
     names = [result.method for result in equal]
@@ -138,7 +138,7 @@ def _rms(score: Score) -> float:
     return float(score.residual_rms_mg or 0.0) if score.angle_rms_deg is None else score.angle_rms_deg
 
 
-def surely_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
+def predicts_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
     """True if the squared errors of `one` are larger by more than `BEYOND` standard errors."""
     base = _squares(best)
     # Paired differences: both methods predict the same dwells.

@@ -363,7 +363,7 @@ def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
     return tuple(sorted(outputs, key=lambda output: _RANK.get(output.name, len(_RANK))))
 
 
-def left_to_the_stage(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
+def stage_warnings(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
     """Warning if only the stage determines the angle between the axes, and its uncertainty is large."""
     u_deg = next((one.u for one in found if one.name == "delta_phi"), None)
     if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:

@@ -21,8 +21,8 @@ from adis_gonio.fitting.method_comparison import (
     Recommendation,
     Score,
     predicted,
+    predicts_worse,
     scores_of,
-    surely_worse,
 )
 from adis_gonio.fitting.noise import NoiseAssumptions
 from adis_gonio.fitting.result import FitResult
@@ -181,7 +181,7 @@ def _reason(
     """Reason to recommend the traced model, or None."""
     if trace.stopped is not None and not trace.stopped.checked:
         return None
-    if surely_worse(found[TRACED], found[best]):
+    if predicts_worse(found[TRACED], found[best]):
         return None
     own, other = scores[TRACED], scores[best]
     if own.angle_rms_deg is not None and other.angle_rms_deg is not None:

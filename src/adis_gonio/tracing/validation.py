@@ -308,7 +308,7 @@ def in_order(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit]
         left.remove(best)
         terms = [selection.problem.terms[k] for k in model]
         steps.append(terms[-1].shown_as)
-        fits.append(selection.base.having(terms, [values[term.label] for term in terms]).refit())
+        fits.append(selection.base.with_terms(terms, [values[term.label] for term in terms]).refit())
     if averaged is not None:
         if len(averaged.named) == len(selection.terms):
             steps.append(averaged.fit.terms[-1].shown_as)

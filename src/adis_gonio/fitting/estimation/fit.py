@@ -101,7 +101,7 @@ class Fit:
         )
         return cls(data, (), Values(base, attitude), with_prior)
 
-    def having(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
+    def with_terms(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
         """Copy with these terms, at the values (q,) given for each."""
         return replace(self, terms=tuple(terms), values=replace(self.values, terms=tuple(values)))
 
@@ -154,7 +154,7 @@ class Fit:
         return self.data.mean - self.predicted
 
     @cached_property
-    def left(self) -> Floats:
+    def declared_misfit(self) -> Floats:
         """Misfit (n, axes) plus the part of the attitude deviations: the misfit at declared angles."""
         deviation = self.data.model.deviation_rad(self.values.attitude)
         return self.misfit + (self.tangent @ deviation[:, :, None])[:, :, 0]
@@ -276,13 +276,13 @@ class Fit:
     def residual(self) -> Floats:
         """Whitened residual (n, rows); with links a flat array, first the rows of dwells, then of links."""
         if self.data.links is None:
-            return self.white(self.left[:, :, None]).reshape(len(self.data), -1)
+            return self.white(self.declared_misfit[:, :, None]).reshape(len(self.data), -1)
         return self._without_shared(self.unshared_residual[:, None])[:, 0]
 
     @property
     def unshared_residual(self) -> Floats:
         """Flat residual (rows,) before the modes that rows share are taken into account."""
-        flat = self._own(self.left[:, :, None])[:, 0]
+        flat = self._own(self.declared_misfit[:, :, None])[:, 0]
         if self.link_rows is not None:
             # Links have a misclosure of their own, in addition to the effect of the misfits.
             flat[-2 * len(self.link_rows.links) :] += self.link_rows.residual
@@ -557,7 +557,7 @@ class Fit:
             own = old.copy()
             own[unseen] = 0.0
             values.append(own)
-        return Fit.begin(data, with_prior=self.with_prior).having(self.terms, values).refit(8)
+        return Fit.begin(data, with_prior=self.with_prior).with_terms(self.terms, values).refit(8)
 
     # -- dwells that were not fitted ------------------------------------------------------------------
 

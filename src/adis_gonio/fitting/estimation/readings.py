@@ -49,7 +49,7 @@ from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.screening import (
     Converter,
     converter_of,
-    limits_in_words,
+    limit_notes,
     refuse_dead_data,
     steps_of,
 )
@@ -513,7 +513,7 @@ def reduced(session: Session) -> Readings:
         flicker = _flicker(session, noise)
         own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
         rounding, level = np.zeros((n, axes)), np.zeros((n, axes))
-        rounding[many], level[many] = left_by_quantization(rows, mg, quantum), own
+        rounding[many], level[many] = quantization_variance(rows, mg, quantum), own
         covariance[many] = noise.covariance + (rounding + level)[many, :, None] * np.eye(axes)
         parts = {
             "quantization": rounding,
@@ -575,7 +575,7 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[s
         dwells = [dwell for dwell in dwells if dwell.position not in converter.spoiled]
     if not dwells:
         raise DataError(f"{source}: every dwell is at a limit of the range; record with a wider range")
-    return dwells, converter, limits_in_words(limits, session.accel_unit)
+    return dwells, converter, limit_notes(limits, session.accel_unit)
 
 
 def _of_flicker(
@@ -708,7 +708,7 @@ def mg_per_unit(session: Session) -> float:
     return {"mg": 1.0, "g": 1000.0, "mps2": MG_PER_MPS2, "counts": 1.0}[session.accel_unit]
 
 
-def left_by_quantization(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:
+def quantization_variance(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:
     """Variance (dwells, axes) in mg² of the means of samples × `mg` from the converter's step."""
     return quantized_means(np.array([r.var(axis=0) for r in rows]) * mg**2, quantum)
 

@@ -80,7 +80,7 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
         )
 
 
-def limits_in_words(limits: Sequence[Limit], unit: str) -> list[str]:
+def limit_notes(limits: Sequence[Limit], unit: str) -> list[str]:
     """One sentence for each limit, with the dwells that it excludes."""
     lines = []
     for limit in limits:

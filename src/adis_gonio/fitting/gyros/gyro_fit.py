@@ -424,7 +424,7 @@ class _Model:
         base = Fit.begin(self.data, with_prior=False)
         tau = max(BEGIN_TAU * float(np.ptp(self.data.conditions.time_s)), 1.0)
         values = [[tau if p.shape else 0.0 for p in term.effect.parameters] for term in self.terms]
-        return base.having(self.terms, [np.array(own) for own in values])
+        return base.with_terms(self.terms, [np.array(own) for own in values])
 
     @cached_property
     def fit(self) -> Fit:

@@ -38,8 +38,8 @@ from adis_gonio.fitting.estimation.readings import (
     Readings,
     Unit,
     flicker_parts,
-    left_by_quantization,
     mg_per_unit,
+    quantization_variance,
 )
 from adis_gonio.fitting.estimation.screening import steps_of
 from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means, spans
@@ -369,7 +369,7 @@ def _of_dwells(
 ) -> list[_Interval]:
     per_g = 1e-3 * mg_per_unit(session) if session.accel_unit != "counts" else math.nan
     steps = np.full(3, _step(session)) if session.gyro_unit == "dps" else steps_of(rows)
-    rounding = left_by_quantization(rows, np.full(3, scale), scale * steps)
+    rounding = quantization_variance(rows, np.full(3, scale), scale * steps)
     begin, end = spans([dwell.time_s for dwell in dwells])
     return [
         _Interval(

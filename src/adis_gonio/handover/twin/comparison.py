@@ -84,7 +84,9 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     from scipy import stats
 
     ours, theirs = readings_of(measured), readings_of(twin)
-    fits = [Fit.begin(data).having(traced.terms, traced.values.terms).refit() for data in (ours, theirs)]
+    fits = [
+        Fit.begin(data).with_terms(traced.terms, traced.values.terms).refit() for data in (ours, theirs)
+    ]
     residual = [_residual(fitted) for fitted in fits]
     if not all(part.size for part in residual):
         raise DataError("there are no more readings than parameters: nothing is left to compare")
