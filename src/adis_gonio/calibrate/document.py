@@ -204,7 +204,7 @@ def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
         Names or size differ, the matrix is not symmetric, or a variance is negative.
     """
     if covariance["names"] != names:
-        raise ValueError("the covariance's names are not those of the parameters")
+        raise ValueError("the names of the covariance differ from the names of the parameters")
     rows, p = covariance["matrix"], len(names)
     if len(rows) != p or any(len(row) != p for row in rows):
         raise ValueError(f"the covariance of {p} parameters is no matrix of {p} × {p} finite numbers")

@@ -167,7 +167,7 @@ class GyroCalibration(Coefficients):
         misalignment = self._matrix("gyro_misalignment", self._stated())
         if (np.abs(misalignment) >= 45).any() or abs(np.linalg.det(self.sensitivity)) < LEAST_DETERMINANT:
             raise FitError(
-                "gains and directions are those of no three gyros: one hardly turns with the part"
+                "gains and directions are impossible for three gyros: one hardly responds to a turn"
             )
 
     # -- description ---------------------------------------------------------------------------------

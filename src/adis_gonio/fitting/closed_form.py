@@ -168,7 +168,7 @@ def fit_paper(readings: Readings) -> FitResult:
     spread = _sources(replace(chosen, sensor="generic"), exact, noise).covariance
     alpha, phi = float(exact.beta[ALPHA]), float(exact.beta[DELTA_PHI])
     at = 2 * alpha + phi
-    # Uncertainty of 2α + Δφ, whose cosine is the distance from the pole.
+    # Uncertainty of 2α + Δφ; its cosine is the distance from the pole.
     gradient = np.zeros(6)
     gradient[ALPHA], gradient[DELTA_PHI] = 2.0, 1.0
     u_at = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))

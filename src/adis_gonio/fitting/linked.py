@@ -1,9 +1,9 @@
 """Poses in space with the turns between them: the links that a fit uses, tested against gravity.
 
-Links (`gyros.gyro_links`) and the length of gravity determine the same parameters. Links that disagree with
-gravity raise χ² of the fit; the rise is tested with the degrees of freedom that the links add. If it is
-above the 99.9 % quantile, the link that disagrees most is removed and the test is repeated. If more than a
-quarter of the links would be removed, or no link remains, no link is used and the fit uses gravity alone.
+Links (`gyros.gyro_links`) and the length of gravity determine the parameters together. Links that disagree
+with gravity raise χ² of the fit; the rise is tested with the degrees of freedom that the links add. If it
+is above the 99.9 % quantile, the link that disagrees most is removed and the test is repeated. If more than
+a quarter of the links would be removed, or no link remains, no link is used and the fit uses gravity alone.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ class _Judged:
         Reason if there are none.
     chi2, dof : float or None, int
     plain, linked : Determination or None
-        Fits by gravity alone and with the links, with the same noise.
+        Fits by gravity alone and with the links, with equal noise.
     """
 
     links: Links | None

@@ -107,7 +107,7 @@ def recommend(
 
     1. If a method determines the biases, methods that take them as zero are excluded. `paper` is excluded
     if
-       another method remains, because its u leaves out the error of its own equation 5.
+       another method remains, because its u leaves out the error of its equation 5.
     2. Of the remaining methods, keep those that predict the session's dwells as well as the best one.
     3. Of these, take the one with the smallest uncertainty of ΔK and Δφ; among equals `preferred`.
     """

@@ -133,7 +133,7 @@ def _without_noise(readings: Readings) -> Settled:
     """Fit base model and bias, and give no uncertainty."""
     determination = determine(readings)
     note = (
-        "the readings whose noise is known cannot be fitted by themselves: no uncertainty can be given; "
+        "the readings with a known noise cannot be fitted by themselves: no uncertainty can be given; "
         "state reading_u_mg, or keep the samples of each dwell"
     )
     noise = NoiseAssumptions(sigma_rad=readings.fixture_rad, known=False, notes=(note,))
@@ -162,8 +162,8 @@ def _settle_unknown(readings: Readings, first: Settled) -> Settled:
         else "the noise of the other readings, since the residual shows no more"
     )
     note = (
-        f"{_unstated(readings)} were given {scale:.3g} mg, {given}; chi2 and dof are those of the other "
-        f"{counted(len(own), 'reading')}"
+        f"{_unstated(readings)} were given {scale:.3g} mg, {given}; chi2 and dof are computed from the "
+        f"other {counted(len(own), 'reading')}"
     )
     noise = replace(
         first.noise, scale=scale, scale_dof=float(max(added, 1)), notes=(*first.noise.notes, note)

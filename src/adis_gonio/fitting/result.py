@@ -210,7 +210,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def comparison(self) -> MethodComparison | None:
-        """Scores of all methods of the session on the same readings, and the recommended method."""
+        """Scores of all methods on the readings of the session, and the recommended method."""
         from adis_gonio.fitting.method_comparison import compare_methods
 
         if self.session is None:

@@ -115,7 +115,7 @@ class Source:
         variance = (self._moved(gradient, reading) ** 2).sum(axis=0) / m
         found = list(zip(self.estimate.tolist(), self.dof.tolist(), variance.tolist(), strict=True))
         if reading is not None and self.reading_mg2.any():
-            # A further reading brings noise of its own, with the degrees of freedom of the largest part.
+            # A further reading brings its own noise, with the degrees of freedom of the largest part.
             own = float(np.einsum("ma,ab,mb->", reading, self.reading_mg2, reading)) / m
             where = max(found, key=lambda part: part[2], default=(_POOLED, math.inf, 0.0))
             found.append((where[0], where[1], own))
@@ -611,8 +611,8 @@ def missing_effects(fit: Fit) -> Floats:
     Parameters
     ----------
     fit : Fit
-        Fit of the model that does not describe the session, on readings whose noise includes the scatter of
-        the residual: unstructured scatter is the alternative explanation.
+        Fit of the model that does not describe the session, on readings with a noise that includes the
+        scatter of the residual: unstructured scatter is the alternative explanation.
     """
     columns = np.concatenate([*_columns(fit), np.zeros((*fit.data.mean.shape, 0))], axis=2)
     white = fit.white(columns)
@@ -708,7 +708,7 @@ class ShownAngle:
 
     @classmethod
     def at_dwells(cls, fit: Fit) -> ShownAngle:
-        """Slopes at the dwells of a planar fit, by all of its parameters including those of its terms."""
+        """Slopes at the dwells of a planar fit, by all of its parameters, also of its terms."""
         psi = fit.values.base[0] + fit.turn_rad + fit.values.attitude
         slope = _by_reading(fit, psi)
         gradient = np.einsum("na,nap->np", slope, fit.columns)

@@ -5,7 +5,7 @@ in the plane, any unit vector in space) are nuisance parameters, eliminated dwel
 the covariance of a reading and t its tangent, rows are whitened by (I − β û ûᵀ) L⁻¹, û ∥ L⁻¹ t, β = 1 − (1
 + σ_f² |L⁻¹ t|²)^(−1/2), which is the inverse root of C + σ_f² t tᵀ and, for σ_f → ∞, the projection that
 removes the direction t. σ_f = 0 is least squares with declared angles, σ_f = ∞ the fit of an ellipse;
-neither limit needs code of its own.
+neither limit needs special code.
 
 With noise that dwells share (1/f noise, F = Φ Φᵀ over all readings), rows whitened in this way have the
 covariance 1 + A Aᵀ, A = W Φ. They are multiplied by its symmetric inverse root 1 − A g(Aᵀ A) Aᵀ,
@@ -552,7 +552,7 @@ class Fit:
         values = []
         for term, old in zip(self.terms, self.values.terms, strict=True):
             slopes = term.derivative(old, data.mean, data.conditions)
-            # Amplitudes whose columns vanish on these readings.
+            # Amplitudes with columns of zeros on these readings.
             unseen = [k for k in term.amplitude_index(old) if not slopes[..., k].any()]
             own = old.copy()
             own[unseen] = 0.0
@@ -582,7 +582,7 @@ class Fit:
         return -self._placed_on(replace(data, fixture_rad=np.inf)).settled(4).values.attitude
 
     def foresees(self, data: Readings, most: float) -> NDArray[np.bool_]:
-        """Dwells (n,) of other readings whose prediction has a variance up to `most`, in units of noise."""
+        """Dwells (n,) of other readings predicted with a variance up to `most`, in units of noise."""
         there = self.on(data)
         rest = self.white_by_dwell(self.columns)
         return foreseen(rest.reshape(-1, rest.shape[2]), there.white_by_dwell(there.columns), most)
@@ -614,7 +614,7 @@ def amplitude_spreads(model: Measurement, terms: Sequence[Term], widths: NDArray
 
 
 def foreseen(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:
-    """Dwells (n,) whose rows (n, r, p) are predicted from other rows (m, p) with a variance up to `most`.
+    """Dwells (n,) with rows (n, r, p) that rows (m, p) of others predict with a variance up to `most`.
 
     With whitened columns X, the prediction of held-out rows has the covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
     units of the noise (Cook and Weisberg, Residuals and Influence in Regression, 1982).

@@ -8,7 +8,7 @@ of a link are
     y = P(ũ')ᵀ (ũ' − Φ ũ) = T' e' − F T e + K ε,    F = P(ũ')ᵀ Φ P(ũ),    K = −P(ũ')ᵀ [Φ ũ]×,
 
 with the noise e of both readings, which moves ũ by T e, T = (tᵀ C⁻¹ t)⁻¹ tᵀ C⁻¹ (t is the tangent). T e is
-not correlated with the norm of its own reading, so the rows of links are independent of the other rows of a
+not correlated with the norm of the reading, so the rows of links are independent of the other rows of a
 fit.
 
 ε has two parts: the link's own error (noise, zero rate; neighbouring links share a dwell), and the effect

@@ -692,7 +692,7 @@ def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Flo
 
 
 def mg_per_unit(session: Session) -> float:
-    """Size in mg of the accelerometers' unit; 1 for counts, whose size is unknown.
+    """Size in mg of the accelerometers' unit; 1 for counts of unknown size.
 
     Raises
     ------
@@ -795,7 +795,7 @@ def known_part(part: str) -> str:
 
 
 def readings_of_part(session: Session, part: str) -> Readings:
-    """Readings of a part of the sensor; for accelerometers the same as `readings_of`."""
+    """Readings of a part of the sensor; for accelerometers as `readings_of`."""
     module, name = _READERS[known_part(part)]
     reader: Callable[[Session], Readings] = getattr(import_module(module), name)
     return reader(session)

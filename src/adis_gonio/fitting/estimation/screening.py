@@ -13,7 +13,7 @@ another known fact:
   rule applies if the words have all their bits.
 
 **A limit of the range** shows as a pile of samples: noise has fewer samples at its extreme value than at
-the value next to it, a limit has many times as many. A dwell whose samples all have the extreme value is at
+the value next to it, a limit has many times as many. A dwell with all samples at the extreme value is at
 a limit if two or more such dwells share that value and gravity allows the reading; otherwise it may be
 stuck. A dwell that a limit cuts takes no part in a fit, because its mean is not its reading.
 """

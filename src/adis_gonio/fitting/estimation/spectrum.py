@@ -44,7 +44,7 @@ _LOWEST = 3
 _ALONE = 64
 """Number of lowest ordinates that are kept one by one, since some are used individually."""
 _AT_ONCE = 1 << 17
-"""Number of samples whose spectrum is computed at once."""
+"""Number of samples for which spectra are computed at once."""
 _LEAST_WEIGHT = 6.0
 _GAINS = (1.323, 2.773)
 """Upper 25 % quantiles of χ² with one and two degrees of freedom: prefer the narrower band in doubt."""
