@@ -65,6 +65,11 @@ class Determination:
         return names_of(self.fit.data)
 
     @property
+    def dof(self) -> int:
+        """Degrees of freedom of the residual."""
+        return int(self.fit.equations - self.free.sum() + self.null.shape[1])
+
+    @property
     def fisher(self) -> Floats:
         """Information (p, p) of all parameters in natural units."""
         return information(self.fit)

@@ -30,7 +30,7 @@ from adis_gonio.fitting.determination import (
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.noise import settle
+from adis_gonio.fitting.noise import chi2_quantile, settle
 from adis_gonio.model.records import Session
 
 if TYPE_CHECKING:
@@ -207,10 +207,10 @@ class _Judged:
         left_out = far
         while len(links):
             links, linked = _settled(found, links, data)
-            chi2, dof = linked.fit.chi2 - plain.fit.chi2, _dof(linked) - _dof(plain)
+            chi2, dof = linked.fit.chi2 - plain.fit.chi2, linked.dof - plain.dof
             if dof < 1:
                 return cls(None, tuple(refused), "they are too few to be tested against gravity")
-            if chi2 <= _quantile(dof):
+            if chi2 <= chi2_quantile(dof, LINK_REFUSED):
                 return cls(links, tuple(refused), "", chi2, dof, plain, linked)
             if left_out >= allowed:
                 reason = f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom)"
@@ -290,16 +290,6 @@ def _worst(fit: Fit) -> int:
     # The last rows of the residual belong to the links, two for each.
     rows = fit.residual[-2 * len(links.links) :].reshape(-1, 2)
     return int((rows**2).sum(axis=1).argmax())
-
-
-def _dof(found: Determination) -> int:
-    return int(found.fit.equations) - int(found.free.sum()) + int(found.null.shape[1])
-
-
-def _quantile(dof: int) -> float:
-    from scipy.special import chdtri
-
-    return float(chdtri(dof, LINK_REFUSED))
 
 
 def _gain(

@@ -94,7 +94,7 @@ def settle(readings: Readings) -> Settled:
     open_sigma = not readings.fixture_stated and readings.planar and not readings.free
     noise = NoiseAssumptions(sigma_rad=readings.fixture_rad)
     determination = determine(readings)
-    dof = _dof(determination)
+    dof = determination.dof
     follow = _Follow(readings, determination)
 
     if not readings.noise_known:
@@ -105,7 +105,7 @@ def settle(readings: Readings) -> Settled:
         noise = _unknown_fixture(follow, noise, dof)
         determination = follow.determination(noise)
     chi2 = determination.fit.chi2
-    if dof > 0 and chi2 > _chi2_quantile(dof):
+    if dof > 0 and chi2 > chi2_quantile(dof, _EXCESS):
         low, high = 1e-7 * readings.gravity_mg, readings.gravity_mg
         # Solve χ²(extra) = dof for the additional standard deviation.
         extra = _equal_to_dof(lambda s: follow(replace(noise, extra_mg=s)).chi2, dof, low, high)
@@ -137,7 +137,7 @@ def _without_noise(readings: Readings) -> Settled:
         "state reading_u_mg, or keep the samples of each dwell"
     )
     noise = NoiseAssumptions(sigma_rad=readings.fixture_rad, known=False, notes=(note,))
-    return Settled(determination, noise, determination.fit.chi2, _dof(determination))
+    return Settled(determination, noise, determination.fit.chi2, determination.dof)
 
 
 def _settle_unknown(readings: Readings, first: Settled) -> Settled:
@@ -147,7 +147,7 @@ def _settle_unknown(readings: Readings, first: Settled) -> Settled:
     and the covariance P of their prediction ŷ. Its mean is the number of equations that they add.
     """
     determination = determine(first.noise.applied(readings))
-    added = _dof(determination) - first.dof
+    added = determination.dof - first.dof
     # A reading of unknown noise is at best as good as the readings with a known noise.
     own = np.einsum("naa->na", readings.own_covariance[readings.known])
     least = scale = max(math.sqrt(float(own.mean())), _LEAST_SCALE)
@@ -169,12 +169,6 @@ def _settle_unknown(readings: Readings, first: Settled) -> Settled:
         first.noise, scale=scale, scale_dof=float(max(added, 1)), notes=(*first.noise.notes, note)
     )
     return Settled(determine(noise.applied(readings)), noise, first.chi2, first.dof)
-
-
-def _dof(determination: Determination) -> int:
-    """Degrees of freedom of the residual of a fit."""
-    fit, free = determination.fit, int(determination.free.sum())
-    return int(fit.equations - free + determination.null.shape[1])
 
 
 def state_noise(readings: Readings) -> Readings:
@@ -285,10 +279,11 @@ def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> Nois
     return replace(noise, sigma_rad=sigma, sigma_dof=float(max(declared - 3, 1)), notes=(note,))
 
 
-def _chi2_quantile(dof: int) -> float:
+def chi2_quantile(dof: int, level: float) -> float:
+    """Value that χ² exceeds with a probability of `level`."""
     from scipy.special import chdtri
 
-    return float(chdtri(dof, _EXCESS))
+    return float(chdtri(dof, level))
 
 
 def _equal_to_dof(cost: Callable[[float], float], dof: int, low: float, high: float) -> float:

@@ -444,9 +444,8 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
     else:
         away = temperature - temperature.mean()
         columns = away[:, None, None] * np.eye(axes)
-        left = fit.white(columns)
         # Part of the columns that the parameters do not explain, which the residual can show.
-        left = left - fit.jacobian @ np.linalg.lstsq(fit.jacobian, left, rcond=1e-9)[0]
+        left = _without(fit.white(columns), fit.jacobian)
         # Combine the prior of the data sheet with the information in the residual of this session.
         spread = 1 / np.sqrt(1 / figure**2 + (left**2).sum(axis=0))
         acts = columns * spread

@@ -198,8 +198,7 @@ class Fit:
         with np.errstate(divide="ignore"):
             # Shrink the direction of the tangent by the variance of the declared angle (module docstring).
             beta = 1 - 1 / np.sqrt(1 + (self.data.fixture[:, None] * size) ** 2)
-        whitening: Floats = root - (beta * unit)[:, :, None] * (unit[:, None, :] @ root)
-        return whitening
+        return np.asarray(root - (beta * unit)[:, :, None] * (unit[:, None, :] @ root))
 
     @cached_property
     def link_rows(self) -> LinkRows | None:
@@ -253,8 +252,7 @@ class Fit:
 
     def white_by_dwell(self, columns: Floats) -> Floats:
         """Whitened rows (n, rows, d) of the dwells before shared modes are taken into account."""
-        whitened: Floats = self.whitener @ columns
-        return whitened
+        return np.asarray(self.whitener @ columns)
 
     def by_reading(self, slope: Floats) -> Floats:
         """∂(slopeᵀ · whitened readings)/∂reading, (d, n, axes), of `slope` (rows, d)."""
@@ -382,14 +380,12 @@ class Fit:
         _, s, vt = np.linalg.svd(scaled / size, full_matrices=False)
         # Directions without information get no variance instead of an infinite one.
         keep = s > 1e-9 * (s[0] if s.size else 1.0)
-        half: Floats = (vt[keep].T / s[keep]) / size[:, None]
-        return half
+        return np.asarray((vt[keep].T / s[keep]) / size[:, None])
 
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (p + q, p + q) of base parameters and values of the terms."""
-        covariance: Floats = self._half @ self._half.T
-        return covariance
+        return np.asarray(self._half @ self._half.T)
 
     @cached_property
     def used(self) -> float:
@@ -423,8 +419,7 @@ class Fit:
     def _away(self) -> Floats:
         """Distance (p + q,) of the parameters from the centre of their prior, in its σ."""
         precision, centre = self._prior
-        away: Floats = precision * (self.values.parameters - centre)
-        return away
+        return np.asarray(precision * (self.values.parameters - centre))
 
     @cached_property
     def loss(self) -> float:
@@ -445,8 +440,7 @@ class Fit:
         right = np.concatenate([left, np.repeat(-self._away[:count, None][held], left.shape[1], axis=1)])
         size = np.linalg.norm(rows, axis=0)
         size[size == 0] = 1.0
-        steps: Floats = np.linalg.lstsq(rows / size, right, rcond=1e-9)[0] / size[:, None]
-        return steps
+        return np.asarray(np.linalg.lstsq(rows / size, right, rcond=1e-9)[0] / size[:, None])
 
     # -- refitting ---------------------------------------------------------------------------------
 

@@ -218,8 +218,7 @@ class Readings(ComputedOnce):
     @property
     def variance_of_mean(self) -> Floats:
         """Variance (n,) of a reading, the mean over its axes, in unit of readings squared."""
-        mean: Floats = np.trace(self.covariance, axis1=1, axis2=2) / self.axes
-        return mean
+        return np.asarray(np.trace(self.covariance, axis1=1, axis2=2) / self.axes)
 
     @property
     def noise_dof(self) -> float:
@@ -344,8 +343,7 @@ class Readings(ComputedOnce):
 
 
 def _inverse_root(covariance: Floats) -> Floats:
-    root: Floats = np.linalg.inv(np.linalg.cholesky(covariance))
-    return root
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
 def from_means(

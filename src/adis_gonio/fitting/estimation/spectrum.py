@@ -610,5 +610,4 @@ def modes(covariance: Floats) -> tuple[Floats, Floats]:
 
 def _second_integral(x: Floats) -> Floats:
     size = np.abs(x)
-    result: Floats = 0.5 * size**2 * np.log(np.where(size > 0, size, 1.0))
-    return result
+    return np.asarray(0.5 * size**2 * np.log(np.where(size > 0, size, 1.0)))

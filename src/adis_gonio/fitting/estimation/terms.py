@@ -342,8 +342,7 @@ class NamelessTerm(Term):
 
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Columns times amplitudes."""
-        total: Floats = self.columns(ideal, conditions) @ values
-        return total
+        return np.asarray(self.columns(ideal, conditions) @ values)
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """The columns, since an unnamed term is linear."""
