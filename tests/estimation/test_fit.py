@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy, foreseen
+from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy, predictable_dwells
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis, NamedTerm, NamelessTerm
 from adis_gonio.model.effects import Conditions, effect
@@ -305,11 +305,11 @@ def test_dwells_are_foreseen_as_far_as_the_others_tell_what_they_read() -> None:
     carried = np.linalg.inv(rest.T @ rest)
     variance = 1 + np.einsum("nrp,pq,nrq->nr", left, carried, left).max(axis=1)
     most = float(np.median(variance))
-    np.testing.assert_array_equal(foreseen(rest, left, most), variance <= most)
+    np.testing.assert_array_equal(predictable_dwells(rest, left, most), variance <= most)
     blind = rest * [1.0, 1.0, 0.0]
-    assert not foreseen(blind, left, math.inf).any()
-    assert foreseen(blind, left * [1.0, 1.0, 0.0], math.inf).all()
-    assert not foreseen(np.zeros((0, 3)), left, math.inf).any()
+    assert not predictable_dwells(blind, left, math.inf).any()
+    assert predictable_dwells(blind, left * [1.0, 1.0, 0.0], math.inf).all()
+    assert not predictable_dwells(np.zeros((0, 3)), left, math.inf).any()
 
 
 def test_fewer_rows_than_columns_foresee_what_lies_in_their_plane_alone() -> None:
@@ -319,8 +319,8 @@ def test_fewer_rows_than_columns_foresee_what_lies_in_their_plane_alone() -> Non
     # A reading that is the sum of others, times weights, has the sum of their variances, times squares.
     variance = 1 + (weights**2).sum(axis=2).max(axis=1)
     most = float(np.median(variance))
-    np.testing.assert_array_equal(foreseen(rest, inside, most), variance <= most)
-    assert not foreseen(rest, np.add(inside, [0.0, 0.0, 1.0]), math.inf).any()
+    np.testing.assert_array_equal(predictable_dwells(rest, inside, most), variance <= most)
+    assert not predictable_dwells(rest, np.add(inside, [0.0, 0.0, 1.0]), math.inf).any()
 
 
 def test_columns_that_are_nearly_alike_are_still_told_apart() -> None:
@@ -331,7 +331,7 @@ def test_columns_that_are_nearly_alike_are_still_told_apart() -> None:
     carried = np.linalg.inv(rest.T @ rest)
     variance = 1 + np.einsum("nrp,pq,nrq->nr", left, carried, left).max(axis=1)
     most = float(np.median(variance))
-    np.testing.assert_array_equal(foreseen(rest, left, most), variance <= most)
+    np.testing.assert_array_equal(predictable_dwells(rest, left, most), variance <= most)
 
 
 def test_dwells_of_a_turn_are_foreseen_as_far_as_the_fitted_ones_reach() -> None:
@@ -343,7 +343,7 @@ def test_dwells_of_a_turn_are_foreseen_as_far_as_the_fitted_ones_reach() -> None
     rows = there.white_by_dwell(there.columns)
     variance = 1 + np.einsum("nrp,pq,nrq->nr", rows, inverse, rows).max(axis=1)
     most = float(np.median(variance))
-    np.testing.assert_array_equal(fit.foresees(data, most), variance <= most)
+    np.testing.assert_array_equal(fit.can_predict(data, most), variance <= most)
 
 
 # -- adequacy ---------------------------------------------------------------------------------------------

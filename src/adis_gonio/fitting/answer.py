@@ -190,7 +190,7 @@ class Answer:
         for each in zip(*self.budget.values(), strict=True):
             first = each[0]
             u = DASH if first.u is None else with_unit(format_number(first.u, 2), first.unit)
-            shares = [share(row.share) for row in each]
+            shares = [format_share(row.share) for row in each]
             rows.append([first.source, first.kind, first.distribution, u, *shares])
         return ["source", "type", "distribution", "u of it", *names], rows
 
@@ -264,17 +264,17 @@ _METHOD_WIDTH = 24
 def parameter_row(name: str, value: Value) -> list[str]:
     """Name, unit, value, u, U, k, ν."""
     line = QuantityRow.of(name, value)
-    return [name, *line.cells[1:], freedom(value.dof) if value.u is not None else "–"]
+    return [name, *line.cells[1:], format_dof(value.dof) if value.u is not None else "–"]
 
 
-def freedom(dof: float) -> str:
+def format_dof(dof: float) -> str:
     """Format degrees of freedom; above 10⁴ only the limit."""
     if math.isinf(dof):
         return "∞"
     return "> 10⁴" if dof > 1e4 else f"{dof:.{0 if dof >= 10 else 1}f}"
 
 
-def blocks(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str], Rows]]:
+def method_tables(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str], Rows]]:
     """Tables of all parameters of all methods, value ± u; as many as the width requires."""
     names = list(dict.fromkeys(e.name for result in results for e in result.parameters))
     units = {e.name: e.unit for result in results for e in result.parameters}
@@ -291,6 +291,6 @@ def _cell(result: FitResult, name: str) -> str:
     return format_uncertain(result[name].value, result[name].u) if name in result else ""
 
 
-def share(fraction: float) -> str:
+def format_share(fraction: float) -> str:
     """Format a share in percent; a dash for zero."""
     return format_percent(fraction) if fraction > 0 else DASH

@@ -203,10 +203,10 @@ def _others(screen: Console, answer: Answer) -> None:
 
 def _print_all(screen: Console, results: Sequence[FitResult]) -> None:
     """Every method in full, as many beside each other as the screen is wide."""
-    from adis_gonio.fitting.answer import blocks
+    from adis_gonio.fitting.answer import method_tables
 
     narrow = {"no_wrap": True}
-    for head, rows in blocks(results, screen.width):
+    for head, rows in method_tables(results, screen.width):
         screen.print()
         screen.print(table_of(head, rows, (0, 1), number=narrow, text=narrow))
 

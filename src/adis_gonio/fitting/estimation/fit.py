@@ -32,7 +32,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.estimation.links import LinkRows
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term, Where, side_by_side
+from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term, Where, join_columns
 from adis_gonio.model.measurement import Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_G
 
@@ -323,7 +323,7 @@ class Fit:
                     of_axis[key] = term.on_axis(axis, driven, conditions)
                 blocks.append((axis, of_axis[key]))
                 widths[k] += of_axis[key].shape[-1]
-        return side_by_side(blocks, self.ideal.shape), widths
+        return join_columns(blocks, self.ideal.shape), widths
 
     @cached_property
     def base_columns(self) -> Floats:
@@ -575,11 +575,13 @@ class Fit:
         # A stage at a larger angle than declared has turned ψ = α − θ the other way.
         return -self._placed_on(replace(data, fixture_rad=np.inf)).settled(4).values.attitude
 
-    def foresees(self, data: Readings, most: float) -> NDArray[np.bool_]:
+    def can_predict(self, data: Readings, most: float) -> NDArray[np.bool_]:
         """Dwells (n,) of other readings predicted with a variance up to `most`, in units of noise."""
         there = self.on(data)
         rest = self.white_by_dwell(self.columns)
-        return foreseen(rest.reshape(-1, rest.shape[2]), there.white_by_dwell(there.columns), most)
+        return predictable_dwells(
+            rest.reshape(-1, rest.shape[2]), there.white_by_dwell(there.columns), most
+        )
 
 
 def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
@@ -607,7 +609,7 @@ def amplitude_spreads(model: Measurement, terms: Sequence[Term], widths: NDArray
     return spread
 
 
-def foreseen(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:
+def predictable_dwells(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:
     """Dwells (n,) with rows (n, r, p) that rows (m, p) of others predict with a variance up to `most`.
 
     With whitened columns X, the prediction of held-out rows has the covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in

@@ -252,7 +252,7 @@ def in_g(ideal: Floats, conditions: Conditions) -> Floats:
     return ideal / MG_PER_G
 
 
-def side_by_side(blocks: Sequence[tuple[int | slice, Floats]], shape: tuple[int, ...]) -> Floats:
+def join_columns(blocks: Sequence[tuple[int | slice, Floats]], shape: tuple[int, ...]) -> Floats:
     """Columns (n, axes, P) from blocks: the axis or axes, and their columns (n, q) or (n, axes, q)."""
     out = np.zeros((*shape, sum(rows.shape[-1] for _, rows in blocks)))
     start = 0
@@ -319,7 +319,7 @@ class NamelessTerm(Term):
             return self.tangent_rad * self.basis.over(conditions)
         driven = self.stimulus(ideal, conditions)
         blocks = [(axis, self.on_axis(axis, driven, conditions)) for axis in self.axes]
-        return side_by_side(blocks, ideal.shape)
+        return join_columns(blocks, ideal.shape)
 
     def on_axis(self, axis: int, driven: Floats, conditions: Conditions) -> Floats:
         """Columns (n, q) of an axis; `driven` (n, axes) is the quantity that gains multiply."""
