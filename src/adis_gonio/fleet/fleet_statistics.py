@@ -20,10 +20,9 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri, stdtr
 from scipy.stats import hypergeom, rankdata
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
 from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.base.levels import OUTLYING
-from adis_gonio.fitting.estimation.robust import MAD_TO_SD, robust_sd
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 LEAST = 3

@@ -368,7 +368,7 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
 def _begun(data: Readings) -> Fit:
     """Fit of base model and bias."""
     bias = _bias(data)
-    return Fit.begin(data).having((bias,), (np.zeros(data.axes),)).refit()
+    return Fit.begin(data).with_terms((bias,), (np.zeros(data.axes),)).refit()
 
 
 def _bias(data: Readings) -> NamedTerm:
@@ -378,7 +378,7 @@ def _bias(data: Readings) -> NamedTerm:
 def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
     data = fit.data
     terms, missing = columns_of(data)
-    residual = fit.left
+    residual = fit.declared_misfit
     # Add the fitted terms to the residual again; bias and single dwells are projected out instead.
     own: list[Term] = [_bias(data)]
     for k, term in enumerate(fit.terms):

@@ -12,8 +12,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.calibrate.calibration import Calibration
-from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
-from adis_gonio.calibrate.document import derived_delta_k, json_text
+from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected, json_text
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.handover.fixed_point import (
     ATAN,
@@ -355,7 +354,7 @@ def _origin(calibration: Calibration) -> list[str]:
 
 
 def _coefficient_lines(calibration: Calibration) -> list[str]:
-    ratio, gyro = derived_delta_k(calibration), calibration.gyro
+    ratio, gyro = calibration.delta_k, calibration.gyro
     every: list[Coefficient] = [*([ratio] if ratio else []), *calibration.parameters]
     every += [] if gyro is None else gyro.parameters
     rows = []

@@ -30,11 +30,10 @@ from adis_gonio.base.values import Value
 from adis_gonio.base.version import __version__
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
-from adis_gonio.fitting.answer import Answer
+from adis_gonio.fitting.answer import Answer, format_dof, format_share
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.position_diagnosis import Angle
-from adis_gonio.fitting.tables import freedom, share
 from adis_gonio.model.records import Session
 from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
 from adis_gonio.page.render import render
@@ -159,14 +158,14 @@ def budget_section(answer: Answer) -> Section:
                 "–" if row.u is None else with_unit(format_number(row.u, 2), row.unit),
                 format_number(row.sensitivity),
                 format_number(row.contribution, 2),
-                share(row.share),
+                format_share(row.share),
             ]
             for row in rows
         ]
         value = answer.values.get(name)
         contribution = label_quantity("contribution", "" if value is None else value.unit)
         head = ["source", "type", "distribution", "u of it", "sensitivity", contribution, "share"]
-        dof = "–" if value is None else freedom(value.dof)
+        dof = "–" if value is None else format_dof(value.dof)
         caption = f"{NAMES.get(name, name)}: effective degrees of freedom {dof}."
         tables.append(Table(head, cells, caption=caption, numeric=(3, 4, 5, 6)))
     first = next(iter(answer.budget.values()), ())
@@ -628,7 +627,7 @@ def build_page(
     """
     software = f"adis-gonio {__version__}"
     result = traced if isinstance(traced, TraceResult) else None
-    best = next((fit for fit in reversed(fits) if fit.standing is not None), None)
+    best = next((fit for fit in reversed(fits) if fit.comparison is not None), None)
     answer = None if best is None else answer_with_trace(best, result, own=False)
     body = [answer_section(answer)] if answer is not None else []
     body += [summary_section(traced, fits)]

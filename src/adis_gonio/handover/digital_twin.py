@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.errors import AdisGonioError, DataError
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor.bartlett import bartlett
@@ -20,7 +20,6 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Unit, readings_of
 from adis_gonio.fitting.estimation.spectrum import noise_of_means
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
-from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.sim.bus import SimBus
