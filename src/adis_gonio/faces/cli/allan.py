@@ -43,7 +43,7 @@ def command(
     """Say the noise of a part at rest: random walks, bias instability, each with its uncertainty.
 
     From the dwells of a session, or the rests of a continuous recording, by maximum likelihood, beside the
-    Allan deviation. Noise that is not there is said so, with its limit. How long to record: docs/allan.md.
+    Allan deviation. Noise that is not there is said so, with its limit. How long to record: docs/noise.md.
     """
     from adis_gonio.fitting.allan import fit_allan
 
@@ -54,7 +54,7 @@ def command(
     with working(f"noise of {session.name}"):
         found = fit_allan(loaded, part, filter_m=filter_m)
     if output is not None:
-        from adis_gonio.handover.report.allan import allan_page, allan_svg
+        from adis_gonio.handover.gyro_report import allan_page, allan_svg
 
         drawn = allan_svg if output.suffix.lower() == ".svg" else allan_page
         write_page(output, drawn(found))
