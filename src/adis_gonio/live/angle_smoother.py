@@ -106,7 +106,7 @@ class PlaneWatch:
 
 
 LAG_S = 0.5
-"""Default: a longer lag adds little (docs/results/smoother.md)."""
+"""Default: a longer lag adds little (docs/results/index.md)."""
 LONGEST_LAG_S = 10.0
 DOUBT = 4.0
 """Distance of the zero rate, in uncertainties of a calibration of the gyros, that refutes the

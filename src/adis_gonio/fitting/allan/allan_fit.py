@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import fft, stats
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.intervals import NORMAL_95
@@ -31,10 +31,9 @@ from adis_gonio.fitting.allan.spectral_likelihood import (
     subtract_sinusoids,
     together,
 )
-from adis_gonio.fitting.estimation.converter import steps_of
 from adis_gonio.fitting.estimation.readings import mg_per_unit
+from adis_gonio.fitting.estimation.screening import steps_of
 from adis_gonio.fitting.gyros.turn_integration import dps_per_unit
-from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Dwell, Session
 
 LEAST = 128

@@ -27,10 +27,9 @@ from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import format_ranges
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
-from adis_gonio.fitting.estimation.converter import steps_of
-from adis_gonio.fitting.estimation.flicker import spans
-from adis_gonio.fitting.estimation.readings import Readings, Unit, flicker_parts, left_by_quantization
-from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means
+from adis_gonio.fitting.estimation.readings import Readings, Unit, flicker_parts, quantization_variance
+from adis_gonio.fitting.estimation.screening import steps_of
+from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means, spans
 from adis_gonio.fitting.gyros.accelerometer_triad import Triad, triad_of
 from adis_gonio.fitting.gyros.turn_integration import (
     NOT_RECORDED,
@@ -360,7 +359,7 @@ def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[_Interval]
         configuration = session.facts.get("configuration") or {}
         lsb = GYRO_LSB_DPS[int(configuration.get("gyro_range_dps") or 300)]
         steps = np.full(3, lsb if session.sensor in VARIANTS else 0.0)
-    rounding = left_by_quantization(rests.rows, np.full(3, rests.scale), rests.scale * steps)
+    rounding = quantization_variance(rests.rows, np.full(3, rests.scale), rests.scale * steps)
     return [
         _Interval(
             mean_dps=rests.mean_dps[k],
@@ -450,12 +449,12 @@ def gyro_readings_of(session: Session) -> Readings:
     DataError
         The session has no gyros, or their unit is not known.
     """
-    kept: Readings | None = vars(session).get("_gyro_readings")  # the session is frozen: it cannot go stale
-    if kept is None:
-        current().tell("noise of the gyros")
-        kept = readings_of_intervals(rate_intervals(session), session.sensor, session.gravity_mg)
-        vars(session)["_gyro_readings"] = kept
-    return kept
+    return session.once(_gyro_readings)
+
+
+def _gyro_readings(session: Session) -> Readings:
+    current().tell("noise of the gyros")
+    return readings_of_intervals(rate_intervals(session), session.sensor, session.gravity_mg)
 
 
 def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:

@@ -44,12 +44,12 @@ def positions_of(session: Session) -> Diagnosis:
     DataError
         As `adis_gonio.fitting.estimation.readings_of`.
     """
-    kept: Diagnosis | None = vars(session).get("_positions")  # the session is frozen: it cannot go stale
-    if kept is None:
-        angles = angles_of(session)
-        kept = Diagnosis() if angles is None else diagnose(angles)
-        vars(session)["_positions"] = kept
-    return kept
+    return session.once(_diagnosed)
+
+
+def _diagnosed(session: Session) -> Diagnosis:
+    angles = angles_of(session)
+    return Diagnosis() if angles is None else diagnose(angles)
 
 
 def failure_message(session: Session, error: Exception) -> str:
