@@ -59,7 +59,7 @@ def test_every_command_explains_itself(capsys, name):
 
 def test_no_command_shows_the_help_and_is_wrong_usage(capsys):
     assert main([]) == 2
-    assert "Commands:" in capsys.readouterr().err
+    assert "Bench commands:" in capsys.readouterr().err
 
 
 def test_calibrate_shows_truth_and_result_side_by_side_and_they_agree(capsys, tmp_path):

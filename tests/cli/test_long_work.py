@@ -16,7 +16,7 @@ from rich.console import Console
 
 from adis_gonio.base.budget import Budget, current, told, within
 from adis_gonio.faces.cli import main, show
-from adis_gonio.faces.cli.interrupt import Insistent
+from adis_gonio.faces.cli.terminal import RepeatedInterrupt
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.view import ArchiveView
 from adis_gonio.tracing.trace import trace
@@ -142,7 +142,7 @@ def wait():
 
 
 def test_ctrl_c_that_was_swallowed_comes_again():
-    with Insistent():
+    with RepeatedInterrupt():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
@@ -150,9 +150,9 @@ def test_ctrl_c_that_was_swallowed_comes_again():
 
 
 def test_afterwards_nothing_comes_any_more(monkeypatch):
-    monkeypatch.setattr(Insistent, "AGAIN_S", 0.01)
+    monkeypatch.setattr(RepeatedInterrupt, "AGAIN_S", 0.01)
     before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), Insistent():
+    with pytest.raises(KeyboardInterrupt), RepeatedInterrupt():
         signal.raise_signal(signal.SIGINT)
     time.sleep(0.05)
     assert signal.getsignal(signal.SIGINT) is before
@@ -161,7 +161,7 @@ def test_afterwards_nothing_comes_any_more(monkeypatch):
 def test_where_ctrl_c_is_ignored_it_stays_ignored():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with Insistent():
+        with RepeatedInterrupt():
             signal.raise_signal(signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)

@@ -67,10 +67,10 @@ def test_every_column_key_option_and_name_of_the_page_is_one_of_the_code():
     tables = [re.findall(r"^\| (`.*?) \|", part, re.MULTILINE) for part in TEXT.split("\n## ")]
     columns_and_keys = {name for row in tables[1] for name in re.findall(r"`(\w+)`", row)}
     assert columns_and_keys == {*COLUMNS, *KEYS, "note"}
-    from adis_gonio.faces.cli.fit import command
+    from adis_gonio.faces.cli.fit_commands import fit_command
 
     options = {option for row in tables[6] for option in re.findall(r"`(--\w+)", row)}
-    known = {name for option in command.params for name in option.opts}
+    known = {name for option in fit_command.params for name in option.opts}
     assert (
         options
         == {"--angles", "--reverse", "--unit", "--gravity", "--fixture", "--sensor", "--columns"} & known

@@ -9,8 +9,7 @@ import plan_statistics as statistics
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.plan import Bench
-from adis_gonio.plan.imagined import LARGEST_FIXTURE_DEG, imagined
-from adis_gonio.plan.prediction import reach_of
+from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, expected_readings, reach_of
 from adis_gonio.record.plans import plan
 
 ALPHA = statistics.NAMES.index("alpha")
@@ -19,7 +18,7 @@ ALPHA = statistics.NAMES.index("alpha")
 def _drawn(name: str, fixture_deg: float, count: int):
     """Fits of sessions with the truth of each by `NAMES[:-1]`."""
     case = statistics.Case(name, plan(name), Bench(fixture_deg))
-    bare, rng = imagined(case.plan, case.bench), np.random.default_rng(31)
+    bare, rng = expected_readings(case.plan, case.bench), np.random.default_rng(31)
     for _ in range(count):
         readings, truth, _ = statistics.drawn(case, rng, bare)
         yield fit_readings(readings), truth
@@ -51,7 +50,7 @@ def test_four_positions_and_a_wide_stage_state_the_angle_between_the_axes_by_the
 
 
 def test_an_angle_that_rests_on_what_is_not_determined_has_no_uncertainty():
-    exact = imagined(plan("four-position"), Bench(25.0))
+    exact = expected_readings(plan("four-position"), Bench(25.0))
     result = fit_readings(exact)
     assert "delta_phi" in result.undetermined
     assert result.shown_angle.u is None

@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.plan import plan_by, read_plan, write_plan
-from adis_gonio.plan.document import document_of, plan_from
+from adis_gonio.plan.plan_file import document_of, plan_from
 from adis_gonio.record.plans import PLAN_NAMES, Plan, Position, plan
 
 PAGE = (Path(__file__).parents[2] / "docs" / "plans.md").read_text("utf-8")
@@ -103,9 +103,9 @@ def test_what_is_wrong_is_told_in_one_line_by_its_field(document, told, tmp_path
 @pytest.mark.parametrize(
     ("before", "after", "told"),
     [
-        ('"plane": "xy"', '"plane": "xy", "name": "other"', "'name' stands there twice"),
-        ('"angle_deg": 90.0', '"angle_deg": 90.0, "angle_deg": 91.0', "'angle_deg' stands there twice"),
-        ('"plane": "xy"', '"plane": "xy", "made_for": {"a": 1, "a": 2}', "'a' stands there twice"),
+        ('"plane": "xy"', '"plane": "xy", "name": "other"', "'name' is given twice"),
+        ('"angle_deg": 90.0', '"angle_deg": 90.0, "angle_deg": 91.0', "'angle_deg' is given twice"),
+        ('"plane": "xy"', '"plane": "xy", "made_for": {"a": 1, "a": 2}', "'a' is given twice"),
     ],
 )
 def test_a_field_that_stands_twice_is_told_and_none_of_both_taken(before, after, told, tmp_path):

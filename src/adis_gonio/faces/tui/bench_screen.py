@@ -1,4 +1,4 @@
-"""The screen: shows a `BenchState`, gives the operator's keys to the runner, which runs in a thread."""
+"""The bench screen: shows a `BenchState`, and passes the operator's keys to the runner in its thread."""
 
 from __future__ import annotations
 
@@ -23,20 +23,21 @@ from textual.geometry import Size
 from textual.screen import Screen
 from textual.widgets import Static
 
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import SessionError, UsageError
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import drawing
 from adis_gonio.bench.runner import SessionRunner
-from adis_gonio.faces.tui import dialogs, glyphs, whole_turns, words
-from adis_gonio.faces.tui.state import BenchState
+from adis_gonio.faces.tui import dialogs, screen_text
+from adis_gonio.faces.tui.bench_state import BenchState
+from adis_gonio.record.view import ArchiveView
 
 LEAST_SIZE = (80, 24)
-"""Columns and rows that everything finds room in."""
+"""Smallest columns and rows with room for everything."""
 LARGE_SIZE = (120, 40)
-"""From here on the angle is twice as large."""
+"""Columns and rows from which the angle is twice as large."""
 
 LOOK_S = 0.05
-"""Least time between two looks at the sensor while a question stands: a simulated one has no other."""
+"""Shortest time between two readings during a question; a simulated sensor itself does not wait."""
 TICK_S = 0.1
 
 _STYLES = {
@@ -50,28 +51,28 @@ _STYLES = {
 
 
 class BenchApp(App[None]):
-    """The bench screen.
+    """The application that shows a session.
 
     Parameters
     ----------
     runner : SessionRunner
         Not run yet.
     resume_by : str
-        Command that goes on with the session.
+        Command that resumes the session.
     remember : callable
-        Fills in what an earlier run has done, once the session is open.
+        Called with the state once a resumed session is open; adds the positions of earlier runs.
 
     Attributes
     ----------
     state : BenchState
     error : BaseException or None
-        What ended the runner.
+        Exception that ended the runner.
     crash : Exception or None
-        What ended the screen, where that was not the runner's end.
+        Exception of the screen itself.
     abandoned : bool
-        True where the operator would not wait for the runner's end.
+        True if the operator did not wait for the runner's end.
     killed : bool
-        True where a signal (SIGTERM, SIGINT, SIGHUP) ended the session, in order.
+        True if a signal (SIGTERM, SIGINT, SIGHUP) ended the session in order.
     """
 
     ENABLE_COMMAND_PALETTE = False
@@ -152,14 +153,14 @@ class BenchApp(App[None]):
             self._ended.set()
 
     def wait(self) -> None:
-        """Wait for the runner's end, after the screen's."""
+        """Wait for the end of the runner, after the end of the screen."""
         if self._worker.is_alive():
             self._worker.join()
 
     # -- showing ------------------------------------------------------------------------------------
 
     def compose(self) -> ComposeResult:
-        """All of the screen."""
+        """Build the widgets."""
         yield Static(id="title")
         yield Static(id="small")
         with Horizontal(id="body"):
@@ -178,7 +179,7 @@ class BenchApp(App[None]):
         self.set_interval(TICK_S, self.tick)
 
     def _heed_signals(self) -> None:
-        """Let a signal end the session as Ctrl-C does, so that the terminal is left as it was."""
+        """Let a signal end the session as Ctrl-C does, so that the terminal is restored."""
         loop = asyncio.get_running_loop()
         for name in ("SIGTERM", "SIGINT", "SIGHUP"):
             with contextlib.suppress(AttributeError, NotImplementedError, RuntimeError, ValueError):
@@ -189,7 +190,7 @@ class BenchApp(App[None]):
         self._stop()
 
     def on_resize(self, event: ui.Resize) -> None:
-        """Make the best of the room there is."""
+        """Choose the layout for the new size."""
         width, height = event.size
         base = self.screen_stack[0]
         base.set_class(width < LEAST_SIZE[0] or height < LEAST_SIZE[1], "small")
@@ -197,19 +198,19 @@ class BenchApp(App[None]):
         self.call_after_refresh(self.show)
 
     def terminal_size(self) -> Size:
-        """What the terminal has now, whatever a signal or a shell's COLUMNS and LINES tell of it."""
+        """Current size of the terminal itself, independent of signals and of COLUMNS and LINES."""
         if self.is_headless or sys.__stderr__ is None:
             return self.size
         try:
             return Size(*os.get_terminal_size(sys.__stderr__.fileno()))
-        except (OSError, ValueError):  # no terminal that can be asked
+        except (OSError, ValueError):  # no terminal
             return self.size
 
     def tick(self) -> None:
-        """Take what the runner has told since, and show it."""
+        """Take the runner's new events, and show the state."""
         if (size := self.terminal_size()) != self.size:
             self.post_message(ui.Resize(size, size))
-        ended = self._ended.is_set()  # before the queue is looked at: nothing comes after
+        ended = self._ended.is_set()  # read before the queue is emptied, because no event follows the end
         while not self._events.empty():
             event = self._events.get_nowait()
             self._news_s = time.monotonic()
@@ -224,7 +225,7 @@ class BenchApp(App[None]):
         self._ask()
 
     def show(self) -> None:
-        """Show the state as it is."""
+        """Show the state."""
         if not self.is_running:
             return
         base, state = self.screen_stack[0], self.state
@@ -233,35 +234,35 @@ class BenchApp(App[None]):
         rows, side = base.query_one("#plan").content_size.height, base.query_one("#link").content_size.width
         silence_s = time.monotonic() - self._news_s
         plan = Text(no_wrap=True, overflow="ellipsis")
-        for line, style in words.plan_rows(state, rows):
+        for line, style in screen_text.plan_rows(state, rows):
             plan.append(f"{line}\n", style=_STYLES[style])
         size = f"{LEAST_SIZE[0]} × {LEAST_SIZE[1]}"
         small = f"This screen needs {size}, the terminal has {self.size.width} × {self.size.height}."
         texts: dict[str, Text] = {
-            "title": Text(words.title(state), no_wrap=True, overflow="ellipsis"),
+            "title": Text(screen_text.title(state), no_wrap=True, overflow="ellipsis"),
             "small": Text(f"{small} The session goes on: make it larger, or press q to quit."),
             "plan": plan,
-            "link": Text("\n".join(words.surroundings(state, side, silence_s))),
-            "task": Text(words.task(state)),
-            "angle": Text("\n".join(glyphs.large(glyphs.angle(state.angle_deg), 2 if large else 1))),
-            "target": Text(words.target(state), no_wrap=True),
-            "still": Text(words.stillness(state, room), no_wrap=True, style=_still_style(state)),
-            "waits": Text(words.waiting(state, silence_s)),
-            "progress": Text(words.progress(state, room), no_wrap=True),
+            "link": Text("\n".join(screen_text.surroundings(state, side, silence_s))),
+            "task": Text(screen_text.task(state)),
+            "angle": Text("\n".join(screen_text.large_angle(state.angle_deg, 2 if large else 1))),
+            "target": Text(screen_text.target(state), no_wrap=True),
+            "still": Text(screen_text.stillness(state, room), no_wrap=True, style=_still_style(state)),
+            "waits": Text(screen_text.waiting(state, silence_s)),
+            "progress": Text(screen_text.progress(state, room), no_wrap=True),
             "messages": _messages(state),
             "keys": _keys(state),
         }
         for name, text in texts.items():
             base.query_one(f"#{name}", Static).update(text)
         facts = Table.grid(padding=(0, 2, 0, 0))
-        for name, value in words.facts(state):
+        for name, value in screen_text.facts(state):
             facts.add_row(Text(name, style="dim"), Text(value))
         base.query_one("#facts", Static).update(facts)
 
     # -- asking -------------------------------------------------------------------------------------
 
     def _ask(self) -> None:
-        """Open the dialog of a question that has none yet; close one whose question has gone."""
+        """Open the dialog of a new question; close a dialog whose question has been withdrawn."""
         question = self.state.question
         if self._open_question is not None and question is not self._asked:
             gone, self._open_question = self._open_question, None
@@ -289,7 +290,7 @@ class BenchApp(App[None]):
             self.push_screen(dialog, self._give)
 
     def _give(self, answer: str | None) -> None:
-        """Give an answer to the runner; one that comes too late is told and does no harm."""
+        """Pass an answer to the runner; a message reports an answer that comes too late."""
         self._open_question = None
         if not answer or answer == "stay":
             return
@@ -319,11 +320,11 @@ class BenchApp(App[None]):
     # -- keys ---------------------------------------------------------------------------------------
 
     def action_take(self) -> None:
-        """The part is where it was asked to be."""
+        """Confirm that the part is at the position."""
         self._answer_position("confirm", can=True, why_not="")
 
     def action_skip(self) -> None:
-        """Leave the position out."""
+        """Skip the position."""
         self._answer_position("skip", can=True, why_not="")
 
     def action_retake(self) -> None:
@@ -356,17 +357,17 @@ class BenchApp(App[None]):
 
     def action_explain(self) -> None:
         """Show the help."""
-        self._open(dialogs.HelpDialog("Keys and signs", words.explained(self.state)), lambda _: None)
+        self._open(dialogs.HelpDialog("Keys and signs", screen_text.help_text(self.state)), lambda _: None)
 
     def action_draw(self) -> None:
-        """Show how the part is held."""
+        """Show how to hold the part."""
         if self.state.plan is not None:
             self._drawn = True
             text = "\n".join(drawing(self.state.plan))
             self._open(dialogs.HelpDialog("How the part is held", text), lambda _: None)
 
     def action_ask_to_quit(self) -> None:
-        """Ask whether the session ends here."""
+        """Ask whether to end the session."""
         self._open(dialogs.quit_dialog(self._resume_by), self._give_end)
 
     def _open(self, screen: Screen[Any], then: Callable[..., None]) -> None:
@@ -378,7 +379,7 @@ class BenchApp(App[None]):
             self._stop()
 
     def action_stop_now(self) -> None:
-        """End the session in order; asked a second time, leave at once."""
+        """End the session in order; the second time, leave at once."""
         if self._stopping:
             self.abandoned = True
             self.exit()
@@ -392,7 +393,7 @@ class BenchApp(App[None]):
         self.show()
 
     def _handle_exception(self, error: Exception) -> None:
-        """End the screen without a traceback: whoever started it says what happened."""
+        """End the screen without a traceback; `ScreenFace` reports the error."""
         self.crash = self.crash or error
         self._runner.stop()
         super()._handle_exception(error)
@@ -401,14 +402,14 @@ class BenchApp(App[None]):
 
 def _still_style(state: BenchState) -> str:
     if state.whole is not None:
-        return "bold red" if whole_turns.too_fast(state) else "green"
+        return "bold red" if screen_text.too_fast(state) else "green"
     if state.spread_mg is None or state.limit_mg is None:
         return "dim"
     return "green" if state.spread_mg <= state.limit_mg else "bold red"
 
 
 def _messages(state: BenchState) -> Text:
-    """The newest first, so that what finds no room is the oldest."""
+    """Messages, the newest first, so that the oldest ones are cut off."""
     text = Text()
     for message in reversed(state.messages):
         text.append(f"{message.text}\n", style="yellow" if message.level == "warned" else "")
@@ -417,7 +418,72 @@ def _messages(state: BenchState) -> Text:
 
 def _keys(state: BenchState) -> Text:
     text = Text(no_wrap=True)
-    for key, word in words.keys(state):
+    for key, word in screen_text.keys(state):
         text.append(key, style="bold reverse")
         text.append(f" {word}  ")
     return text
+
+
+class ScreenFace:
+    """Runs a session on the screen.
+
+    Parameters
+    ----------
+    runner : SessionRunner
+        Not run yet.
+    resume_by : str
+        Command that resumes the session.
+    """
+
+    def __init__(self, runner: SessionRunner, resume_by: str) -> None:
+        self._runner = runner
+        self._resume_by = resume_by
+
+    def run(self) -> bool:
+        """Run the session; return True if it is complete.
+
+        Raises
+        ------
+        SessionError
+            The screen itself failed; the recorded data are kept.
+        Exception
+            Any error of the runner; a message on standard error then explains how to resume.
+        KeyboardInterrupt
+            The operator did not wait for the session's end, or a signal ended it.
+        """
+        app = BenchApp(self._runner, self._resume_by, remember)
+        try:
+            app.run(mouse=False)
+        finally:
+            self._runner.stop()
+            if not app.abandoned:
+                app.wait()
+        for message in app.state.messages:
+            _print(f"  {message.text}")
+        if app.abandoned or app.killed:
+            raise KeyboardInterrupt
+        if app.crash is not None:
+            name = type(app.crash).__name__
+            raise SessionError(
+                f"the screen failed ({name}: {app.crash}); go on with {self._resume_by} --plain"
+            ) from app.crash
+        if app.error is not None:
+            _print(f"what was recorded is kept; go on with {self._resume_by}")
+            raise app.error
+        finished = app.state.finished
+        if finished is None or finished.complete:
+            return finished is not None
+        _print(f"  not complete: {finished.done} of {finished.total}; go on with {self._resume_by}")
+        return False
+
+
+def remember(state: BenchState) -> None:
+    """Mark the positions that earlier runs of a session have done, skipped or found faulty."""
+    with ArchiveView(state.path) as view:
+        done = [attempt.place for attempt in view.dwells()]
+        faulty = [attempt.place for attempt in view.faulty()]
+        state.remember(done, view.skipped(), faulty)
+
+
+def _print(text: str) -> None:
+    print(text, file=sys.stderr)  # noqa: T201

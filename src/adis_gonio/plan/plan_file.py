@@ -1,4 +1,4 @@
-"""A plan as a file: JSON with a version, read back with one clear line for whatever is wrong in it."""
+"""Plan files: JSON with a version; an error names the file and the field in one line."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def document_of(made: Plan, made_for: Mapping[str, Any] | None = None) -> dict[s
     Parameters
     ----------
     made_for : mapping, optional
-        How it was found, for who reads the file; nothing is read out of it.
+        Facts about the search, for people; the program does not read them.
     """
     positions = [{key: asdict(position)[key] for key in _KEYS} for position in made.positions]
     document: dict[str, Any] = {
@@ -50,29 +50,29 @@ def write_plan(path: str | Path, made: Plan, made_for: Mapping[str, Any] | None 
     Raises
     ------
     OutputError
-        It cannot be written.
+        The file cannot be written.
     """
     text = json.dumps(document_of(made, made_for), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
-    with replacing(path) as beside:
-        beside.write_text(text, encoding="utf-8", newline="\n")
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def read_plan(path: str | Path) -> Plan:
-    """Plan of a file.
+    """Read a plan file.
 
     Raises
     ------
     DataError
-        It cannot be read or is no plan; the line names the file and the field.
+        The file cannot be read or is no plan; the message names the file and the field.
     """
     path = Path(path)
     try:
         if path.stat().st_size > LARGEST_BYTES:
             raise DataError(f"{path}: is no plan: it has more than {LARGEST_BYTES // 1_000_000} MB")
         text = path.read_text(encoding="utf-8-sig")
-        document = json_value(text, object_pairs_hook=_once, parse_constant=float)
-    except _TwiceError as error:
-        raise DataError(f"{path}: {error} stands there twice: leave one of them") from None
+        document = json_value(text, object_pairs_hook=_unique_fields, parse_constant=float)
+    except _DuplicateError as error:
+        raise DataError(f"{path}: {error} is given twice: remove one of them") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     except json.JSONDecodeError as error:
@@ -82,26 +82,26 @@ def read_plan(path: str | Path) -> Plan:
     return plan_from(document, str(path))
 
 
-class _TwiceError(Exception):
-    """A field that stands twice in one object."""
+class _DuplicateError(Exception):
+    """A field that an object has twice."""
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for key, value in pairs:
         if key in fields:
-            raise _TwiceError(_shown(key))
+            raise _DuplicateError(_shown(key))
         fields[key] = value
     return fields
 
 
 def plan_from(document: Any, name: str = "plan") -> Plan:
-    """Plan of a JSON document; `name` says in an error where it is from.
+    """Convert a JSON document to a plan; error messages begin with `name`.
 
     Raises
     ------
     DataError
-        It is no plan, of a newer version, or something in it cannot be used.
+        The document is no plan, has a newer version, or a field with an impossible value.
     """
     if not isinstance(document, Mapping) or document.get("schema") != SCHEMA:
         raise DataError(f"{name}: schema is not '{SCHEMA}'; make a plan with adis-gonio plan -o NAME.json")
@@ -163,19 +163,19 @@ def _shown(value: Any) -> str:
 
 
 def plan_by(name: str, positions: int | None = None, check: int = 0) -> Plan:
-    """Plan by its name, or of a file where `name` is none of `PLAN_NAMES` and is or ends like one.
+    """Return a plan by its name, or from a file if `name` is not in `PLAN_NAMES` and looks like a path.
 
     Parameters
     ----------
     positions, check : int
-        As `session.plans.plan` has them; a file has its own number of positions.
+        See `record.plans.plan`; a file has its own number of positions.
 
     Raises
     ------
     DataError
         The file is no plan.
     UsageError
-        No such plan, or a number that it does not allow.
+        An unknown plan, or a number that the plan does not allow.
     """
     if name in PLAN_NAMES or not (ends_in(name, ".json") or "/" in name or Path(name).is_file()):
         return plan(name, positions, check)

@@ -1,4 +1,4 @@
-"""`adis-gonio calibrate`: the bench session with plain prompts."""
+"""`calibrate`: the bench session, by the screen or by plain prompts."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import exists_error
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.plain import choose_face
-from adis_gonio.faces.cli.show import print_json
+from adis_gonio.faces.cli.show import print_json, working
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
     from adis_gonio.bench.closing import TraceAdvisor
@@ -28,11 +28,24 @@ _METADATA = {
     "serial": "serial number of the part",
     "stage": "stage or fixture",
 }
+_TURNED = {
+    "free-turn": "a free turn has no positions",
+    "gyro-turns": "of gyro turns all take part in the fit",
+}
 
 
-@click.command("calibrate")
+@option.command(
+    "calibrate",
+    "--output --plan --resume",
+    {
+        "Plan": "--positions --check --duration --turns --auto --extend --trace --max-extra",
+        "Measuring": "--dwell --settle --rate --filter --range --record-turns --poll",
+        "Place and fixture": "--gravity --latitude --height --fixture",
+        "Record": "--title --note --operator --serial --stage",
+    },
+)
 @option.url
-@option.output("Session file to make.", required=True)
+@option.output("Session file to write.", required=True)
 @click.option(
     "--plan",
     "plan_name",
@@ -49,49 +62,49 @@ _METADATA = {
 @click.option(
     "--turns",
     type=int,
-    help="With --plan free-turn: full turns within it (default 2); with gyro-turns: each way (default 5).",
+    help="With --plan free-turn: number of full turns (default 2); with gyro-turns: in each direction"
+    " (default 5).",
 )
-@click.option("--auto", is_flag=True, help="Move the stage by program and answer all prompts (simulator).")
-@click.option("--extend", is_flag=True, help="With --auto: go on from two to four positions.")
-@click.option(
+@option.flag("--auto", help="Move the stage by program and answer all prompts (simulator).")
+@option.flag("--extend", help="With --auto: extend two positions to four.")
+@option.flag(
     "--trace",
     "closing",
-    is_flag=True,
-    help="Then trace the session, and go on with the positions that would decide what is still open.",
+    help="Then trace the session, and measure the positions that decide open questions.",
 )
 @click.option(
     "--max-extra",
     type=click.IntRange(0, 1000),
     help="With --trace: most positions beyond the plan (default 24).",
 )
-@click.option("--resume", is_flag=True, help="Go on with the session in the file.")
+@option.flag("--resume", help="Continue the session in the file.")
 @option.dwell()
 @option.settle
 @option.rate
 @option.filter
-@option.shown("--range", "range_dps", type=int, default=300, help="Gyros: 300, 150, 75 °/s.")
+@option.shown("--range", "range_dps", type=int, default=300, help="Range of the gyros: 300, 150 or 75 °/s.")
 @click.option(
     "--record-turns/--no-record-turns",
     "record_turns",
     default=None,
-    help="Keep the moves between dwells, which calibrate the gyros: at most 2.4 MB each (default: yes;"
-    " of gyro-turns its whole turns alone).",
+    help="Record the moves between dwells, which calibrate the gyros: at most 2.4 MB each (default: yes;"
+    " for gyro-turns only the whole turns).",
 )
 @option.poll
-@option.gravity
-@click.option("--latitude", type=float, help="Latitude in degrees: gravity of the ellipsoid there.")
+@option.gravity()
+@click.option("--latitude", type=float, help="Latitude in degrees: use the ellipsoid's gravity there.")
 @click.option("--height", type=float, default=0.0, help="Height in m, with --latitude.")
 @option.fixture()
 @option.title
 @click.option("--note", default="", help="Note to keep with the session.")
-@click.option("--operator", help="Who measures; asked for on a terminal.")
-@click.option("--serial", help="Serial number of the part; asked for on a terminal.")
-@click.option("--stage", help="Stage or fixture in your own words; asked for on a terminal.")
-@click.option("--plain", is_flag=True, help="Prompts in plain lines, for logs and dumb terminals.")
+@click.option("--operator", help="Operator; a terminal asks for it.")
+@click.option("--serial", help="Serial number of the part; a terminal asks for it.")
+@click.option("--stage", help="Stage or fixture in your own words; a terminal asks for it.")
+@option.flag("--plain", help="Prompt in plain lines, for logs and simple terminals.")
 @option.variant
 @option.no_check
 @option.json
-def command(
+def calibrate_command(
     *,
     url: str,
     output: Path,
@@ -104,26 +117,28 @@ def command(
 ) -> int:
     """Calibrate a sensor on a stage, position by position, and compute ΔK and Δφ.
 
-    Every sample goes into the session file as it is taken. The file survives a kill at any moment;
-    --resume goes on with what is missing. Ctrl-C ends the session and keeps all of it.
+    Every sample goes into the session file as it is taken. The file survives a kill at any moment; --resume
+    continues with the missing positions. Ctrl-C ends the session and keeps all its data.
 
-    Each position is judged as the part comes to rest: not moved, turned the wrong way or about another
-    axis, off by more than part and fixture explain. What is kept nevertheless ends in exit status 1.
+    Each position is checked when the part comes to rest: it was not moved, it was turned the wrong way or
+    about another axis, or its angle error exceeds that of part and fixture. If you keep such a dwell, the
+    exit status is 1.
 
-    Scans start at the sensor's data-ready edges where the bridge can use them and the line is wired; else,
+    Scans start at the sensor's data-ready edges if the line is wired and the bridge can use it; otherwise,
     or with --poll, they are polled.
 
-    In a terminal of 80 × 24 or more the session is shown on a screen with the live angle (extra: bench);
-    --plain, a log or a smaller terminal gets prompts line by line.
+    A terminal of at least 80 × 24 shows the session on a screen with the live angle (extra: bench); with
+    --plain, in a log or on a smaller terminal the prompts are lines.
 
-    --plan free-turn records slow continuous turns, from a rest to a rest, without declared angles: two in
-    a minute, on and on or forth and back; or --turns N.
+    --plan free-turn records slow continuous turns between two rests, without declared angles: two in a
+    minute, in one direction or forth and back; or --turns N.
 
-    --plan gyro-turns calibrates the gyros on a level table: whole turns both ways, from a mark back to it,
-    with the X, the Y and the Z arrow up (down it only rests; --positions 3 leaves that out).
+    --plan gyro-turns calibrates the gyros on a level table: whole turns in both directions, from a mark
+    back to it, with the X, the Y and the Z arrow up (with an arrow down the part only rests; --positions 3
+    omits that).
 
-    With --trace the session then says which further positions would decide what is still open, and goes on
-    with them until the model is adequate or no position is expected to show more.
+    With --trace, the session then lists the further positions that would decide open questions, and
+    measures them until the model is adequate or no position is expected to show more.
     """
     from adis_gonio.bench.closing import MOST_EXTRA, TraceAdvisor
     from adis_gonio.record.loading import load_session
@@ -136,42 +151,44 @@ def command(
         raise SessionError(f"{output}: no such session to resume")
     if max_extra is not None and not closing:
         raise UsageError("--max-extra limits what --trace adds: give --trace as well")
-    refuse_chip_options(url, _given("rate_hz", "filter_m", "range_dps", "poll", "variant", "no_check"))
+    refuse_chip_options(
+        url, _given_flags("rate_hz", "filter_m", "range_dps", "poll", "variant", "no_check")
+    )
     advisor = TraceAdvisor(MOST_EXTRA if max_extra is None else max_extra) if closing else None
-    if resume and not closing and _nothing_left(output):
+    if resume and not closing and _is_complete(output):
         click.echo(f"{output}: complete, nothing is left to do", err=True)
         complete = True
     else:
-        from adis_gonio.faces.cli.plain import PlainBench
+        from adis_gonio.faces.cli.line_prompts import PlainBench, choose_face
 
         with open_source(url, variant=options["variant"], check=not options["no_check"]) as sensor:
             runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
             prompts = PlainBench(runner, auto=options["auto"])
             resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
             plain = plain or options["auto"] or not runner.on_screen
-            face = choose_face(runner, prompts, plain=plain, resume_by=resume_by)
-            complete = face.run()
+            complete = choose_face(runner, prompts, plain=plain, resume_by=resume_by).run()
     session = load_session(output)
     if session.facts["plan"]["name"] == GYRO_TURNS:
-        from adis_gonio.faces.cli.fit import show_gyro_fit
+        from adis_gonio.faces.cli.fit_commands import show_gyro_fit
 
         show_gyro_fit(session, None, as_json=as_json)
     else:
-        _show(session, advisor, complete=complete, as_json=as_json)
+        _show_result(session, advisor, complete=complete, as_json=as_json)
     if not as_json:
         click.echo(f"session: {session.source}")
     return _status(session, complete=complete)
 
 
-def _show(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> None:
-    """What a session of positions gives, its gyros in a line."""
-    from adis_gonio.faces.cli.fit import print_answer, print_gains
+def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> None:
+    """Show the fit of a session of positions, its gyro gains, and its trace if one was asked for."""
+    from adis_gonio.faces.cli.fit_commands import print_answer, print_gains
+    from adis_gonio.faces.cli.trace_commands import print_loop, print_trace
     from adis_gonio.fitting import fit
     from adis_gonio.fitting.gyros.gains import gains_of
     from adis_gonio.tracing.answer import answer_with_trace
 
     truth = session.facts.get("truth")
-    traced = _traced(session, advisor) if advisor is not None else None
+    traced = _trace(session, advisor) if advisor is not None else None
     answer = answer_with_trace(fit(session), traced, own=False)
     if as_json:
         document = answer.as_dict()
@@ -187,16 +204,13 @@ def _show(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_
     print_answer(answer, truth)
     print_gains(session)
     if traced is not None:
-        from adis_gonio.faces.cli.closing import print_loop
-        from adis_gonio.faces.cli.trace import print_trace
-
         click.echo()
         print_trace(session, traced)
         print_loop(session, traced)
 
 
 def _status(session: Session, *, complete: bool) -> int:
-    """Exit status; where a dwell was kept against a guard, why the result cannot be right is said."""
+    """Return the exit status, and report the dwells that were kept although a guard doubted them."""
     doubts = session.facts["doubts"]
     for doubt in doubts:
         sure = "cannot" if doubt["attempt"] is not None else "may not"
@@ -211,20 +225,8 @@ def _status(session: Session, *, complete: bool) -> int:
     return 0 if complete and not doubts else 1
 
 
-def _written(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
-    """Operator, serial number and stage: as given, else asked once where somebody sits at a terminal."""
-    written = {}
-    for name, what in _METADATA.items():
-        given = options[name]
-        if given is None and ask:
-            given = click.prompt(f"{what} (Enter: none)", default="", show_default=False, err=True)
-        written[name] = given or ""
-    return written
-
-
-def _traced(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
-    """The advisor's last trace where it saw all of the session, else a new one; None where none can be."""
-    from adis_gonio.faces.cli.show import working
+def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
+    """The advisor's last trace if it covered all dwells, else a new one; None if none is possible."""
     from adis_gonio.tracing.trace import trace
 
     if advisor.result is not None and advisor.dwells == len(session.dwells):
@@ -237,8 +239,8 @@ def _traced(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
         return None
 
 
-def _nothing_left(path: Path) -> bool:
-    """True where all positions are done and the plan has no longer form to offer."""
+def _is_complete(path: Path) -> bool:
+    """True if all positions are done and the plan has no extended form to offer."""
     from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import extension
 
@@ -247,12 +249,12 @@ def _nothing_left(path: Path) -> bool:
         return done and extension(view.plan(), len(view.dwells())) is None
 
 
-def _given(*names: str) -> dict[str, bool]:
-    """Which options stand on the command line, by their spelling there."""
+def _given_flags(*names: str) -> dict[str, bool]:
+    """For each parameter, by its flag: True if it was given on the command line."""
     context = click.get_current_context()
-    spelling = {option.name: option.opts[-1] for option in context.command.params}
+    flags = {option.name: option.opts[-1] for option in context.command.params}
     default = click.core.ParameterSource.DEFAULT
-    return {spelling[name]: context.get_parameter_source(name) is not default for name in names}
+    return {flags[name]: context.get_parameter_source(name) is not default for name in names}
 
 
 def _runner(
@@ -260,22 +262,22 @@ def _runner(
     output: Path,
     *,
     resume: bool,
+    advisor: TraceAdvisor | None,
     plan_name: str | None,
     positions: int | None,
     check: int,
     auto: bool,
     extend: bool,
-    advisor: TraceAdvisor | None,
     duration_s: float | None,
     turns: int | None,
     **options: Any,
 ) -> SessionRunner:
+    """Return the runner of a new or resumed session."""
     from adis_gonio.bench.free_turn import FREE_TURN
     from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
-    from adis_gonio.faces.cli.plain import on_terminal
-    from adis_gonio.model.gravity import normal_gravity_mps2
+    from adis_gonio.faces.cli.line_prompts import on_terminal
     from adis_gonio.record.plans import GYRO_TURNS
 
     if resume:
@@ -286,23 +288,10 @@ def _runner(
         if options["poll"]:
             raise UsageError("--resume gets its scans as the session did before: leave --poll out")
         return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
-    if options["latitude"] is not None and options["gravity_mps2"] is not None:
-        raise UsageError("give --gravity or --latitude, not both")
-    world = sensor.world
-    gravity = options["gravity_mps2"]
-    fixture = options["fixture_deg"]
-    if options["latitude"] is not None:
-        gravity = normal_gravity_mps2(options["latitude"], options["height"])
-    # What an operator would know of a real bench, the simulated one says of itself.
-    if gravity is None:
-        gravity = world.settings.gravity_mps2 if world is not None else 9.80665
-    if fixture is None and world is not None:
-        fixture = world.settings.fixture_sigma_deg
-    if (plan_name in (FREE_TURN, GYRO_TURNS)) and (check or extend or advisor is not None):
-        raise UsageError(f"{_TURNED[plan_name or '']}: leave --check, --extend and --trace out")
-    if plan_name == GYRO_TURNS and world is not None and options["fixture_deg"] is None:
-        fixture = world.settings.mark_sigma_deg
-    chosen, length_s = _chosen(plan_name, positions, check, duration_s, turns)
+    gravity, fixture = _gravity_and_fixture(sensor, plan_name, **options)
+    if plan_name in _TURNED and (check or extend or advisor is not None):
+        raise UsageError(f"{_TURNED[plan_name]}: leave --check, --extend and --trace out")
+    chosen, length_s = _choose_plan(plan_name, positions, check, duration_s, turns)
     keeps_moves = options["record_turns"]
     settings = option.measuring_settings(
         dwell_s=options["dwell_s"] if length_s is None else length_s,
@@ -325,23 +314,57 @@ def _runner(
         fixture_sigma_deg=None if plan_name == FREE_TURN else fixture,
         title=options["title"],
         note=options["note"],
-        **_written(options, ask=on_terminal() and not auto),
+        **_metadata(options, ask=on_terminal() and not auto),
         advisor=advisor,
     )
 
 
-_TURNED = {
-    "free-turn": "a free turn has no positions",
-    "gyro-turns": "of gyro turns all take part in the fit",
-}
+def _gravity_and_fixture(
+    sensor: SampleSource,
+    plan_name: str | None,
+    *,
+    gravity_mps2: float | None,
+    fixture_deg: float | None,
+    latitude: float | None,
+    height: float,
+    **_: Any,
+) -> tuple[float, float | None]:
+    """Local gravity in m/s² and standard uncertainty of a stage angle in degrees.
+
+    A simulated bench states both if they are not given, as the operator of a real bench knows them.
+    """
+    from adis_gonio.model.gravity import normal_gravity_mps2
+
+    world = sensor.world
+    if latitude is not None:
+        if gravity_mps2 is not None:
+            raise UsageError("give --gravity or --latitude, not both")
+        gravity_mps2 = normal_gravity_mps2(latitude, height)
+    if world is None:
+        return STANDARD_GRAVITY_MPS2 if gravity_mps2 is None else gravity_mps2, fixture_deg
+    simulated = world.settings
+    if fixture_deg is None:
+        fixture_deg = simulated.mark_sigma_deg if plan_name == "gyro-turns" else simulated.fixture_sigma_deg
+    return simulated.gravity_mps2 if gravity_mps2 is None else gravity_mps2, fixture_deg
 
 
-def _chosen(
+def _metadata(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
+    """Operator, serial number and stage: as given, else asked for if somebody sits at a terminal."""
+    written = {}
+    for name, what in _METADATA.items():
+        given = options[name]
+        if given is None and ask:
+            given = click.prompt(f"{what} (Enter: none)", default="", show_default=False, err=True)
+        written[name] = given or ""
+    return written
+
+
+def _choose_plan(
     name: str | None, positions: int | None, check: int, duration_s: float | None, turns: int | None
 ) -> tuple[Plan, float | None]:
     """Return the plan by its options, and the longest recording of a free turn."""
     from adis_gonio.bench import free_turn, gyro_turns
-    from adis_gonio.plan.document import plan_by
+    from adis_gonio.plan import plan_by
     from adis_gonio.record.plans import DEFAULT_PLAN
 
     if name == "free-turn":

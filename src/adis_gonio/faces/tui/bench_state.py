@@ -1,4 +1,4 @@
-"""What the screen shows of a session, collected from the runner's events; no screen in here."""
+"""The state of a session on the bench screen, collected from the runner's events."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered 
 
 
 class Mark(Enum):
-    """Where a position stands: a sign and a word, so that neither colour nor sign is needed."""
+    """State of a position, with a sign and a word, so that it can be read without colours."""
 
     OPEN = "·", "to do"
     NOW = "▶", "now"
@@ -42,7 +42,7 @@ class Mark(Enum):
 
 @dataclass(frozen=True)
 class Message:
-    """A line that stays."""
+    """A line in the list of messages."""
 
     text: str
     level: Literal["said", "warned"] = "said"
@@ -50,7 +50,7 @@ class Message:
 
 @dataclass(frozen=True)
 class Span:
-    """Something that takes a known time."""
+    """Progress of an activity with a known length."""
 
     what: str
     elapsed_s: float
@@ -58,61 +58,60 @@ class Span:
 
 
 class BenchState:
-    """Takes events in order; its attributes are what is known now.
+    """Takes events in order; its attributes describe the session now.
 
     Attributes
     ----------
     path, url, variant : str
-        Of the session; empty before it is open.
+        File, sensor and its variant; empty until the session is open.
     resumed : bool
-        True where it goes on with an earlier one.
+        True if the session continues an earlier run.
     plan : Plan or None
     marks : dict of int to Mark
-        Places that are not to do.
+        Marks of the places that are not open.
     place : int or None
-        The one that is asked for or measured.
+        Place that is asked for or measured.
     question : Event or None
-        What waits for an answer.
+        The question that waits for an answer.
     doing : str
-        What goes on, in words.
+        Current activity.
     span : Span or None
-        How far it is, where that is known.
+        Progress of a dwell or wait.
     angle_deg, target_deg : float or None
-        Live angle, on the turn that the stage has made from `here` (on the turn that is nearest to the
-        target if that is not known, see `lost_way`), and the angle asked for.
+        Live angle, counted along the stage's turn since `here` (if the turn was not watched, see
+        `lost_way`, within half a turn of the target), and the angle asked for.
     tolerance_deg : float or None
-        Distance from the target within which the part is there, as far as the dwells so far tell; None
-        while a dwell is recorded and before the first.
+        Distance from the target within which the part has arrived, estimated from the dwells so far; None
+        during a dwell and before the first.
     spread_mg, limit_mg : float or None
-        Of the axis that is nearest to its limit of stillness, or beyond it.
+        Spread and limit of stillness, of the axis with the largest ratio of both.
     waits_for : str
-        What is waited for.
     turn : TurnMeasured or None
-        The last turn.
+        The last turn between positions.
     whole, turned : TurnProgress or None, TurnDone or None
-        Whole turns on a table: those in hand, and the last ones.
+        Whole turns on a table: the current and the last ones.
     range_dps : float
-        Of the gyros.
+        Range of the gyros.
     running : Running or None
-        What the dwells so far give.
+        Parameters from the dwells so far.
     temperature_c, began_c : float or None
-        Temperature now, and the first one seen.
+        Temperature now, and the first one measured.
     lost : int
         Scans lost so far.
     rate_hz : float or None
     link : str
-        How scans are got.
+        How scans are started.
     time_left_s : float or None
-        As it was at the last position that was asked for.
+        Remaining time when the last position was asked for.
     paused : bool
     quiet : bool
-        True where nothing is to be heard of the sensor: in a pause, while a trace runs, after the end.
+        True if no news of the sensor is expected: in a pause, during a trace, after the end.
     zero_known : bool
-        True once a dwell has shown where the stage's zero is.
+        True once a dwell has determined the stage's zero.
     here : Position or None
-        Where the part was measured last; None once a dwell was broken off, as it may lie elsewhere.
+        Position of the last dwell; None after an interrupted dwell, because the part may have moved.
     reversed : bool
-        True in a session that is taken as turned the other way.
+        True if the session counts turns the other way.
     messages : list of Message
         The newest last.
     finished : Finished or None
@@ -154,55 +153,60 @@ class BenchState:
         self.finished: events.Finished | None = None
 
     @property
+    def on_table(self) -> bool:
+        """True in a session of whole turns on a table."""
+        return self.plan is not None and self.plan.name == GYRO_TURNS
+
+    @property
     def position(self) -> Position | None:
         """Position that is asked for or measured."""
         return None if self.plan is None or self.place is None else self.plan.positions[self.place]
 
     @property
     def more_deg(self) -> float | None:
-        """Turn that remains on the way asked for, positive as the stage counts; None if unknown."""
+        """Remaining turn to the target, positive in the stage's direction; None if unknown."""
         if self.angle_deg is None or self.target_deg is None:
             return None
         return self.target_deg - self.angle_deg
 
     @property
     def lost_way(self) -> bool:
-        """True if the headline names a turn from `here` whose course was not watched, as in a pause."""
+        """True if the part may have turned unwatched since `here`, for example in a pause."""
         here = self.here
         return here is not None and here.angle_deg is not None and self._turned_deg is None
 
     @property
     def passes(self) -> bool:
-        """True if the part stands at the angle asked for, and has to come to it from the other side."""
+        """True if the part is at the angle asked for and has to approach it from the other side."""
         asked, here = self.position, self.here
         if asked is None or here is None or not isinstance(self.question, events.PositionAsked):
             return False
         return asked.angle_deg == here.angle_deg and asked.approach != here.approach
 
     def mark(self, place: int) -> Mark:
-        """Where a position stands."""
+        """State of a position."""
         return Mark.NOW if place == self.place else self.marks.get(place, Mark.OPEN)
 
     def remember(self, done: Collection[int], skipped: Collection[int], faulty: Collection[int]) -> None:
-        """Places that an earlier run of the session has settled."""
+        """Mark the places that earlier runs have settled."""
         self.zero_known = bool(done)
         self.marks |= dict.fromkeys(done, Mark.DONE)
         self.marks |= dict.fromkeys(skipped, Mark.SKIPPED)
         self.marks |= dict.fromkeys(faulty, Mark.FAULTY)
 
     def answered(self) -> None:
-        """The question has its answer; what comes next is told by the next event."""
+        """Close the question after its answer; the next event sets the new state."""
         if isinstance(self.question, events.PositionAsked):
             self.doing = "going on"
         self.question = None
 
     def say(self, text: str, level: Literal["said", "warned"] = "said") -> None:
-        """Add a line that stays."""
+        """Add a message."""
         self.messages = [*self.messages, Message(text, level)][-MOST_MESSAGES:]
 
     @singledispatchmethod
     def take(self, event: events.Event) -> None:
-        """Take the next event; those that say nothing to a screen are let pass."""
+        """Take the next event; events without a method below change nothing."""
 
     @take.register
     def _(self, event: events.Started) -> None:
@@ -226,34 +230,23 @@ class BenchState:
 
     @take.register
     def _(self, event: events.PositionAsked) -> None:
-        self._ask(event)
-        self.place, self.time_left_s = event.place, event.time_left_s
+        self._ask(event, event.place)
+        self.time_left_s = event.time_left_s
         self.target_deg = event.position.angle_deg
-        self.doing = "waiting for you"
 
     @take.register
     def _(self, event: events.GuardRaised) -> None:
-        self._ask(event)
-        self.place = event.place
-        self.doing = "waiting for you"
+        self._ask(event, event.place)
         self.say(event.message, "warned")
 
     @take.register
-    def _(self, event: events.RepetitionOffered) -> None:
-        self._ask(event)
-        self.place = None
-        self.doing = "waiting for you"
+    def _(self, event: events.RepetitionOffered | events.ExtensionOffered) -> None:
+        self._ask(event, None)
 
-    @take.register
-    def _(self, event: events.ExtensionOffered) -> None:
-        self._ask(event)
-        self.place = None
-        self.doing = "waiting for you"
-
-    def _ask(self, question: Question) -> None:
-        self._goes_on()
-        self.question = question
-        self.waits_for = "your answer"
+    def _ask(self, question: Question, place: int | None) -> None:
+        self._go_on()
+        self.question, self.place = question, place
+        self.doing, self.waits_for = "waiting for you", "your answer"
 
     @take.register
     def _(self, event: events.StageMoved) -> None:
@@ -265,14 +258,14 @@ class BenchState:
         self.lost = event.lost
         if event.state == "idle":
             return
-        self._goes_on()
-        words = {"measuring": "measuring the noise at rest", "moving": "waiting for rest"}
-        self.doing = words.get(event.state, "still; settling")
+        self._go_on()
+        activities = {"measuring": "measuring the noise at rest", "moving": "waiting for rest"}
+        self.doing = activities.get(event.state, "still; settling")
 
     @take.register
     def _(self, event: events.DwellProgress) -> None:
         self._look(event)
-        self._goes_on()
+        self._go_on()
         self.place = event.place
         self.doing = "recording"
         self.span = Span("dwell", event.elapsed_s, event.length_s)
@@ -295,26 +288,26 @@ class BenchState:
         self.spread_mg, self.limit_mg = max(pairs, key=lambda pair: pair[0] / pair[1])
 
     def _along(self, angle_deg: float | None) -> float | None:
-        """Angle on the turn that the stage has made since the last dwell; as it is without one."""
+        """Angle counted along the turn since the last dwell; unchanged if the turn was not watched."""
         if angle_deg is None or self._turned_deg is None:
             return angle_deg
         self._turned_deg += wrap_degrees(angle_deg - self._turned_deg)
         return self._turned_deg
 
-    def _goes_on(self) -> None:
+    def _go_on(self) -> None:
         self.question, self.span, self.paused, self.quiet = None, None, False, False
         self.whole = None
 
     @take.register
     def _(self, event: events.TurnProgress) -> None:
-        self._goes_on()
+        self._go_on()
         self.whole, self.angle_deg, self.lost = event, event.turned_deg, event.lost
         self.spread_mg = None
         self.doing = "turning"
 
     @take.register
     def _(self, event: events.TurnDone) -> None:
-        self._goes_on()
+        self._go_on()
         self.turned = event
         lost = f", {event.lost} scans lost" if event.lost else ""
         turned = format_fixed(event.turned_deg, 1, sign=True)
@@ -322,14 +315,14 @@ class BenchState:
 
     @take.register
     def _(self, event: events.Waiting) -> None:
-        self._goes_on()
+        self._go_on()
         self.place = event.place
         self.doing = "waiting, as the plan asks"
         self.span = Span("wait", event.elapsed_s, event.length_s)
 
     @take.register
     def _(self, event: events.Advising) -> None:
-        self._goes_on()
+        self._go_on()
         self.place = None
         self.quiet = True
         self.waits_for = ""
@@ -342,7 +335,7 @@ class BenchState:
 
     @take.register
     def _(self, event: events.DwellDone) -> None:
-        self._goes_on()
+        self._go_on()
         self.marks[event.place] = Mark.FAULTY if event.alarms else Mark.DONE
         self.here = event.position
         self._turned_deg = event.position.angle_deg
@@ -353,13 +346,12 @@ class BenchState:
         lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
         each = zip("xyz", event.accel_mg, strict=True)
         mean = ", ".join(f"{axis} {format_fixed(mg, 2, sign=True)}" for axis, mg in each) + " mg"
-        on_table = self.plan is not None and self.plan.name == GYRO_TURNS
-        place = (face(event.position) if on_table else "") or str(event.position)
+        place = (face(event.position) if self.on_table else "") or str(event.position)
         self.say(f"✓ {place}: {mean}{lost}")
 
     @take.register
     def _(self, event: events.DwellInterrupted) -> None:
-        self._goes_on()
+        self._go_on()
         self.here = self._turned_deg = None
         self.say(f"{event.position} interrupted: {event.reason} (samples kept)", "warned")
 
@@ -379,9 +371,9 @@ class BenchState:
 
     @take.register
     def _(self, event: events.Paused) -> None:
-        self._goes_on()
+        self._go_on()
         self.paused = self.quiet = True
-        # Nobody counts the turns that the part makes from now on.
+        # Turns during the pause are not counted.
         self.angle_deg = self.spread_mg = self._turned_deg = None
         self.doing = "paused"
 
@@ -401,7 +393,7 @@ class BenchState:
 
     @take.register
     def _(self, event: events.Finished) -> None:
-        self._goes_on()
+        self._go_on()
         self.place = None
         self.quiet = True
         self.finished = event
