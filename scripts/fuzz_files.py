@@ -280,7 +280,7 @@ def warm_up() -> None:
     names = (
         "fitting.methods",
         "tracing.trace",
-        "tracing.answer",
+        "tracing.traced_answer",
         "bench.runner",
         "sim.bus",
         "plan.optimal_plan",

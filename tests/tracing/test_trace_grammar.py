@@ -17,7 +17,7 @@ from adis_gonio.fitting.estimation.terms import NamelessTerm
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.rates import MeanRate
-from adis_gonio.tracing.candidates.grammar import _knots, nameless_terms
+from adis_gonio.tracing.grammar import _knots, nameless_terms
 
 N = 30
 CONST = " + const"

@@ -8,7 +8,6 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
-from adis_gonio.base.version import __version__
 from adis_gonio.fleet import words
 from adis_gonio.fleet.run import Repeated
 from adis_gonio.fleet.summary import GROUPS, Outlying, QuantitySummary, Summary
@@ -55,9 +54,6 @@ def build_page(
         "Fleet",
         title or counted(summary.sessions["n"], "session"),
         shape=words.headline(summary).rstrip("."),
-        simulated=False,
-        begun="",
-        software=f"adis-gonio {__version__}",
         sections=sections,
         closing="This page is made from the sessions' files alone and can be made again from them.",
     )

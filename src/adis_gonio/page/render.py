@@ -9,6 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from adis_gonio.base.numbers import NO_BREAK
+from adis_gonio.base.version import __version__
 from adis_gonio.page.parts import Section
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
@@ -20,11 +21,11 @@ def render(
     title: str,
     *,
     shape: str,
-    simulated: bool,
-    begun: str,
-    software: str,
     sections: Sequence[Section],
     closing: str,
+    simulated: bool = False,
+    begun: str = "",
+    software: str = f"adis-gonio {__version__}",
 ) -> str:
     """A page of a kind (`Calibration report`) that loads nothing; every text is escaped and printable.
 

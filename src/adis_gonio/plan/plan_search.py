@@ -43,7 +43,7 @@ from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Conditions, effect
 from adis_gonio.plan.prediction import Bench, expected_readings, ideal_mg, planned_terms
 from adis_gonio.record.plans import Approach, Plan, Position
-from adis_gonio.tracing.advice.proposals import TYPICALS
+from adis_gonio.tracing.proposals import TYPICALS
 
 Best = Literal["angle", "parameters", "tell-apart"]
 MEANING: dict[Best, str] = {

@@ -41,11 +41,11 @@ from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.plans import Plan
 from adis_gonio.record.settings import TURN_S, Settings, expected_each_s
-from adis_gonio.tracing.advice.proposals import LEAST_SEPARATION, widest_terms
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.outcome.detect import detectable
-from adis_gonio.tracing.selection.design import LinearProblem, linearise, span
-from adis_gonio.tracing.selection.search import Search, price
+from adis_gonio.tracing.findings import detectable
+from adis_gonio.tracing.linear_problem import LinearProblem, linearise, span
+from adis_gonio.tracing.model_search import Search, price
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.proposals import LEAST_SEPARATION, widest_terms
 
 LARGEST_FIXTURE_DEG = 30.0
 """Error of an angle set by hand and eye without a stage; a larger one is not a declared angle."""
@@ -470,7 +470,7 @@ def fitted_variance(result: FitResult) -> Floats:
 def sight_of(readings: Readings) -> Sight:
     """Predict which effects a session with such readings detects and distinguishes.
 
-    The detectable amplitude is that of `trace` (`tracing.outcome.detect`), at its error level, in addition
+    The detectable amplitude is that of `trace` (`tracing.findings`), at its error level, in addition
     to the start angle, gains, Δφ and biases. Two effects are not distinguished if one of them, at its
     detectable amplitude, differs by less than `LEAST_SEPARATION` standard uncertainties from the other's
     best imitation; `advice` uses the same limit for a measurement that is worth while.

@@ -1,9 +1,12 @@
-"""Samples one after another, of the chip as words or of any other sensor as values.
+"""Blocks of samples, of the chip as words or of any other sensor as values, and the alarms in them.
 
-A session takes either: both have `time_s`, `lost`, `dropped`, `alarm` (None where the sensor tells of
-none), `registers` (names of the columns), `units`, `values()`, `accel_mg`, `first`, and this module's
-functions. The chip's are `ScanBlock`; `ValueBlock` is what a source gives that knows its values in units
-and nothing of the chip.
+A session takes either kind: both have `time_s`, `lost`, `dropped`, `alarm` (None if the sensor reports
+no alarms), `registers` (names of the columns), `units`, `values()`, `accel_mg`, `first`, and this module's
+functions. The chip's kind is `ScanBlock`; a source that knows its values in units gives `ValueBlock`.
+
+The supply and over-range bits of STATUS clear when their condition ends (DS p. 20), so STATUS after a dwell
+does not show what happened within it. EA, bit 14 of every output word, does: it is set while any bit of
+STATUS is set. The archive keeps the words, so that old sessions are judged by the same rule.
 """
 
 from __future__ import annotations
@@ -16,12 +19,14 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor import decoding
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
 
 GENERIC = "generic"
-"""Name of a sensor of which nothing is known but its samples."""
+"""Name of a sensor of which only the samples are known."""
 
 UNITS = dict.fromkeys(("ax", "ay", "az"), "mg") | dict.fromkeys(("gx", "gy", "gz"), "°/s")
 UNITS |= {"temp_c": "°C", "supply_v": "V"}
@@ -41,7 +46,7 @@ class ValueBlock:
     time_s : (n,) float64
         Time of each sample on the source's clock, in s.
     lost : int
-        Samples that were missed since the block before, as far as the source can tell.
+        Samples that were missed since the block before, as far as the source knows.
     """
 
     registers: tuple[str, ...]
@@ -53,7 +58,7 @@ class ValueBlock:
     gyro_range_dps = None
     dropped = 0
     alarm = None
-    """No word of a sample says that an error or alarm stood."""
+    """A generic sensor reports no errors or alarms."""
 
     def __len__(self) -> int:
         return len(self.data)
@@ -73,7 +78,7 @@ class ValueBlock:
         return self.columns("ax", "ay", "az")
 
     def columns(self, *names: str) -> Floats:
-        """Some columns (n, …)."""
+        """Columns (n, …) by name."""
         return self.data[:, [self.registers.index(name) for name in names]]
 
     def first(self, count: int) -> ValueBlock:
@@ -85,7 +90,7 @@ Block = ScanBlock | ValueBlock
 
 
 def join(blocks: Sequence[Block]) -> Block:
-    """One block of several that hold the same and follow one another."""
+    """Join consecutive blocks with the same columns to one block."""
     values = [block for block in blocks if isinstance(block, ValueBlock)]
     if not values:
         return decoding.join([block for block in blocks if isinstance(block, ScanBlock)])
@@ -98,7 +103,7 @@ def join(blocks: Sequence[Block]) -> Block:
 
 
 def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
-    """Samples low to high (exclusive) of a block; what was lost or dropped goes with them where counted."""
+    """Samples `low` to `high` (exclusive) of a block; if `counted`, with its lost and dropped scans."""
     rows = slice(low, high)
     lost = block.lost if counted else 0
     if isinstance(block, ValueBlock):
@@ -109,12 +114,12 @@ def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
 
 
 def count_alarms(block: Block) -> int:
-    """Samples in which an error or alarm stood; 0 where the sensor tells of none."""
+    """Number of samples with an error or alarm; 0 if the sensor reports none."""
     return 0 if block.alarm is None else int(block.alarm.sum())
 
 
 def to_bytes(block: Block) -> bytes:
-    """What the archive keeps: the chip's words (uint16) or values (float64), little-endian."""
+    """Samples as the archive stores them: words (uint16) or values (float64), little-endian."""
     if isinstance(block, ValueBlock):
         return block.data.astype("<f8").tobytes()
     return block.words.astype("<u2").tobytes()
@@ -129,7 +134,7 @@ def from_bytes(
     variant: str,
     gyro_range_dps: int | None,
 ) -> Block:
-    """Block of what the archive kept."""
+    """Block from the bytes in the archive."""
     shape = (len(time_s), len(registers))
     if variant == GENERIC:
         data = np.frombuffer(content, "<f8").astype(np.float64).reshape(shape)
@@ -154,7 +159,7 @@ def die_temperatures(block: Block) -> Floats | None:
 def session_columns(block: Block) -> dict[str, Floats]:
     """Samples (n,) by column of a session: accelerations in LSB of the chip, else in mg.
 
-    Columns that the block does not hold are left out, and gyros whose range is not known.
+    Columns that the block lacks are left out, and so are gyros of unknown range.
 
     Raises
     ------
@@ -186,3 +191,55 @@ def session_series(columns: dict[str, Floats]) -> dict[str, Any]:
         "temperature_c": columns.get("temp_c"),
         "supply_v": columns.get("supply_v"),
     }
+
+
+SUPPLY_LIMITS_V = (4.75, 5.25)
+"""Specified supply (DS, B)."""
+
+WITHOUT_NEWS = "they held no new data (ND), so their data-ready edge was not the sensor's"
+
+
+@dataclass(frozen=True)
+class Alarms(JsonRecord):
+    """Times of an error or alarm within a dwell, by the bit EA.
+
+    Attributes
+    ----------
+    scans : int
+        Number of scans with EA.
+    times : int
+        Number of runs of such scans.
+    first_s : float
+        Time from the first scan of the dwell to the first scan with EA.
+    longest_s : float
+        Longest run, from its first scan to the first scan without EA.
+    """
+
+    scans: int
+    times: int
+    first_s: float
+    longest_s: float
+
+    def __str__(self) -> str:
+        times = "once" if self.times == 1 else f"{self.times} times"
+        return (
+            f"an error or alarm stood in {counted(self.scans, 'scan')} ({times}, at most"
+            f" {self.longest_s:.3g} s, first {self.first_s:.3g} s into the dwell)"
+        )
+
+
+def alarms_of(scans: Block) -> Alarms | None:
+    """Alarms in the scans of a dwell; None if there are none or the sensor has no bit EA."""
+    alarm = scans.alarm
+    if alarm is None or not alarm.any():
+        return None
+    edges = np.flatnonzero(np.diff(alarm.astype(np.int8), prepend=0, append=0))
+    starts, ends = edges[::2], edges[1::2]
+    period_s = float(np.median(np.diff(scans.time_s))) if len(scans) > 1 else 0.0
+    after_s = np.append(scans.time_s, scans.time_s[-1] + period_s)
+    return Alarms(
+        int(alarm.sum()),
+        len(starts),
+        float(scans.time_s[starts[0]] - scans.time_s[0]),
+        float((after_s[ends] - scans.time_s[starts]).max()),
+    )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.numbers import counted, format_uncertain, label_quantity
+from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import check_page, console, print_json, print_table, working, write_page
 
@@ -75,6 +75,8 @@ def archive_command(
         if not any(asked.values()):
             broken += [record.row() | {"copies": [], "gone": False} for record in scan.unreadable]
         good = [row for row in rows if row["status"] == "ok"]
+        for row in (*good, *broken):
+            row |= {name: " ".join(row[name]) for name in ("effects", "model_effects")}
         document = {
             "index": str(store.path),
             "computed": scan.computed,
@@ -161,7 +163,7 @@ def history_command(
     screen.print(f"Sensor {found.serial}: {words.headline(found)}", style="bold")
     for track in found.tracks.values():
         screen.print()
-        screen.print(label_quantity(track.name, track.unit), style="bold cyan")
+        screen.print(track.label, style="bold cyan")
         for line in words.chart_lines(track, screen.width):
             screen.print(line)
         for text in (*words.of_drift(track), *words.of_chart(track, found)):

@@ -94,7 +94,7 @@ def _check_report_files(output: Path | None) -> tuple[Path, ...]:
 
 def _write_report(found: Bringup, page: Path, document: Path) -> None:
     from adis_gonio.base.output import replacing, write_utf8
-    from adis_gonio.bench.bringup.page import build_page
+    from adis_gonio.bench.bringup.bringup_page import build_page
 
     for path, text in ((document, json_text(found.as_dict()) + "\n"), (page, build_page(found))):
         with replacing(path) as temporary:
@@ -167,7 +167,7 @@ def write_command(
             "write asks before it writes, and nobody is there to answer: add --yes or --dry-run"
         )
     from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
-    from adis_gonio.bench.writeback.writer import load
+    from adis_gonio.bench.writeback.offset_writer import load
     from adis_gonio.device.sensor import open_sensor
     from adis_gonio.record.source import refuse_chip_options
 
@@ -260,7 +260,7 @@ def _prompt(question: str) -> str:
 
 def _print_plan(plan: WritePlan) -> None:
     """Show a plan with one row for each axis."""
-    from adis_gonio.bench.writeback.plan import UNITS
+    from adis_gonio.bench.writeback.offset_plan import UNITS
 
     head = ("register", "now", "new", "moves the output", "bias now", "u", "bias after")
     rows = []

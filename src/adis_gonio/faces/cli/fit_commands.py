@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from adis_gonio.base.values import Value
-    from adis_gonio.fitting.allan.rests import Part
+    from adis_gonio.fitting.allan.allan_fit import Part
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.fitting.monte_carlo import MonteCarlo
     from adis_gonio.model.records import Session
-    from adis_gonio.record.overrides import Overrides
+    from adis_gonio.record.loading import Overrides
 
 _PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
 
@@ -193,7 +193,7 @@ def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
 
 def print_gains(session: Session) -> None:
     """Print the gyro gains from the moves between dwells, if the session gives any."""
-    from adis_gonio.fitting.gyros.gains import gains_of
+    from adis_gonio.fitting.gyros.gyro_fit import gains_of
 
     gains = gains_of(session)
     if gains is not None:
@@ -215,7 +215,7 @@ def show_gyro_fit(
 
     accelerometers = None
     if calibration is not None:
-        from adis_gonio.tracing.loading import load_calibration
+        from adis_gonio.tracing.trace_calibrations import load_calibration
 
         accelerometers = load_calibration(calibration)
     with working("fitting the gyros"):

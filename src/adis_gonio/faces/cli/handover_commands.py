@@ -17,7 +17,7 @@ from adis_gonio.faces.cli.show import check_page, print_json, working, write_pag
 from adis_gonio.handover.formats import BY_NAME, format_of
 
 if TYPE_CHECKING:
-    from adis_gonio.record.overrides import Overrides
+    from adis_gonio.record.loading import Overrides
 
 STANDARD_OUTPUT = "-"
 

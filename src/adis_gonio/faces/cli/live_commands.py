@@ -23,14 +23,14 @@ from adis_gonio.device.sensor import DEFAULT_SCAN, open_sensor
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.terminal import Interrupt
-from adis_gonio.live.angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
-from adis_gonio.live.smoothing import LAG_S
+from adis_gonio.live.angle_smoother import LAG_S
+from adis_gonio.live.live_angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
 from adis_gonio.record.blocks import Block, count_alarms
 from adis_gonio.record.settings import Settings
 from adis_gonio.record.source import SampleStream, has_frames, open_source, refuse_chip_options
 
 if TYPE_CHECKING:
-    from adis_gonio.record.samples_recorder import SamplesRecorder
+    from adis_gonio.record.samples_writer import SamplesRecorder
 
 INTERRUPTED = 130
 NOTES = {
@@ -90,7 +90,7 @@ def stream_command(
         part, rate_hz, open_stream = _open_stream(stack, url, names, **chip)
         recorder = None
         if output is not None:
-            from adis_gonio.record.samples_recorder import SamplesRecorder
+            from adis_gonio.record.samples_writer import SamplesRecorder
 
             recorder = stack.enter_context(
                 SamplesRecorder(output, part, gravity_mps2=gravity_mps2, title=f"stream {url}")
@@ -373,7 +373,7 @@ def angle_command(
         raise UsageError(f"--reconnect is {patience_s:g}: take 0 or more")
     calibration = None
     if calibration_path is not None:  # before the sensor is opened, because a fit takes a moment
-        from adis_gonio.tracing.loading import load_calibration
+        from adis_gonio.tracing.trace_calibrations import load_calibration
 
         calibration = load_calibration(calibration_path)
 

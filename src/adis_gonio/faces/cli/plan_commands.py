@@ -205,7 +205,7 @@ def template_command(
     Fill in times and readings in an editor or a spreadsheet; `adis-gonio fit` reads the saved file.
     """
     from adis_gonio.plan import plan_by
-    from adis_gonio.record.samples_csv import template_text, write_template
+    from adis_gonio.record.samples_writer import template_text, write_template
 
     if ends_in(output, ".gz"):
         raise UsageError(f"{output}: a template is filled in by hand: name it .csv")
@@ -303,9 +303,9 @@ def simulate_command(*, output: Path, **options: Any) -> None:
     from adis_gonio.device.sensor import open_sensor
     from adis_gonio.faces.cli.line_prompts import PlainBench
     from adis_gonio.plan import plan_by
-    from adis_gonio.record.export import export_csv
+    from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.loading import load_session
-    from adis_gonio.record.view import ArchiveView
+    from adis_gonio.record.samples_writer import export_csv
 
     check_output(output, cure="choose another name")
     if options["like"] is not None:
@@ -348,9 +348,8 @@ def _simulate_twin(path: Path, output: Path, seed: int) -> None:
     """Write the digital twin of a session as a CSV."""
     from adis_gonio.base.budget import current
     from adis_gonio.handover.twin import simulate_like
-    from adis_gonio.record.export import export_csv
-    from adis_gonio.record.loading import load_session
-    from adis_gonio.record.overrides import as_it_is
+    from adis_gonio.record.loading import as_it_is, load_session
+    from adis_gonio.record.samples_writer import export_csv
     from adis_gonio.tracing.trace import trace
 
     if not ends_in(output, ".csv", ".csv.gz"):

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from adis_gonio.model.records import Session
     from adis_gonio.page.parts import Section
-    from adis_gonio.record.overrides import Overrides
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.record.loading import Overrides
+    from adis_gonio.tracing.trace_result import TraceResult
 
 
 @option.command("trace", "--max-effects --time-limit --json")
@@ -61,7 +61,7 @@ def trace_command(
 
 def print_trace(session: Session, result: TraceResult) -> None:
     """Show a trace on the terminal."""
-    from adis_gonio.tracing import summary
+    from adis_gonio.tracing import trace_summary as summary
 
     screen = console(most=WIDTH)
     screen.print(f"{summary.title(session)}: {summary.shape(session)}\n")
@@ -108,7 +108,7 @@ def _print_list(screen: Console, heading: str, items: Sequence[str], numbered: b
 def _print_found(screen: Console, result: TraceResult) -> None:
     from rich.table import Table
 
-    from adis_gonio.tracing import summary
+    from adis_gonio.tracing import trace_summary as summary
 
     if not result.found:
         return
@@ -133,7 +133,7 @@ def _print_errors(screen: Console, result: TraceResult) -> None:
     from rich.padding import Padding
     from rich.table import Table
 
-    from adis_gonio.tracing import summary
+    from adis_gonio.tracing import trace_summary as summary
 
     _print_heading(screen, "Error before and after")
     head, rows = summary.error_rows(result)
@@ -173,7 +173,7 @@ def loop_lines(summary: Mapping[str, Any]) -> list[str]:
     Parameters
     ----------
     summary : mapping
-        Summary of a trace by `bench.closing.where_it_stands`; empty if no trace was possible.
+        Summary of a trace by `bench.advisor.where_it_stands`; empty if no trace was possible.
     """
     if not summary:
         return []
@@ -191,7 +191,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from adis_gonio.bench.closing import where_it_stands
+    from adis_gonio.bench.advisor import where_it_stands
 
     rounds = session.facts.get("advised", [])
     if not rounds or not rounds[0]["summary"]:
@@ -275,8 +275,7 @@ def _report_page(session: Session, time_limit: float | None) -> str:
     from adis_gonio.fitting import applicable_methods, fit
     from adis_gonio.handover.report.allan import noise_section
     from adis_gonio.handover.report.gyros import gyro_section
-    from adis_gonio.handover.report.page import build_page
-    from adis_gonio.handover.report.views import views
+    from adis_gonio.handover.report.page import build_page, views
     from adis_gonio.tracing.trace import trace
 
     tell = current().tell

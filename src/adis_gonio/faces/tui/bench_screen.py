@@ -29,7 +29,7 @@ from adis_gonio.bench.guidance import drawing
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.faces.tui import dialogs, screen_text
 from adis_gonio.faces.tui.bench_state import BenchState
-from adis_gonio.record.view import ArchiveView
+from adis_gonio.record.archive import ArchiveView
 
 LEAST_SIZE = (80, 24)
 """Smallest columns and rows with room for everything."""

@@ -23,8 +23,7 @@ from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.model.records import MG_PER_G
-from adis_gonio.tracing.within.finding import Place, View, WithinFinding, corrected
-from adis_gonio.tracing.within.samples import Samples
+from adis_gonio.tracing.within.samples import Place, Samples, View, WithinFinding, corrected
 
 Usable = NDArray[np.bool_]
 

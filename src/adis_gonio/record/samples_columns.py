@@ -1,0 +1,295 @@
+"""The declaration of the samples CSV: its columns and its keys, for reading, writing and the template.
+
+A column has a name, the names and units that other programs give it, a largest value and a text form; a key
+of a line `# key: value` has a reader and a text form. A header cell such as `Acc_X (g)`, `time [ms]` or
+`a_x / (m/s²)` is recognised if it has one meaning only; the user names other cells by `--columns`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from adis_gonio.model.records import ACCEL_UNITS, GYRO_UNITS, PLANES, SENSORS
+
+AXES = ("ax", "ay", "az")
+GYROS = ("gx", "gy", "gz")
+
+Scale = tuple[float, float, float]
+"""(multiply, divide, add); milliseconds are divided by 1000, which rounds only once."""
+SAME: Scale = (1.0, 1.0, 0.0)
+Units = Mapping[str, tuple[str, Scale]]
+"""Spelling in small letters → the format's spelling, and the scale to the format's unit."""
+
+
+def number_text(value: float) -> str:
+    """Text with the fewest digits that give the same float again."""
+    value = float(value)
+    return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
+
+
+@dataclass(frozen=True)
+class SamplesColumn:
+    """One column of the samples CSV.
+
+    Attributes
+    ----------
+    aliases : tuple of str
+        Other names of the column in a header.
+    units : Units
+        Units that a header may state.
+    largest : float
+        Largest magnitude of a number in it.
+    per_dwell : bool
+        True for a column with one value a dwell; other columns have a number in every row.
+    text : callable
+        Text form of a value.
+    default : str
+        Text of the default value, which is not written.
+    """
+
+    aliases: tuple[str, ...] = ()
+    units: Units = field(default_factory=dict)
+    largest: float = 1e10  # a count of 32 bits is smaller, and its fourth power is far from overflow
+    per_dwell: bool = False
+    text: Callable[[Any], str] = number_text
+    default: str = ""
+
+    def unit(self, text: str) -> tuple[str, Scale] | None:
+        """The format's spelling of a header's unit, and its scale; None if it is not known."""
+        return self.units.get(text.lower().replace(" ", "")) if text else ("", SAME)
+
+
+def _unit(name: str, *spellings: str, scale: Scale = SAME) -> dict[str, tuple[str, Scale]]:
+    return dict.fromkeys(spellings, (name, scale))
+
+
+def _axis(axis: str, forms: str, units: Units) -> SamplesColumn:
+    return SamplesColumn(tuple(forms.replace("?", axis).split()), units)
+
+
+_ACCEL = (
+    "a? a_? acc? acc_? accel? accel_? ?_acc ?_accel acceleration_? ?_acceleration accelerometer_?"
+    " beschleunigung_?"
+)
+_GYRO = (
+    "g? gyr? gyr_? gyro? gyro_? ?_gyro gyroscope_? omega_? rate_? drehrate_? angular_rate_?"
+    " angular_velocity_?"
+)
+_ACCEL_UNITS = {
+    **_unit("g", "g", "gn", "g0"),
+    **_unit("mg", "mg", "milli-g"),
+    **_unit("mps2", "m/s²", "m/s^2", "m/s2", "m/s**2", "m/s/s", "mps2", "ms-2", "ms^-2", "m·s⁻²", "m/sâ²"),
+    **_unit("lsb", "lsb", "lsbs"),
+    **_unit("counts", "count", "counts", "digit", "digits", "raw", "adc"),
+}
+_GYRO_UNITS = {
+    **_unit("dps", "dps", "deg/s", "°/s", "degree/s", "degrees/s", "deg/sec"),
+    **_unit("radps", "rad/s", "rad/sec", "radps", "rads-1", "rad·s⁻¹"),
+    **_unit("counts", "count", "counts", "digit", "digits", "raw", "adc", "lsb"),
+}
+
+COLUMNS: dict[str, SamplesColumn] = {
+    "time_s": SamplesColumn(
+        ("time", "t", "timestamp", "zeit", "elapsed", "seconds", "datetime", "date_time"),
+        {
+            **_unit("s", "s", "sec", "second", "seconds", "sekunden", "utc"),
+            **_unit("ms", "ms", "msec", "millis", scale=(1.0, 1e3, 0.0)),
+            **_unit("us", "us", "µs", "μs", "usec", "micros", scale=(1.0, 1e6, 0.0)),
+            **_unit("ns", "ns", scale=(1.0, 1e9, 0.0)),
+            **_unit("min", "min", scale=(60.0, 1.0, 0.0)),
+        },
+        largest=1e20,  # in ns since 1970 a time has 2e18
+    ),
+    "position": SamplesColumn(("pos", "dwell", "pose"), largest=1e9, per_dwell=True),
+    "angle_deg": SamplesColumn(
+        ("angle", "theta", "θ", "winkel"),
+        {
+            **_unit("deg", "deg", "°", "degree", "degrees"),
+            **_unit("rad", "rad", scale=(57.29577951308232, 1.0, 0.0)),
+        },
+        largest=1e6,
+        per_dwell=True,
+        text=lambda angle: "" if math.isnan(angle) else number_text(angle),
+    ),
+    "approach": SamplesColumn(per_dwell=True, text=lambda sign: f"{sign:+d}" if sign else ""),
+    **{f"a{axis}": _axis(axis, _ACCEL, _ACCEL_UNITS) for axis in "xyz"},
+    **{f"g{axis}": _axis(axis, _GYRO, _GYRO_UNITS) for axis in "xyz"},
+    "temp_c": SamplesColumn(
+        ("temp", "temperature", "temperatur"),
+        {
+            **_unit("c", "c", "°c", "degc", "celsius"),
+            **_unit("k", "k", "kelvin", scale=(1.0, 1.0, -273.15)),
+            **_unit("f", "f", "°f", "degf", scale=(5.0, 9.0, -160.0 / 9.0)),
+        },
+    ),
+    "supply_v": SamplesColumn(
+        ("supply", "supply_voltage", "vcc", "vdd"),
+        {**_unit("v", "v"), **_unit("mv", "mv", scale=(1.0, 1e3, 0.0))},
+    ),
+    "use": SamplesColumn(per_dwell=True, text=str, default="fit"),
+}
+"""Columns by name, in the order of a file that is written."""
+
+_ALIASES = {alias: name for name, column in COLUMNS.items() for alias in (*column.aliases, name)}
+
+
+@dataclass(frozen=True)
+class CsvColumn:
+    """A column that was recognised in a header.
+
+    Attributes
+    ----------
+    name : str
+        One of `COLUMNS`.
+    place : int
+        Number of the cell in a row, from 0.
+    text : str
+        The header's own text.
+    unit : str
+        Unit from the header, in the format's spelling once it is known; empty if the header has none.
+    plain : bool
+        True if the header has the format's own name.
+    scale : Scale
+        Conversion from that unit to the unit of the format.
+    """
+
+    name: str
+    place: int
+    text: str
+    unit: str = ""
+    plain: bool = False
+    scale: Scale = SAME
+
+
+_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$")
+_SLASH = re.compile(r"^([^/]+?)\s*/\s*\(?(.+?)\)?$")
+_LONGEST_NAME = 200
+"""Characters of a header's cell that are read: these forms take the cube of its length."""
+_SPACES = re.compile(r"[\s.\-]+")
+
+
+def split_unit(text: str) -> tuple[str, str]:
+    """Name and unit, in brackets or behind a slash, of a header's cell; an empty unit if it has none."""
+    for form in (_BRACKETS, _SLASH):
+        match = form.match(text[:_LONGEST_NAME].strip())
+        if match:
+            return match[1].strip(" /"), match[2].strip()
+    return text.strip(), ""
+
+
+def recognised(text: str) -> tuple[str, str, bool] | None:
+    """Column, unit, and whether it is the format's own name, of a header's cell; None if unknown."""
+    text = text.strip()
+    if text in COLUMNS:
+        return text, "", True
+    base, unit = split_unit(text)
+    base = _SPACES.sub("_", base.strip(" /").lower()).strip("_")
+    name = _ALIASES.get(base)
+    if name is not None:
+        return name, unit, base == name and not unit
+    stem, _, end = base.rpartition("_")
+    name = _ALIASES.get(stem)
+    if name is not None and not unit and end in COLUMNS[name].units:
+        return name, end, False
+    return None
+
+
+# -- keys -----------------------------------------------------------------------------------------
+
+_LARGEST = 1e6
+"""Of gravity in m/s², an uncertainty in degrees or mg; a session file has the same bounds."""
+_LEAST_SIGMA_DEG = 1e-9
+
+
+@dataclass(frozen=True)
+class Key:
+    """A line `# key: value` that states a field of the session.
+
+    Attributes
+    ----------
+    read : callable
+        Value of a text; raises `ValueError`, with a message that may begin with "expected".
+    text : callable
+        Text of a value, on one line.
+    """
+
+    read: Callable[[str], Any] = str
+    text: Callable[[Any], str] = lambda value: " ".join(value.split())
+
+
+def _choice(allowed: Sequence[str]) -> Key:
+    def read(text: str) -> str:
+        if text.lower() not in allowed:
+            raise ValueError(f"expected one of {', '.join(allowed)}")
+        return text.lower()
+
+    return Key(read)
+
+
+def _number(text: str) -> float:
+    # Python's float accepts '1_000', which no instrument writes. A single comma that is not followed by
+    # exactly three digits is a decimal comma, since it cannot separate thousands.
+    if "_" in text:
+        raise ValueError(text)
+    whole, comma, fraction = text.partition(",")
+    if comma and "." not in text and (len(fraction) != 3 or whole.lstrip("+-") in ("", "0")):
+        text = f"{whole}.{fraction}"
+    return float(text)
+
+
+def _positive(text: str) -> float:
+    value = _number(text)
+    if not 1 / _LARGEST <= value <= _LARGEST:
+        raise ValueError(f"expected a number from {1 / _LARGEST:g} to {_LARGEST:g}")
+    return value
+
+
+def _sigma(text: str) -> float:
+    if text.lower() == "free":
+        return math.inf
+    value = _number(text)
+    if value != 0 and not _LEAST_SIGMA_DEG <= value <= _LARGEST:
+        raise ValueError(f"expected 0, degrees from {_LEAST_SIGMA_DEG:g} to {_LARGEST:g}, or 'free'")
+    return value
+
+
+def _mark(text: str) -> str:
+    marks = {".": ".", "point": ".", ",": ",", "comma": ","}
+    if text.lower() not in marks:
+        raise ValueError("expected 'point' or 'comma'")
+    return marks[text.lower()]
+
+
+KEYS: dict[str, Key] = {
+    **dict.fromkeys(("title", "operator", "serial", "stage"), Key()),
+    "sensor": _choice(SENSORS),
+    "accel_unit": _choice(ACCEL_UNITS),
+    "gyro_unit": _choice(GYRO_UNITS),
+    "gravity_mps2": Key(_positive, number_text),
+    "plane": _choice(PLANES),
+    "fixture_sigma_deg": Key(_sigma, lambda sigma: "free" if math.isinf(sigma) else number_text(sigma)),
+    "reading_u_mg": Key(_positive, number_text),
+    "decimal": Key(_mark),
+}
+"""Keys in the order of a file that is written: fields of a `Session`, and the mark of its fractions."""
+
+_BEGINS = r"(?=[=+\-@＝＋－＠])"
+_FORMULA = re.compile(r"""([,;|][\s"']*)""" + _BEGINS)
+_WITHOUT_FORMULA = re.compile(r"""([,;|][\s"']*)'""" + _BEGINS)
+
+
+def without_formulas(text: str) -> str:
+    """Text in which a spreadsheet finds no formula, even if it begins a new cell at a comma.
+
+    An apostrophe is put before each sign that would begin a formula; `with_formulas` removes it.
+    """
+    return _FORMULA.sub(r"\1'", text)
+
+
+def with_formulas(text: str) -> str:
+    """Undo `without_formulas`."""
+    return _WITHOUT_FORMULA.sub(r"\1", text)
