@@ -9,7 +9,7 @@ import sys
 from dataclasses import replace
 
 import pytest
-from adis_gonio.live.smoothed import Smoothed
+from adis_gonio.live.smoothed_meter import Smoothed
 
 from adis_gonio.faces.cli import main
 from adis_gonio.faces.cli.live_commands import format_angle

@@ -17,6 +17,7 @@ from rich.console import Console
 from adis_gonio.base.budget import Budget, current, told, within
 from adis_gonio.faces.cli import main, show
 from adis_gonio.faces.cli.terminal import RepeatedInterrupt
+from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.tracing.trace import trace
 

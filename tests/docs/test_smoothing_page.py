@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from adis_gonio.live.smoothed import Smoothed
+from adis_gonio.live.smoothed_meter import Smoothed
 
 from adis_gonio.faces.cli.live_commands import NOTES
 

@@ -26,7 +26,7 @@ from adis_gonio.calibrate.document import calibration_from
 from adis_gonio.faces import cli
 from adis_gonio.fitting.estimation.flicker import covariance_of_means
 from adis_gonio.plan.plan_file import document_of, read_plan
-from adis_gonio.record import database
+from adis_gonio.record import database, samples_reader
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
