@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
-from adis_gonio.live.smoothed_meter import Smoothed
 
 from adis_gonio.faces.cli.live_commands import NOTES
+from adis_gonio.live.smoothed_meter import Smoothed
 
 PAGE = (Path(__file__).parents[2] / "docs" / "smoothing.md").read_text("utf-8")
 
