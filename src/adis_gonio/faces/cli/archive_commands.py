@@ -262,9 +262,7 @@ def due_command(
     help="Number of processes (default: one per core).",
 )
 @click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Use a dask cluster, such as tcp://10.0.0.1:8786 (extra: fleet).",
+    "--scheduler", metavar="ADDRESS", help="Use a dask cluster, such as tcp://10.0.0.1:8786 (extra: fleet)."
 )
 @option.file(
     "--output",

@@ -57,11 +57,13 @@ _TURNED = {
     "--duration",
     "duration_s",
     type=click.FloatRange(min=15, max=600),
+    metavar="SECONDS",
     help="With --plan free-turn: longest recording in s (default 60).",
 )
 @click.option(
     "--turns",
     type=int,
+    metavar="N",
     help="With --plan free-turn: number of full turns (default 2); with gyro-turns: in each direction"
     " (default 5).",
 )
@@ -75,6 +77,7 @@ _TURNED = {
 @click.option(
     "--max-extra",
     type=click.IntRange(0, 1000),
+    metavar="N",
     help="With --trace: most positions beyond the plan (default 24).",
 )
 @option.flag("--resume", help="Continue the session in the file.")
@@ -82,7 +85,14 @@ _TURNED = {
 @option.settle
 @option.rate
 @option.filter
-@option.shown("--range", "range_dps", type=int, default=300, help="Range of the gyros: 300, 150 or 75 °/s.")
+@option.shown(
+    "--range",
+    "range_dps",
+    type=int,
+    default=300,
+    metavar="DPS",
+    help="Range of the gyros: 300, 150 or 75 °/s.",
+)
 @click.option(
     "--record-turns/--no-record-turns",
     "record_turns",
@@ -92,8 +102,10 @@ _TURNED = {
 )
 @option.poll
 @option.gravity()
-@click.option("--latitude", type=float, help="Latitude in degrees: use the ellipsoid's gravity there.")
-@click.option("--height", type=float, default=0.0, help="Height in m, with --latitude.")
+@click.option(
+    "--latitude", type=float, metavar="DEGREES", help="Use the ellipsoid's gravity at this latitude."
+)
+@click.option("--height", type=float, default=0.0, metavar="M", help="Height, with --latitude.")
 @option.fixture()
 @option.title
 @click.option("--note", default="", help="Note to keep with the session.")

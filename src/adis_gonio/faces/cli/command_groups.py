@@ -77,7 +77,8 @@ class SectionedCommand(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the sections."""
-        rows = {param.opts[0]: param.get_help_record(ctx) for param in self.get_params(ctx)}
+        options = [param for param in self.get_params(ctx) if isinstance(param, click.Option)]
+        rows = {option.opts[0]: option.get_help_record(ctx) for option in options}
         records = {flag: record for flag, record in rows.items() if record is not None}
         for heading, flags in self.sections.items():
             lines = [records.pop(flag) for flag in flags.split() if flag in records]

@@ -22,11 +22,7 @@ if TYPE_CHECKING:
 STANDARD_OUTPUT = "-"
 
 
-@option.command(
-    "export",
-    "--output --format --method",
-    {"Content": "--trace --samples --name --gyros"},
-)
+@option.command("export", "--output --format --method", {"Content": "--trace --samples --name --gyros"})
 @option.session
 @click.option(
     "--format",
@@ -34,7 +30,7 @@ STANDARD_OUTPUT = "-"
     type=click.Choice(list(BY_NAME)),
     help="Format (default: by the ending of the file).",
 )
-@click.option("--output", "-o", help="File to write; - is standard output.")
+@click.option("--output", "-o", metavar="FILE", help="File to write; - is standard output.")
 @click.option("--method", help="Method of the coefficients (default: the recommended one).")
 @option.flag("--trace", "traced", help="Export the coefficients of the traced model.")
 @option.flag("--samples", help="JSON: also write every sample.")
@@ -57,7 +53,7 @@ def export_command(
     force: bool,
     overrides: Overrides,
 ) -> None:
-    r"""Export a session's coefficients or data for other programs.
+    """Export a session's coefficients or data for other programs.
 
     \b
     c-header   .h              gravity and angle in C, fixed point and float
@@ -69,7 +65,7 @@ def export_command(
 
     If the registers changed during a session, only its json contains coefficients, in the fit. SESSION may
     be a calibration file for c-header, dcc and registers.
-    """
+    """  # noqa: D301 - click keeps the lines of a paragraph with this character
     from adis_gonio.base.output import check_output, replacing
     from adis_gonio.handover.exporting import ExportSource
 

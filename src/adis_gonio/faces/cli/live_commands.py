@@ -51,12 +51,25 @@ NOTES = {
 @option.url
 @click.option("--registers", "names", help="Registers to scan, separated by commas.", metavar="NAME,…")
 @option.seconds
-@option.shown("--every", "every_s", type=float, default=0.2, help="Screen: s per line.")
+@option.shown(
+    "--every", "every_s", type=float, default=0.2, metavar="SECONDS", help="Screen: time per line."
+)
 @option.output("Record every scan to .csv[.gz].")
-@click.option("--rate", "rate_hz", type=float, help="Samples per second (0.413 to 819.2).")
-@click.option("--filter", "filter_m", type=int, help="M of the filter: two boxcars of 2^M taps, 0 to 6.")
-@click.option("--range", "range_dps", type=int, help="Range of the gyros: 300, 150 or 75 °/s.")
-@option.shown("--gravity", "gravity_mps2", type=float, default=9.80665, help="Local gravity for the file.")
+@click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Samples per second, 0.413 to 819.2.")
+@click.option(
+    "--filter", "filter_m", type=int, metavar="M", help="Filter: two passes of 2^M taps, M from 0 to 6."
+)
+@click.option(
+    "--range", "range_dps", type=int, metavar="DPS", help="Range of the gyros: 300, 150 or 75 °/s."
+)
+@option.shown(
+    "--gravity",
+    "gravity_mps2",
+    type=float,
+    default=9.80665,
+    metavar="M/S²",
+    help="Local gravity for the file.",
+)
 @option.flag("--leave-registers", help="Write nothing; use data-ready only if it is already enabled.")
 @option.poll
 @option.flag("--json", "as_json", help="Write one JSON document with every scan at the end.")

@@ -48,7 +48,9 @@ def command(
     sections : mapping of str to str, optional
         Further sections of the help: flags by heading, see `SectionedCommand`.
     """
-    listed = {"Main options": first, **(sections or {}), **_SHARED_SECTIONS} if first else {}
+    own = sections or {}
+    shared = {heading: flags for heading, flags in _SHARED_SECTIONS.items() if heading not in own}
+    listed = {"Main options": first, **own, **shared} if first else {}
     return click.command(name, cls=SectionedCommand, sections=listed)
 
 
@@ -131,12 +133,12 @@ def _number(text: str) -> float | None:
 
 def file(*names: str, help: str, **more: Any) -> Option[Any]:
     """Return an option that names a file."""
-    return click.option(*names, type=FILE, help=help, **more)
+    return click.option(*names, type=FILE, help=help, **{"metavar": "FILE", **more})
 
 
 def output(help: str, **more: Any) -> Option[Any]:
     """Return `-o`, the file to write."""
-    return click.option("--output", "-o", type=FILE, help=help, **more)
+    return file("--output", "-o", help=help, **more)
 
 
 def flag(*names: str, help: str) -> Option[Any]:
@@ -151,7 +153,8 @@ def shown(*names: str, default: Any, help: str, **more: Any) -> Option[Any]:
 
 def dwell(default_s: float = 10.0) -> Option[Any]:
     """Return `--dwell`."""
-    return shown("--dwell", "dwell_s", type=float, default=default_s, help="Length of a dwell in s.")
+    help = "Length of a dwell."
+    return shown("--dwell", "dwell_s", type=float, default=default_s, metavar="SECONDS", help=help)
 
 
 def fixture(
@@ -187,12 +190,24 @@ json = flag("--json", "as_json", help="Write one JSON document to standard outpu
 variant = shown("--variant", default="adis16354", help="adis16354, adis16350 or adis16355.")
 poll = flag("--poll", help="Poll the scans and leave the data-ready line alone.")
 no_check = flag("--no-check", help="Open the sensor without checking that |a| is 1 g for this variant.")
-seconds = click.option("--seconds", type=float, help="Stop after this time (default: at Ctrl-C).")
-positions = click.option("--positions", type=int, help="Number of positions, if the plan leaves a choice.")
-check = shown("--check", type=int, default=0, help="Extra positions that the fit does not use.")
-settle = shown("--settle", "settle_s", type=float, default=0.5, help="Wait in s after stillness.")
-rate = click.option("--rate", "rate_hz", type=float, help="Samples per second, 0.413 to 819.2 (default).")
-filter = shown("--filter", "filter_m", type=int, default=2, help="Filter M: two passes of 2^M taps.")
+seconds = click.option(
+    "--seconds", type=float, metavar="SECONDS", help="Stop after this time (default: at Ctrl-C)."
+)
+positions = click.option(
+    "--positions", type=int, metavar="N", help="Number of positions, if the plan leaves a choice."
+)
+check = shown(
+    "--check", type=int, default=0, metavar="N", help="Extra positions that the fit does not use."
+)
+settle = shown(
+    "--settle", "settle_s", type=float, default=0.5, metavar="SECONDS", help="Wait after stillness."
+)
+rate = click.option(
+    "--rate", "rate_hz", type=float, metavar="HZ", help="Samples per second, 0.413 to 819.2 (default)."
+)
+filter = shown(
+    "--filter", "filter_m", type=int, default=2, metavar="M", help="Filter: two passes of 2^M taps."
+)
 title = click.option("--title", default="", help="Title to keep with the session.")
 _OVERRIDES = (
     gravity("Correct the local gravity to this value in m/s²."),

@@ -178,7 +178,7 @@ class HelpDialog(_Finishing[None]):
     """A text to read: keys and signs, or how to hold the part; any key closes it."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True),
+        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True)
     ]
 
     def __init__(self, heading: str, text: str) -> None:

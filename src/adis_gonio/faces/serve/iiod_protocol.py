@@ -1,8 +1,8 @@
-r"""The text protocol of iiod, libiio's server (libiio 0.x), without any I/O.
+r"""The text protocol of iiod, the server of libiio 0.x, without any I/O.
 
-A client sends lines; some are followed by a counted number of bytes. `Parser` takes bytes as they come and
-returns typed requests; the functions below write the answers. A number is answered as one line, negative
-ones are `-errno` of Linux, whatever the machine that this runs on.
+A client sends lines; some are followed by a counted number of bytes. `Parser` takes bytes in any pieces and
+returns typed requests; the functions at the end format the answers. A numeric answer is one line; a
+negative number is `-errno` of Linux on every operating system.
 
 | request | answer |
 |---|---|
@@ -12,7 +12,7 @@ ones are `-errno` of Linux, whatever the machine that this runs on.
 | `OPEN dev samples mask [CYCLIC]`, `CLOSE dev` | 0 |
 | `READ dev [DEBUG \| BUFFER \| INPUT chn \| OUTPUT chn] [attr]` | length, value, a line feed |
 | `WRITE dev [as above] [attr] length` and so many bytes | number of bytes taken |
-| `READBUF dev bytes` | length, the mask once, the bytes; again until all were sent |
+| `READBUF dev bytes` | length, the mask once, the bytes; repeated until all were sent |
 | `WRITEBUF dev bytes` | refused: a sensor has no output |
 | `GETTRIG dev`, `SETTRIG dev [trigger]` | no such thing |
 | `EXIT` | the connection ends |
@@ -28,14 +28,14 @@ from enum import IntEnum
 from typing import Literal
 
 LINE_LIMIT = 1024
-"""Longest request line; libiio's own buffer."""
+"""Longest request line, the size of libiio's own buffer."""
 
 VALUE_LIMIT = 4096
 """Longest value of an attribute that a client may write."""
 
 
 class Errno(IntEnum):
-    """Linux' numbers of the errors that are answered."""
+    """Error numbers of Linux in the answers."""
 
     EPERM = 1
     ENOENT = 2
@@ -51,8 +51,8 @@ class Errno(IntEnum):
     ETIMEDOUT = 110
 
 
-class Refused(Exception):  # noqa: N818 - it is an answer, not a failure of this program
-    """A request is answered with an error number.
+class Refused(Exception):  # noqa: N818 - an answer, not a failure of this program
+    """Raised to answer a request with an error number.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ Kind = Literal["device", "debug", "buffer", "input", "output"]
 
 @dataclass(frozen=True)
 class Target:
-    """Whose attribute it is: a device's, or with a channel's id one of a channel."""
+    """The owner of an attribute: a device, or the channel with this id."""
 
     device: str
     kind: Kind = "device"
@@ -83,34 +83,34 @@ class Request:
 
 @dataclass(frozen=True)
 class Exit(Request):
-    """End of the connection."""
+    """End the connection."""
 
 
 @dataclass(frozen=True)
 class Help(Request):
-    """What commands there are."""
+    """List the commands."""
 
 
 @dataclass(frozen=True)
 class Version(Request):
-    """Which version answers."""
+    """Return the version of the server."""
 
 
 @dataclass(frozen=True)
 class Print(Request):
-    """The context as XML."""
+    """Return the context as XML."""
 
 
 @dataclass(frozen=True)
 class Timeout(Request):
-    """How long an answer may take; 0 for ever."""
+    """Set the longest time for an answer; 0 for no limit."""
 
     milliseconds: int
 
 
 @dataclass(frozen=True)
 class Open(Request):
-    """Begin to buffer; `mask` is hexadecimal, 8 digits a word, the last word holds channels 0 to 31."""
+    """Open a buffer; `mask` is hexadecimal, 8 digits a word, the last word holds channels 0 to 31."""
 
     device: str
     samples: int
@@ -120,14 +120,14 @@ class Open(Request):
 
 @dataclass(frozen=True)
 class Close(Request):
-    """End buffering."""
+    """Close the buffer."""
 
     device: str
 
 
 @dataclass(frozen=True)
 class ReadAttribute(Request):
-    """Value of an attribute; an empty name asks for all of them."""
+    """Read an attribute; an empty name reads all attributes of the target."""
 
     target: Target
     name: str
@@ -135,7 +135,7 @@ class ReadAttribute(Request):
 
 @dataclass(frozen=True)
 class WriteAttribute(Request):
-    """A new value of an attribute."""
+    """Write an attribute."""
 
     target: Target
     name: str
@@ -144,7 +144,7 @@ class WriteAttribute(Request):
 
 @dataclass(frozen=True)
 class ReadBuffer(Request):
-    """So many bytes of scans."""
+    """Read `size` bytes of scans."""
 
     device: str
     size: int
@@ -152,7 +152,7 @@ class ReadBuffer(Request):
 
 @dataclass(frozen=True)
 class WriteBuffer(Request):
-    """Announces so many bytes of scans to put out."""
+    """Announce `size` bytes of scans to put out."""
 
     device: str
     size: int
@@ -160,14 +160,14 @@ class WriteBuffer(Request):
 
 @dataclass(frozen=True)
 class GetTrigger(Request):
-    """Which trigger drives a device."""
+    """Return the trigger of a device."""
 
     device: str
 
 
 @dataclass(frozen=True)
 class SetTrigger(Request):
-    """Which trigger shall drive a device; None unsets it."""
+    """Set the trigger of a device; None unsets it."""
 
     device: str
     trigger: str | None
@@ -175,7 +175,7 @@ class SetTrigger(Request):
 
 @dataclass(frozen=True)
 class SetBuffers(Request):
-    """Number of the kernel's buffers, of which there are none here."""
+    """Set the number of kernel buffers; this server has none."""
 
     device: str
     count: int
@@ -183,14 +183,14 @@ class SetBuffers(Request):
 
 @dataclass(frozen=True)
 class Malformed(Request):
-    """No request of this protocol.
+    """Bytes that are no request of this protocol.
 
     Attributes
     ----------
     errno : Errno
-        Its answer.
+        Answer.
     fatal : bool
-        True where it cannot be told where the next request begins: the connection has to end.
+        True if the begin of the next request is unknown, so that the connection has to end.
     """
 
     why: str
@@ -199,7 +199,7 @@ class Malformed(Request):
 
 
 class Parser:
-    """Bytes in, requests out; never raises, and holds no more than one line or one value."""
+    """Converts bytes to requests; never raises, and holds at most one line or one value."""
 
     def __init__(self) -> None:
         self._held = bytearray()
@@ -208,7 +208,7 @@ class Parser:
         self._dead = False
 
     def feed(self, data: bytes) -> list[Request]:
-        """Requests that these bytes complete, in order.
+        """Return the requests that these bytes complete, in order.
 
         After a fatal `Malformed` all further bytes are ignored.
         """
@@ -226,7 +226,7 @@ class Parser:
         return requests
 
     def _next(self) -> Request | None:
-        """Next request; None where bytes are missing."""
+        """Next request, or None if bytes are missing."""
         if self._value_of is not None:
             return self._value()
         end = self._held.find(b"\n")
@@ -253,7 +253,7 @@ class Parser:
 
 @dataclass(frozen=True)
 class _Announced(Request):
-    """A write whose value follows."""
+    """A write whose value follows the line."""
 
     of: WriteAttribute
     size: int
@@ -266,7 +266,7 @@ _KINDS: dict[str, Kind] = {"DEBUG": "debug", "BUFFER": "buffer", "INPUT": "input
 
 
 def parse_line(line: bytes) -> Request:
-    """Request of one line without its line feed."""
+    """Parse one line without its line feed."""
     try:
         words = line.decode("ascii").split()
     except UnicodeDecodeError:
@@ -312,12 +312,12 @@ def _parse(verb: str, words: list[str]) -> Request:
         case "READ", [device, *rest]:
             return ReadAttribute(*_attribute(device, rest))
         case "WRITE", [device, *rest, size]:
-            return _announced(device, rest, _count(size))
+            return _announce(device, rest, _count(size))
         case _:
             return Malformed(f"no request of {1 + len(words)} words begins with {verb[:16]}")
 
 
-def _announced(device: str, words: Sequence[str], size: int) -> Request:
+def _announce(device: str, words: Sequence[str], size: int) -> Request:
     if size > VALUE_LIMIT:
         why = f"a value of {size} bytes; the limit is {VALUE_LIMIT}"
         return Malformed(why, Errno.E2BIG, fatal=True)
@@ -325,7 +325,7 @@ def _announced(device: str, words: Sequence[str], size: int) -> Request:
 
 
 def _attribute(device: str, words: Sequence[str]) -> tuple[Target, str]:
-    """Whose attribute, and its name; the name may be missing."""
+    """Owner and name of an attribute; the name may be missing."""
     kind: Kind = _KINDS.get(words[0].upper(), "device") if words else "device"
     rest = list(words[1:] if kind != "device" else words)
     channel = ""
@@ -354,22 +354,22 @@ def _hexadecimal(text: str) -> str:
 
 
 def integer(value: int) -> bytes:
-    """A number; negative is an error."""
+    """Format a number; a negative one is an error."""
     return f"{value}\n".encode()
 
 
 def error(errno: Errno) -> bytes:
-    """The answer of a refusal."""
+    """Format a refusal."""
     return integer(-errno)
 
 
 def counted(content: bytes) -> bytes:
-    """Length, content, line feed: an attribute's value or the XML."""
+    """Format the value of an attribute or the XML: length, content, line feed."""
     return integer(len(content)) + content + b"\n"
 
 
 def all_values(values: Sequence[bytes]) -> bytes:
-    """Several attributes in one answer: each a length (big-endian, 32 bits) and padding to 4 bytes."""
+    """Format several values in one answer: each a length (big-endian, 32 bits), padded to 4 bytes."""
     parts = []
     for value in values:
         parts.append(len(value).to_bytes(4, "big") + value + b"\0" * (-len(value) % 4))
@@ -377,7 +377,7 @@ def all_values(values: Sequence[bytes]) -> bytes:
 
 
 def version(major: int, minor: int, tag: str) -> bytes:
-    """Version; the tag has exactly seven characters, as a commit's short name has."""
+    """Format a version; the tag has exactly seven characters, like a short commit name."""
     return f"{major}.{minor}.{tag:7.7}\n".encode()
 
 

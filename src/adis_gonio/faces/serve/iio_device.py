@@ -1,8 +1,8 @@
 """The sensor as an IIO device: its channels, their attributes, the XML, and scans as bytes.
 
 Units are those of Linux' IIO ABI: m/s², rad/s, milli-degree Celsius, millivolt; value = (raw + offset) *
-scale. Axes and signs are the part's own: level with Z up, Z reads -9.8 m/s². Nothing here touches a sensor;
-`SensorState` holds what the attributes say, and `port.py` keeps it true.
+scale. Axes and signs are the part's own: level with Z up, Z reads -9.8 m/s². Nothing here accesses a
+sensor; `SensorState` holds the values of the attributes.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from adis_gonio.device.sensor.registers import (
 )
 from adis_gonio.device.sensor.settings import Configuration, low_pass_3db_hz, sample_period_s
 from adis_gonio.device.sensor.variants import Variant
-from adis_gonio.faces.serve.protocol import Errno, Refused
+from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 DEVICE_ID = "iio:device0"
 
 OFFSET_OF: dict[str, str] = dict(zip((*ACCEL_OUT, *GYRO_OUT), (*ACCEL_OFF, *GYRO_OFF), strict=True))
-"""Register of the calibbias of an output."""
+"""Offset register for the calibbias of an output register."""
 
 _IDS = {
     **{f"{axis}ACCL_OUT": f"accel_{axis.lower()}" for axis in "XYZ"},
@@ -56,7 +56,7 @@ _SI: dict[Kind, float] = {
 """IIO's unit per unit of this program: mg → m/s², °/s → rad/s, °C → m°C, V → mV."""
 
 _RATES_OF = (1, 2, 3, 4, 5, 7, 9, 0x0A, 0x0F, 0x13, 0x1F, 0x3F, 0x7F, 0x80, 0x81, 0x83, 0x87, 0x8F, 0xFF)
-"""SMPL_PRD of the rates that are offered; any other one is rounded to the nearest that the part has."""
+"""SMPL_PRD of the offered rates; a client's rate is rounded to the nearest rate of the part."""
 
 FILTERS = range(7)
 """M of the filter."""
@@ -64,13 +64,13 @@ FILTERS = range(7)
 
 @dataclass(frozen=True)
 class SensorState:
-    """What the attributes say, apart from the readings.
+    """Values of the attributes, except the readings.
 
     Attributes
     ----------
     configuration : Configuration
     offsets : mapping of str to int
-        Number in each of the six offset registers.
+        Content of each of the six offset registers.
     """
 
     configuration: Configuration
@@ -84,7 +84,7 @@ class Channel:
     Attributes
     ----------
     index : int
-        Place in a scan, and bit of the mask.
+        Index in a scan, and bit of the mask.
     register : Register or None
         None for the time.
     """
@@ -99,19 +99,19 @@ class Channel:
 
     @property
     def label(self) -> str:
-        """What the kernel appends to the file's name."""
+        """Suffix of the file name in the kernel."""
         return _LABELS.get(self.register.name, "") if self.register else ""
 
     @property
     def format(self) -> str:
-        """Format of a sample; the sign is extended to 16 bits already."""
+        """IIO format of a sample; the sign is already extended to 16 bits."""
         if self.register is None:
             return "le:S64/64>>0"
         return f"le:{'s' if self.register.signed else 'u'}{self.register.bits}/16>>0"
 
     @property
     def dtype(self) -> str:
-        """The same for numpy."""
+        """Numpy type of a sample."""
         if self.register is None:
             return "<i8"
         return "<i2" if self.register.signed else "<u2"
@@ -130,7 +130,7 @@ class Channel:
         return tuple(names)
 
     def filename(self, attribute: str) -> str:
-        """Name of the file that a kernel would offer; the filter is one of all axes of a kind."""
+        """File name of an attribute in the kernel; all axes of a kind share the filter."""
         stem = self.id + (f"_{self.label}" if self.label else "")
         if attribute.startswith("filter"):
             stem = self.id.partition("_")[0]
@@ -140,7 +140,7 @@ class Channel:
 DEVICE_ATTRIBUTES = ("sampling_frequency", "sampling_frequency_available", "current_timestamp_clock")
 DEBUG_ATTRIBUTES = ("clients", "scans_lost_by_sensor", "scans_lost_by_clients")
 WRITABLE = ("calibbias", "filter_low_pass_3db_frequency", "sampling_frequency")
-"""Attributes of a channel or of the device that a client may write where writes are allowed."""
+"""Attributes that a client may write if writes are allowed."""
 
 
 class ServedDevice:
@@ -152,12 +152,12 @@ class ServedDevice:
     names : sequence of str
         Output registers in the order of the scan.
     description : str
-        What a client sees as the context's.
+        Description of the context.
 
     Raises
     ------
     UsageError
-        A register that is no output, or one that stands twice.
+        A register that is no output, or a duplicate.
     """
 
     def __init__(self, part: Variant, names: Sequence[str], description: str) -> None:
@@ -180,11 +180,11 @@ class ServedDevice:
         return 8 * math.ceil(len(self.channels) / 32)
 
     def knows(self, device: str) -> bool:
-        """True where a request means this device, by id or name."""
+        """True if `device` is the id or name of this device."""
         return device in (DEVICE_ID, self.part.name)
 
     def channel(self, name: str) -> Channel:
-        """Channel by its id; `Refused` where there is none."""
+        """Return the channel with this id; `Refused` if there is none."""
         for channel in self.channels:
             if name == channel.id:
                 return channel
@@ -193,12 +193,12 @@ class ServedDevice:
     # -- values of attributes ---------------------------------------------------------------------
 
     def scale_and_offset(self, row: Register, state: SensorState) -> tuple[float, float]:
-        """Scale in IIO's unit per LSB, and what is added to the raw number before."""
+        """Scale in IIO's unit per LSB, and the offset that is added to the raw number before scaling."""
         lsb, zero, _ = scales([row], self.part, state.configuration.gyro_range_dps or 300)
         return float(lsb[0]) * _SI[row.kind], float(zero[0] / lsb[0])
 
     def channel_value(self, channel: Channel, name: str, state: SensorState) -> str:
-        """Text of an attribute other than `raw`; `Refused` where there is none."""
+        """Text of an attribute other than `raw`; `Refused` if there is none."""
         row = channel.register
         if row is None or name not in channel.attributes:
             raise Refused(Errno.ENOENT, f"{channel.id} has no attribute {name}")
@@ -218,7 +218,7 @@ class ServedDevice:
                 raise Refused(Errno.ENOENT, f"{name} is a reading")
 
     def device_value(self, name: str, state: SensorState) -> str:
-        """Text of an attribute of the device; `Refused` where there is none."""
+        """Text of an attribute of the device; `Refused` if there is none."""
         match name:
             case "sampling_frequency":
                 return _text(state.configuration.sample_rate_hz)
@@ -232,7 +232,7 @@ class ServedDevice:
     # -- the context ------------------------------------------------------------------------------
 
     def xml(self, state: SensorState) -> str:
-        """The context as libiio reads it."""
+        """The context in libiio's format."""
         lines = [
             '<?xml version="1.0" encoding="utf-8"?>',
             _DTD,
@@ -262,7 +262,7 @@ def filter_for(frequency_hz: float, state: SensorState) -> int:
     Raises
     ------
     Refused
-        No frequency above zero.
+        The frequency is not above zero.
     """
     if not (math.isfinite(frequency_hz) and frequency_hz > 0):
         raise Refused(Errno.EINVAL, f"{frequency_hz:g} Hz is no frequency")
@@ -279,15 +279,15 @@ def _text(value: float) -> str:
 
 @dataclass(frozen=True)
 class ScanFormat:
-    """How a client wants its scans: which channels, in the device's order.
+    """Channels and layout of a client's scans, in the device's order.
 
-    Each sample stands at a multiple of its own size, a scan's size is a multiple of its largest sample, as
-    the kernel and libiio have it.
+    As in the kernel and libiio, each sample is aligned to its own size, and the size of a scan is a
+    multiple of its largest sample.
 
     Attributes
     ----------
     mask : str
-        As the client wrote it.
+        Mask as the client wrote it.
     """
 
     channels: tuple[Channel, ...]
@@ -295,7 +295,7 @@ class ScanFormat:
 
     @classmethod
     def of_mask(cls, device: ServedDevice, mask: str) -> ScanFormat:
-        """Format by a mask; `Refused` where its length is wrong, or it names nothing or too much."""
+        """Return the format for a mask; `Refused` for a wrong length, no channel or an unknown channel."""
         if len(mask) != device.mask_digits:
             raise Refused(Errno.EINVAL, f"a mask has {device.mask_digits} digits here")
         bits = int(mask, 16)
@@ -305,11 +305,11 @@ class ScanFormat:
 
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
-        """One scan for numpy."""
+        """Numpy type of one scan."""
         offsets, at, largest = [], 0, 1
         for channel in self.channels:
             size = np.dtype(channel.dtype).itemsize
-            at += -at % size
+            at += -at % size  # align to the size of the sample
             offsets.append(at)
             at, largest = at + size, max(largest, size)
         return np.dtype(
@@ -322,7 +322,7 @@ class ScanFormat:
         )
 
     def pack(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> NDArray[np.void]:
-        """Scans (n,) of numbers (n, channels of the device without the time) and times (n,)."""
+        """Pack numbers (n, channels of the device without the time) and times (n,) into scans (n,)."""
         scans = np.zeros(len(numbers), self.dtype)
         for channel in self.channels:
             scans[channel.id] = time_ns if channel.register is None else numbers[:, channel.index]
