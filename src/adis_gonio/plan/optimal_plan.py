@@ -48,10 +48,10 @@ class Gain(JsonRecord):
     figure : float
         Criterion of the other plan, in the units of `MEANING`.
     criterion : float
-        Figure of the other plan divided by that of the best plan (for `tell-apart` the inverse); above 1
-        for a gain.
+        Figure of the other plan divided by the figure of the best plan (for `tell-apart` the inverse);
+        above 1 for a gain.
     u : dict of str to float
-        Standard uncertainty of the other plan divided by that of the best plan, for each parameter and the
+        Ratio of the standard uncertainties, the other plan to the best plan, for each parameter and the
         angle.
     """
 
@@ -135,7 +135,7 @@ def best_plan(
     grid_deg : float
         Step of the searched angles.
     seed : int
-        Seed of the search; the same seed gives the same plan.
+        Seed of the search, which determines the plan.
 
     Raises
     ------
@@ -322,7 +322,7 @@ _ASKED: dict[Best, str] = {
 _FIGURE: dict[Best, str] = {
     "angle": "u of the angle by the fitted parameters, worst place: {:.2g}°",
     "parameters": "generalised u of the parameters: {:.2g}",
-    "tell-apart": "an effect of typical size stands out by {:.2g} standard uncertainties at least",
+    "tell-apart": "an effect of typical size exceeds the others by at least {:.2g} standard uncertainties",
 }
 
 

@@ -181,5 +181,5 @@ def plan_by(name: str, positions: int | None = None, check: int = 0) -> Plan:
         return plan(name, positions, check)
     made = read_plan(name)
     if positions is not None:
-        raise UsageError(f"{name}: has {counted(len(made), 'position')} of its own: leave --positions out")
+        raise UsageError(f"{name}: fixes {counted(len(made), 'position')}: leave --positions out")
     return with_checks(made, check)

@@ -1,6 +1,6 @@
 """The search for a plan: candidate positions, criteria on the information matrix, exchange of positions.
 
-The information M (p, p) is that of start angle, gains, Δφ and biases in natural units (1 rad, 1, local
+The information M (p, p) covers start angle, gains, Δφ and biases in natural units (1 rad, 1, local
 gravity), then of the amplitudes of the possible effects, each in its typical size on a bench, with the
 prior of `advice` (`TYPICALS` of them) about zero. V = M⁻¹ is the covariance, V_b its part of the base
 model.
@@ -18,8 +18,8 @@ Verdinelli 1995 (with a prior).
 
 Coordinate exchange (Meyer and Nachtsheim, Technometrics 37, 1995) after Fedorov (1972): each dwell in turn
 takes the best position given the other dwells; then the dwells are exchanged in pairs, because the order
-matters for the shared noise and for changes with time. Two consecutive dwells never have the same angle: a
-stage that was not turned has the same error twice.
+matters for the shared noise and for changes with time. Two consecutive dwells never have the same angle,
+because a stage that was not turned repeats its error.
 """
 
 from __future__ import annotations
@@ -191,8 +191,8 @@ class Candidates:
     def exchanged(self, choice: Choice, dwell: int) -> Floats:
         """Information (m, p, p) with each position in turn in one dwell.
 
-        The information of correlated readings is that of all other readings, plus that of this reading
-        given the others: with B = C_ir C_rr⁻¹, (J_i − B J_r)ᵀ (C_ii − B C_ri)⁻¹ (J_i − B J_r).
+        The information of correlated readings is the information of all other readings, plus that of this
+        reading given the others: with B = C_ir C_rr⁻¹, (J_i − B J_r)ᵀ (C_ii − B C_ri)⁻¹ (J_i − B J_r).
         """
         n, p = self.dwells, self.columns.shape[3]
         rows = self.columns[np.arange(n), choice].reshape(2 * n, p)

@@ -1,6 +1,6 @@
-"""What a session will reach and detect on a bench, before it is measured.
+"""Prediction of a session on a bench: its uncertainties and the effects that it detects.
 
-The expected readings of a plan are those of a perfect part, with the covariance that the reduction of a
+The expected readings of a plan belong to a perfect part, and have the covariance that the reduction of a
 real session would find. White noise of σ per sample has the spectral density σ² at frequency zero, filtered
 or not, because the chip's filter passes zero unchanged: a mean of n samples has the variance σ²/n. The
 converter's step (`quantized_means`) and the 1/f noise that dwells have and share (`flicker_parts`) add to
@@ -55,7 +55,7 @@ _STAGES = 16
 _LARGEST_CHANGE = 0.05
 """Relative change of an uncertainty by the errors of the stage up to which the exact stage is used."""
 _DEPENDS = (
-    "what so few positions reach depends on how the stage is off: the figures are medians of "
+    "with so few positions the result depends on the errors of the stage: the figures are medians of "
     f"{_STAGES} imagined sessions"
 )
 _HIDDEN = "lies in the model that every session fits, in these positions"
@@ -78,7 +78,7 @@ class Bench:
     fixture_deg : float
         Standard uncertainty of a stage angle.
     sensor : str
-        Name of the variant, whose figures are the defaults.
+        Name of the variant, which has the default figures.
     noise_mg : float or None
         White noise of a sample, rms, without the chip's filter; None: the variant's figure.
     flicker_mg : float or None
@@ -470,7 +470,7 @@ def fitted_variance(result: FitResult) -> Floats:
 def sight_of(readings: Readings) -> Sight:
     """Predict which effects a session with such readings detects and distinguishes.
 
-    The detectable amplitude is that of `trace` (`tracing.findings`), at its error level, in addition
+    The detectable amplitude is defined as in `trace` (`tracing.findings`), at its error level, in addition
     to the start angle, gains, Δφ and biases. Two effects are not distinguished if one of them, at its
     detectable amplitude, differs by less than `LEAST_SEPARATION` standard uncertainties from the other's
     best imitation; `advice` uses the same limit for a measurement that is worth while.

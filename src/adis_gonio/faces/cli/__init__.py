@@ -38,7 +38,7 @@ GROUPS = {
         "trace": Home("trace_commands", "Find the physical effects behind the residual."),
         "report": Home("trace_commands", "Write the calibration report as one HTML page."),
         "allan": Home("fit_commands", "Estimate the noise at rest, with the Allan plot."),
-        "plan": Home("plan_commands", "Predict what a plan will reach, or find the best plan."),
+        "plan": Home("plan_commands", "Predict the uncertainty of a plan, or find the best plan."),
     },
     "Commands for many sessions": {
         "archive": Home("archive_commands", "List the sessions in folders."),

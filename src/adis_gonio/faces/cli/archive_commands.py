@@ -50,7 +50,7 @@ def _records_of(store: Store, serial: str) -> list[SessionRecord]:
     known = store.serials()
     found = store.records(known_serial(serial, known))
     for other in alike(serial, known):
-        click.echo(f"sessions of '{other}' are not those of '{serial}': another sensor?", err=True)
+        click.echo(f"sessions of '{other}' are not included with '{serial}': another sensor?", err=True)
     return found
 
 
@@ -337,7 +337,7 @@ def _journal(path: Path | None) -> Iterator[Store]:
         except KeyboardInterrupt:
             if path is not None:
                 done = counted(held.sessions, "session")
-                click.echo(f"{path} holds {done}: the same command goes on from there", err=True)
+                click.echo(f"{path} keeps {done}: the same command continues from there", err=True)
             raise
 
 

@@ -162,7 +162,7 @@ def calibrate_command(
     if resume and not output.exists():
         raise SessionError(f"{output}: no such session to resume")
     if max_extra is not None and not closing:
-        raise UsageError("--max-extra limits what --trace adds: give --trace as well")
+        raise UsageError("--max-extra limits the positions that --trace adds: give --trace as well")
     refuse_chip_options(
         url, _given_flags("rate_hz", "filter_m", "range_dps", "poll", "variant", "no_check")
     )
@@ -386,10 +386,10 @@ def _choose_plan(
         return recorder.free_turn_plan(recorder.TURNS if turns is None else turns, length_s), length_s
     if duration_s is not None:
         dwell = "" if name == "gyro-turns" else ", or --dwell"
-        raise UsageError(f"--duration is that of a free turn: give --plan free-turn{dwell}")
+        raise UsageError(f"--duration belongs to a free turn: give --plan free-turn{dwell}")
     if name == "gyro-turns":
         faces = 6 if positions is None else positions
         return gyro_turns.gyro_turns_plan(gyro_turns.TURNS if turns is None else turns, faces), None
     if turns is not None:
-        raise UsageError("--turns are those of a free turn: give --plan free-turn (of gyros: gyro-turns)")
+        raise UsageError("--turns belongs to a free turn: give --plan free-turn (for gyros: gyro-turns)")
     return plan_by(name or DEFAULT_PLAN, positions, check), None

@@ -18,7 +18,7 @@ class Home(NamedTuple):
 
 
 class LazyGroup(click.Group):
-    """Group of commands whose modules are imported when the command is called.
+    """Group that imports the module of a command only when the command is called.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class LazyGroup(click.Group):
 
 
 class SectionedCommand(click.Command):
-    """Command whose help lists the options in sections.
+    """Command that lists its options in sections of the help.
 
     Parameters
     ----------

@@ -211,7 +211,7 @@ def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
 def _show_registers(
     rows: list[tuple[Register, Any]], wanted: Mapping[str, WantedOffset], *, fields: bool, as_json: bool
 ) -> None:
-    """Show registers with their quantities; a quantity of None stands for a register that was not read."""
+    """Show registers with their quantities; the quantity is None if a register was not read."""
     if as_json:
         documents = []
         for row, quantity in rows:

@@ -89,7 +89,7 @@ def fit_command(
         show_gyro_fit(option.load(session, overrides), method, as_json=as_json, calibration=calibration)
         return
     if calibration is not None:
-        raise UsageError("--calibration is that of the accelerometers, for --sensor-part gyro")
+        raise UsageError("--calibration goes with --sensor-part gyro")
     from adis_gonio.faces.api import fit
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.model.records import METADATA
@@ -114,7 +114,7 @@ def fit_command(
     written = [f"{name} {getattr(loaded, name)}" for name in METADATA if getattr(loaded, name)]
     head = [f"{title}{what}, {loaded.sensor}", *([f"  {', '.join(written)}"] if written else [])]
     head += [f"  {note}" for note in loaded.notes]
-    # `calibrate` shows the truth of simulated positions, `fit` that of a simulated free turn.
+    # `calibrate` shows the truth of simulated positions, `fit` the truth of a simulated free turn.
     truth = loaded.facts.get("truth") if loaded.free_turn else None
     print_answer(answer, truth, head, shown=loaded.notes, everything=everything)
     print_gains(loaded)

@@ -70,7 +70,9 @@ def export_command(
     from adis_gonio.handover.exporting import ExportSource
 
     if kind is None and output in (None, STANDARD_OUTPUT):
-        raise UsageError("what shall be made? Give -o FILE with an ending such as .h or .json, or --format")
+        raise UsageError(
+            "no file and no format: give -o FILE with an ending such as .h or .json, or --format"
+        )
     kind = kind or format_of(str(output))
     named = {} if name is None else {"name": name}
     source = ExportSource(session, method, traced, samples, **named, overrides=overrides, gyros=gyros)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from adis_gonio.record.plans import Position
 
 Actions = dict[str, Callable[[], None]]
-"""What each key does."""
+"""Action of each key."""
 StyledLines = list[tuple[str, str]]
 """Lines with their style."""
 
@@ -487,7 +487,7 @@ def choose_face(runner: SessionRunner, prompts: Face, *, plain: bool, resume_by:
     prompts : Face
         Plain prompts for the same runner.
     plain : bool
-        True if the screen is not wanted: `--plain`, or nobody is asked anything.
+        True if the screen is not wanted: `--plain`, or a session without questions.
     resume_by : str
         Command that resumes the session.
     """

@@ -147,7 +147,7 @@ def flag(*names: str, help: str) -> Option[Any]:
 
 
 def shown(*names: str, default: Any, help: str, **more: Any) -> Option[Any]:
-    """Return an option whose help shows its default."""
+    """Return an option with its default in the help."""
     return click.option(*names, default=default, show_default=True, help=help, **more)
 
 

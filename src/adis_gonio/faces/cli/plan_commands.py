@@ -1,4 +1,4 @@
-"""`plan`, `template` and `simulate`: what a session will be, before it is measured."""
+"""`plan`, `template` and `simulate`: a session before it is measured."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ if TYPE_CHECKING:
 @option.flag("--force", help="Replace an existing plan file.")
 @option.json
 def plan_command(*, output: Path | None, force: bool, as_json: bool, **options: Any) -> None:
-    """Predict what a plan of positions will reach, detect and distinguish, or find the best plan.
+    """Predict the uncertainties and detectable effects of a plan of positions, or find the best plan.
 
     Give one of --positions, --angle-error and --minutes to search for the best plan, including the order of
     its positions and the side from which each is approached. Give --plan to evaluate a plan by its name or
@@ -366,7 +366,7 @@ def _simulate_twin(path: Path, output: Path, seed: int) -> None:
         current().tell("simulating")
         twin = simulate_like(session, traced.fits[-1], seed=seed)
     export_csv(twin, output)
-    click.echo(f"{output}: {counted(len(session.dwells), 'dwell')} like those of {path}", err=True)
+    click.echo(f"{output}: {counted(len(session.dwells), 'dwell')}, the twin of {path}", err=True)
 
 
 def _simulator_url(

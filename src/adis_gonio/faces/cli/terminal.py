@@ -1,6 +1,6 @@
 """The program and its terminal: letters that a character set lacks, one-line messages, and Ctrl-C.
 
-Files are always UTF-8; the character sets here are those of standard output and standard error.
+Files are always UTF-8; the character sets here belong to standard output and standard error.
 """
 
 from __future__ import annotations

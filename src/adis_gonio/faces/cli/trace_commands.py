@@ -46,7 +46,8 @@ def trace_command(
     """Trace the residual of a session to the effects that the seed paper's model lacks.
 
     The command reports each effect found with its probability, the error before and after on data that the
-    fit did not use, the effects that this session cannot distinguish or detect, and what to measure next.
+    fit did not use, the effects that this session cannot distinguish or detect, and measurements to make
+    next.
     """
     from adis_gonio.tracing.trace import trace
 
@@ -256,8 +257,8 @@ def report_command(*, session: Path, output: Path, time_limit: float | None, ove
     """Write the calibration report: one self-contained HTML page.
 
     The page shows the results of every method that the session supports, the trace with a figure for each
-    step, the effects that could not be seen, what to measure next, and the data. It depends only on the
-    session's file, so an older page of the same name is replaced.
+    step, the effects that could not be seen, measurements to make next, and the data. It depends only on
+    the session's file, so an older page of the same name is replaced.
     """
     if output.exists() and session.exists() and output.samefile(session):
         raise UsageError(f"{output}: is the session itself; name another file for the page")

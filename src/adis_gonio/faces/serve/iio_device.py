@@ -1,8 +1,8 @@
 """The sensor as an IIO device: its channels, their attributes, the XML, and scans as bytes.
 
-Units are those of Linux' IIO ABI: m/s², rad/s, milli-degree Celsius, millivolt; value = (raw + offset) *
+Units as in Linux' IIO ABI: m/s², rad/s, milli-degree Celsius, millivolt; value = (raw + offset) *
 scale. Axes and signs are the part's own: level with Z up, Z reads -9.8 m/s². Nothing here accesses a
-sensor; `SensorState` holds the values of the attributes.
+sensor; `SensorState` contains the values of the attributes.
 """
 
 from __future__ import annotations
@@ -257,7 +257,7 @@ class ServedDevice:
 
 
 def filter_for(frequency_hz: float, state: SensorState) -> int:
-    """M of the filter whose -3 dB frequency is the nearest on a logarithmic scale.
+    """M of the filter with the nearest -3 dB frequency on a logarithmic scale.
 
     Raises
     ------

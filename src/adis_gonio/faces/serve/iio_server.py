@@ -513,7 +513,7 @@ class IioServer:
 
 
 def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Report an error, except that of a broken connection, which has ended by it."""
+    """Report an error, unless it is a broken connection, which has simply ended."""
     if not isinstance(context.get("exception"), ConnectionError):
         loop.default_exception_handler(context)
 

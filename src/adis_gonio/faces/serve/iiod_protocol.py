@@ -110,7 +110,7 @@ class Timeout(Request):
 
 @dataclass(frozen=True)
 class Open(Request):
-    """Open a buffer; `mask` is hexadecimal, 8 digits a word, the last word holds channels 0 to 31."""
+    """Open a buffer; `mask` is hexadecimal, 8 digits a word, the last word is for channels 0 to 31."""
 
     device: str
     samples: int
@@ -199,7 +199,7 @@ class Malformed(Request):
 
 
 class Parser:
-    """Converts bytes to requests; never raises, and holds at most one line or one value."""
+    """Converts bytes to requests; never raises, and buffers at most one line or one value."""
 
     def __init__(self) -> None:
         self._held = bytearray()
@@ -253,7 +253,7 @@ class Parser:
 
 @dataclass(frozen=True)
 class _Announced(Request):
-    """A write whose value follows the line."""
+    """A write request; its value follows the line."""
 
     of: WriteAttribute
     size: int
@@ -334,7 +334,7 @@ def _attribute(device: str, words: Sequence[str]) -> tuple[Target, str]:
             raise ValueError("a channel is missing")
         channel = rest.pop(0)
     if len(rest) > 1:
-        raise ValueError(f"{len(rest)} words where the name of an attribute is expected")
+        raise ValueError(f"{len(rest)} words instead of the name of an attribute")
     return Target(device, kind, channel), rest[0] if rest else ""
 
 

@@ -31,7 +31,7 @@ T = TypeVar("T")
 _Job = tuple[Callable[[Adis16354], Any], "Future[Any]", bool]
 
 BLOCK_S = 0.04
-"""Length of a block of scans, the longest delay of a scan in addition to that of the bus."""
+"""Length of a block of scans, the longest delay of a scan in addition to the delay of the bus."""
 
 MOST_BLOCK = 256
 

@@ -262,7 +262,7 @@ class BenchApp(App[None]):
     # -- asking -------------------------------------------------------------------------------------
 
     def _ask(self) -> None:
-        """Open the dialog of a new question; close a dialog whose question has been withdrawn."""
+        """Open the dialog of a new question; close the dialog of a withdrawn question."""
         question = self.state.question
         if self._open_question is not None and question is not self._asked:
             gone, self._open_question = self._open_question, None

@@ -223,7 +223,7 @@ def too_fast(state: BenchState) -> bool:
 
 
 def waiting(state: BenchState, silence_s: float = 0.0) -> str:
-    """What the session waits for.
+    """The event for which the session waits.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[
 
 
 def measured(name: str, value: float) -> tuple[str, str]:
-    """Name and value of a number whose name ends in its unit, such as `gyro_deg`, as text."""
+    """Name and value, as text, of a number with its unit at the end of the name, such as `gyro_deg`."""
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in _UNITS:
         return name.replace("_", " "), use_minus(f"{value:.4g}")
