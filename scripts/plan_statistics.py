@@ -35,7 +35,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation import Readings
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.plan.optimal_plan import best_plan, even_plan
-from adis_gonio.plan.prediction import Bench, expected_readings, fitted_variance, reach_of
+from adis_gonio.plan.prediction import Bench, expected_readings, fitted_variance, predict_uncertainty
 from adis_gonio.record.plans import Plan, plan
 
 FIXTURES_DEG = (0.01, 0.05)
@@ -242,7 +242,7 @@ def through_the_chip(case: Case, sessions: int, seed: int) -> list[Line]:
             off.append([result[name].value - truth[name] for name in ("delta_k", "delta_phi")])
             path.unlink()
     rms = np.sqrt((np.array(off) ** 2).mean(axis=0))
-    reach = reach_of(case.plan, case.bench)
+    reach = predict_uncertainty(case.plan, case.bench)
     error = 1 / math.sqrt(2 * sessions)
     return [
         Line(f"{case.name}, chip", case.bench.fixture_deg, name, float(u or 0), float(one), error)

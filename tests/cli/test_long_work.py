@@ -75,7 +75,7 @@ def test_in_a_log_a_line_comes_seldom_and_says_stage_and_share(capsys, monkeypat
             time.sleep(0.001)
         return text
 
-    with show.working("tracing 24 dwells of a.session"):
+    with show.report_progress("tracing 24 dwells of a.session"):
         assert line_after(go[0]) == "tracing 24 dwells of a.session …\n"
         current().tell("the error on left-out dwells")
         current().share(0.4)
@@ -93,7 +93,7 @@ def test_a_log_of_an_hour_is_short():
 
 
 def test_what_is_done_at_once_says_nothing(capsys):
-    with show.working("reading"):
+    with show.report_progress("reading"):
         pass
     assert capsys.readouterr().err == ""
 
@@ -102,7 +102,7 @@ def test_on_a_terminal_stage_share_and_time_stand_in_one_place(monkeypatch):
     screen = io.StringIO()
     terminal = Console(file=screen, force_terminal=True, width=80, highlight=False)
     monkeypatch.setattr(show, "console", lambda *, stderr: terminal)
-    with show.working("fitting 4 dwells of [odd] name"):
+    with show.report_progress("fitting 4 dwells of [odd] name"):
         current().tell("every method")
         current().share(0.25)
     shown = screen.getvalue()

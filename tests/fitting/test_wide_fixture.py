@@ -9,7 +9,7 @@ import plan_statistics as statistics
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.plan import Bench
-from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, expected_readings, reach_of
+from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, expected_readings, predict_uncertainty
 from adis_gonio.record.plans import plan
 
 ALPHA = statistics.NAMES.index("alpha")
@@ -60,7 +60,7 @@ def test_an_angle_that_rests_on_what_is_not_determined_has_no_uncertainty():
 
 @pytest.mark.parametrize(("name", "fixture_deg"), [("four-position", 8.0), ("mmpm", 30.0)])
 def test_a_plan_foresees_what_the_fit_states(name, fixture_deg):
-    foreseen = reach_of(plan(name), Bench(fixture_deg, start_deg=2.0))
+    foreseen = predict_uncertainty(plan(name), Bench(fixture_deg, start_deg=2.0))
     stated = {quantity: [] for quantity in ("alpha", "delta_phi")}
     for result, _ in _drawn(name, fixture_deg, 30):
         for quantity, values in stated.items():
@@ -70,7 +70,7 @@ def test_a_plan_foresees_what_the_fit_states(name, fixture_deg):
 
 
 def test_of_few_positions_a_wide_stage_makes_the_gains_less_sure_and_the_plan_says_so():
-    exact, wide = (reach_of(plan("four-position"), Bench(deg)) for deg in (0.01, 8.0))
+    exact, wide = (predict_uncertainty(plan("four-position"), Bench(deg)) for deg in (0.01, 8.0))
     assert wide.parameters["delta_k"].u > 10 * exact.parameters["delta_k"].u
     assert any("depends on how the stage is off" in note for note in wide.notes)
     assert not any("depends on how the stage is off" in note for note in exact.notes)

@@ -10,7 +10,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.plan import Bench, best_plan, fewest_positions, positions_in
 from adis_gonio.plan.optimal_plan import even_plan, interleaved_plan
 from adis_gonio.plan.plan_search import candidates, search
-from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, expected_readings, reach_of
+from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, expected_readings, predict_uncertainty
 from adis_gonio.record.plans import plan
 
 QUIET = Bench(0.02, flicker_mg=0.0)
@@ -179,7 +179,7 @@ def test_what_cannot_be_searched_for_is_told_in_one_line(arguments, told):
 
 @pytest.mark.parametrize(("name", "deg"), [("four-position", 10.0), ("tumble", LARGEST_FIXTURE_DEG)])
 def test_a_wide_stage_is_still_in_the_angles_uncertainty(name, deg):
-    at_1, there = (reach_of(plan(name), Bench(f)).angle.u for f in (1.0, deg))
+    at_1, there = (predict_uncertainty(plan(name), Bench(f)).angle.u for f in (1.0, deg))
     assert there == pytest.approx(deg * at_1, rel=0.05)
 
 

@@ -16,17 +16,17 @@ from adis_gonio.base.lazy_names import lazily
 
 if TYPE_CHECKING:
     from adis_gonio.plan.optimal_plan import BestPlan, best_plan, fewest_positions, positions_in
-    from adis_gonio.plan.plan_file import plan_by, read_plan, write_plan
+    from adis_gonio.plan.plan_file import find_plan, read_plan, write_plan
     from adis_gonio.plan.prediction import Bench, Prediction, predict
 
 __all__ = [
-    "Bench", "BestPlan", "Prediction", "best_plan", "fewest_positions", "plan_by", "positions_in",
+    "Bench", "BestPlan", "Prediction", "best_plan", "fewest_positions", "find_plan", "positions_in",
     "predict", "read_plan", "write_plan",
 ]  # fmt: skip
 
 _MODULES = {
     "optimal_plan": ("BestPlan", "best_plan", "fewest_positions", "positions_in"),
-    "plan_file": ("plan_by", "read_plan", "write_plan"),
+    "plan_file": ("find_plan", "read_plan", "write_plan"),
     "prediction": ("Bench", "Prediction", "predict"),
 }
 __getattr__ = lazily(__name__, {name: module for module, names in _MODULES.items() for name in names})

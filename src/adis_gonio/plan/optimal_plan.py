@@ -25,7 +25,7 @@ from adis_gonio.plan.prediction import (
     expected_readings,
     planned_terms,
     predict,
-    reach_of,
+    predict_uncertainty,
 )
 from adis_gonio.record.plans import Plan, Position, plan
 
@@ -216,7 +216,7 @@ def _starts(ground: Candidates, positions: int, rng: np.random.Generator) -> lis
 def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates, criterion: Criterion) -> Gain:
     """Compare with another plan; its criterion is computed at the nearest angles of the grid."""
     theirs = criterion.figure(ground.information(ground.nearest(other)))
-    reach = reach_of(other, ours.bench)
+    reach = predict_uncertainty(other, ours.bench)
     pairs = {name: (value.u, ours.reach.parameters.get(name)) for name, value in reach.parameters.items()}
     ratios = {name: (u or 0.0) / one.u for name, (u, one) in pairs.items() if one is not None and one.u}
     ratios["angle_worst"] = (reach.angle_worst.u or 0.0) / (ours.reach.angle_worst.u or math.inf)
@@ -271,7 +271,7 @@ def _fewest_interleaved(bench: Bench, angle_deg: float) -> int:
     def error_deg(count: int) -> float:
         check()
         try:
-            return _error_deg(reach_of(interleaved_plan(count), bench))
+            return _error_deg(predict_uncertainty(interleaved_plan(count), bench))
         except FitError:
             return math.inf
 

@@ -162,7 +162,7 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 40 else f"{text[:37]}…"
 
 
-def plan_by(name: str, positions: int | None = None, check: int = 0) -> Plan:
+def find_plan(name: str, positions: int | None = None, check: int = 0) -> Plan:
     """Return a plan by its name, or from a file if `name` is not in `PLAN_NAMES` and looks like a path.
 
     Parameters

@@ -306,7 +306,7 @@ def _without_value(value: Value) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Alike:
+class ConfoundedPair:
     """Two effects that a plan cannot distinguish.
 
     Attributes
@@ -333,12 +333,12 @@ class Sight(JsonRecord):
     ----------
     detectable : dict of str to Detectable
         For each effect of the catalogue, the amplitude that 90 of 100 sessions would find.
-    alike : tuple of Alike
+    alike : tuple of ConfoundedPair
         Pairs that the plan cannot distinguish, the worst first.
     """
 
     detectable: dict[str, Detectable]
-    alike: tuple[Alike, ...] = field(metadata=key("confounded"))
+    alike: tuple[ConfoundedPair, ...] = field(metadata=key("confounded"))
 
 
 @dataclass(frozen=True)
@@ -376,11 +376,11 @@ def predict(plan: Plan, bench: Bench) -> Prediction:
     FitError
         It has too few positions, or determines neither ΔK nor Δφ.
     """
-    sight = sight_of(expected_readings(plan, bench).training)
-    return Prediction(plan, bench, reach_of(plan, bench), sight)
+    sight = predict_sight(expected_readings(plan, bench).training)
+    return Prediction(plan, bench, predict_uncertainty(plan, bench), sight)
 
 
-def reach_of(plan: Plan, bench: Bench) -> PlanUncertainty:
+def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
     """Predict the uncertainties; errors as in `predict`."""
     offsets = np.random.default_rng(0).normal(0.0, bench.fixture_deg, (_STAGES, len(plan)))
     exact = _reach(fit_readings(expected_readings(plan, bench).training))
@@ -467,7 +467,7 @@ def fitted_variance(result: FitResult) -> Floats:
 # -- effects ------------------------------------------------------------------------------------------
 
 
-def sight_of(readings: Readings) -> Sight:
+def predict_sight(readings: Readings) -> Sight:
     """Predict which effects a session with such readings detects and distinguishes.
 
     The detectable amplitude is defined as in `trace` (`tracing.findings`), at its error level, in addition
@@ -489,7 +489,7 @@ def sight_of(readings: Readings) -> Sight:
     reasons = {name: _why_unplanned(name, why) for name, why in missing.items()}
     seen = detectable(Search(problem, price(problem)), bias, reasons)
     hidden = {name: replace(one, reason=_HIDDEN) for name, one in seen.items() if "lies in" in one.reason}
-    return Sight(seen | hidden, _alike(problem, bias, seen))
+    return Sight(seen | hidden, _confounded_pairs(problem, bias, seen))
 
 
 def _why_unplanned(name: str, why: str) -> str:
@@ -499,7 +499,9 @@ def _why_unplanned(name: str, why: str) -> str:
     return f"depends on {join_words([_SURROUNDINGS[need] for need in needs])}, which no plan sets"
 
 
-def _alike(problem: LinearProblem, bias: tuple[int, ...], seen: dict[str, Detectable]) -> tuple[Alike, ...]:
+def _confounded_pairs(
+    problem: LinearProblem, bias: tuple[int, ...], seen: dict[str, Detectable]
+) -> tuple[ConfoundedPair, ...]:
     basis = span(problem, bias)[0]
     columns = {}
     for name, term in widest_terms(problem.terms).items():
@@ -515,7 +517,7 @@ def _alike(problem: LinearProblem, bias: tuple[int, ...], seen: dict[str, Detect
             _separation(columns[other], columns[one], seen[other]),
         )
         if separation < LEAST_SEPARATION:
-            found.append(Alike(one, other, separation))
+            found.append(ConfoundedPair(one, other, separation))
     return tuple(sorted(found, key=lambda pair: pair.separation))
 
 

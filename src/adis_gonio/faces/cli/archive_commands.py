@@ -12,7 +12,14 @@ import click
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import check_page, console, print_json, print_table, working, write_page
+from adis_gonio.faces.cli.show import (
+    check_page,
+    console,
+    print_json,
+    print_table,
+    report_progress,
+    write_page,
+)
 
 if TYPE_CHECKING:
     from adis_gonio.fleet import Store
@@ -36,7 +43,7 @@ def _indexed(
 
     places = places or (Path(),)
     with Store.of(places, index_path) as store:
-        with working(f"reading {', '.join(map(str, places))}"):
+        with report_progress(f"reading {', '.join(map(str, places))}"):
             found = scan(store, places, trace=trace)
         for problem in store.problems:
             click.echo(problem, err=True)
@@ -186,7 +193,7 @@ def history_command(
     metavar="DEG",
     help="Permissible error of an angle for your use (default: assume 0.1°).",
 )
-@option.shown(
+@option.with_default(
     "--first",
     "first_days",
     type=option.POSITIVE,
@@ -194,16 +201,18 @@ def history_command(
     metavar="DAYS",
     help="Interval of a sensor without a known history.",
 )
-@option.shown(
+@option.with_default(
     "--longer",
     type=click.FloatRange(min=1),
     default=1.5,
+    metavar="FACTOR",
     help="Factor after a calibration that was still good.",
 )
-@option.shown(
+@option.with_default(
     "--shorter",
     type=click.FloatRange(0, 1, min_open=True),
     default=0.5,
+    metavar="FACTOR",
     help="Factor after a calibration outside the limit.",
 )
 @option.index
@@ -304,7 +313,7 @@ def fleet_command(
     if journal is None and outputs:
         journal = outputs[0].with_name(f"{outputs[0].name}.journal")
     options = Options(trace=trace, evidence=population)
-    with _journal(journal) as held, working(f"fleet of {counted(len(names), 'file')}"):
+    with _journal(journal) as held, report_progress(f"fleet of {counted(len(names), 'file')}"):
         tell = current().tell
         tell("reading")
         found = survey(names, current().share)

@@ -12,7 +12,7 @@ from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import exists_error
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import print_json, working
+from adis_gonio.faces.cli.show import print_json, report_progress
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ _TURNED = {
 @option.settle
 @option.rate
 @option.filter
-@option.shown(
+@option.with_default(
     "--range",
     "range_dps",
     type=int,
@@ -244,7 +244,7 @@ def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
     if advisor.result is not None and advisor.dwells == len(session.dwells):
         return advisor.result
     try:
-        with working(f"tracing {counted(len(session.dwells), 'dwell')}"):
+        with report_progress(f"tracing {counted(len(session.dwells), 'dwell')}"):
             return trace(session, advisor.max_effects)
     except FitError as error:
         click.echo(f"not traced: {error}", err=True)
@@ -376,7 +376,7 @@ def _choose_plan(
 ) -> tuple[Plan, float | None]:
     """Return the plan by its options, and the longest recording of a free turn."""
     from adis_gonio.bench import gyro_turns, recorder
-    from adis_gonio.plan import plan_by
+    from adis_gonio.plan import find_plan
     from adis_gonio.record.plans import DEFAULT_PLAN
 
     if name == "free-turn":
@@ -392,4 +392,4 @@ def _choose_plan(
         return gyro_turns.gyro_turns_plan(gyro_turns.TURNS if turns is None else turns, faces), None
     if turns is not None:
         raise UsageError("--turns belongs to a free turn: give --plan free-turn (for gyros: gyro-turns)")
-    return plan_by(name or DEFAULT_PLAN, positions, check), None
+    return find_plan(name or DEFAULT_PLAN, positions, check), None

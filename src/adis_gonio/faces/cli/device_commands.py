@@ -86,10 +86,10 @@ def selftest_command(*, url: str, variant: str, no_check: bool, as_json: bool) -
 
 @option.command("serve")
 @option.url
-@option.shown(
+@option.with_default(
     "--iio", "port", type=click.IntRange(0, 65535), default=30431, help="TCP port; 0: a free one."
 )
-@option.shown(
+@option.with_default(
     "--listen",
     "host",
     default="127.0.0.1",

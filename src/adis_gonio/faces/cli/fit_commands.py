@@ -11,7 +11,15 @@ import click
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import WIDTH, check_page, console, print_json, table_of, working, write_page
+from adis_gonio.faces.cli.show import (
+    WIDTH,
+    check_page,
+    console,
+    print_json,
+    report_progress,
+    table_of,
+    write_page,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -46,7 +54,7 @@ _PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
     metavar="N",
     help="Also propagate the input distributions by N trials (GUM Supplement 1).",
 )
-@option.shown("--seed", type=int, default=1, help="Seed of the trials.")
+@option.with_default("--seed", type=int, default=1, help="Seed of the trials.")
 @option.part()
 @option.file(
     "--calibration",
@@ -96,7 +104,7 @@ def fit_command(
 
     loaded = option.load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
-    with working(f"fitting {what} of {session.name}"):
+    with report_progress(f"fitting {what} of {session.name}"):
         answer = Answer.of(fit(loaded, method=method, gyros=gyros), own=method is not None)
         document = answer.as_dict()
     run = None
@@ -105,7 +113,7 @@ def fit_command(
 
         from adis_gonio.fitting.monte_carlo import monte_carlo
 
-        with working(f"{trials} Monte Carlo trials"):
+        with report_progress(f"{trials} Monte Carlo trials"):
             run = monte_carlo(answer.result, trials, np.random.default_rng(seed))
     if as_json:
         print_json(document if run is None else {**document, "monte_carlo": run.as_dict()})
@@ -218,7 +226,7 @@ def show_gyro_fit(
         from adis_gonio.tracing.trace_calibrations import load_calibration
 
         accelerometers = load_calibration(calibration)
-    with working("fitting the gyros"):
+    with report_progress("fitting the gyros"):
         result = fit(session, method, part="gyro", accelerometers=accelerometers)
     if as_json:
         print_json(result.as_dict())
@@ -290,7 +298,7 @@ def allan_command(
         raise UsageError(f"{output}: its ending says the format: .html for the page, .svg for the plot")
     check_page(output)
     loaded = option.load(session, overrides)
-    with working(f"noise of {session.name}"):
+    with report_progress(f"noise of {session.name}"):
         found = fit_allan(loaded, part, filter_m=filter_m)
     if output is not None:
         from adis_gonio.handover.report.allan import allan_page, allan_svg

@@ -13,7 +13,7 @@ import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import check_page, print_json, working, write_page
+from adis_gonio.faces.cli.show import check_page, print_json, report_progress, write_page
 from adis_gonio.handover.formats import BY_NAME, format_of
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def export_command(
     if output is None and BY_NAME[kind].holds == "samples":
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")
     checked = None if output in (None, STANDARD_OUTPUT) else check_output(Path(str(output)), force=force)
-    with working(f"tracing {session.name}") if traced else nullcontext():
+    with report_progress(f"tracing {session.name}") if traced else nullcontext():
         if checked is not None:
             with replacing(checked) as temporary:
                 remarks = source.write(kind, temporary)
@@ -99,8 +99,8 @@ def export_command(
 @option.command("paper")
 @option.output("Page to write; an existing page is replaced.")
 @option.json
-@option.shown("--seed", type=int, default=0, help="Seed of all random numbers.")
-@option.shown("--sessions", type=int, default=10, help="Simulated parts of each kind.")
+@option.with_default("--seed", type=int, default=0, help="Seed of all random numbers.")
+@option.with_default("--sessions", type=int, default=10, help="Simulated parts of each kind.")
 def paper_command(*, output: Path | None, as_json: bool, seed: int, sessions: int) -> None:
     """Reproduce the seed paper: its table 1, its figure 3, and where its method overtakes MMPM.
 
@@ -111,7 +111,7 @@ def paper_command(*, output: Path | None, as_json: bool, seed: int, sessions: in
     from adis_gonio.handover.paper.page import build_page, verdicts
 
     check_page(output)
-    with working("the seed paper"):
+    with report_progress("the seed paper"):
         done = reproduce(seed, sessions)
     if output is not None:
         write_page(output, build_page(done))

@@ -46,12 +46,15 @@ NOTES = {
 @option.command(
     "stream",
     "--seconds --output --registers",
-    {"Measuring": "--rate --filter --range --poll --leave-registers"},
+    {
+        "Measuring": "--rate --filter --range --poll --leave-registers",
+        "Lines and file": "--every --gravity",
+    },
 )
 @option.url
 @click.option("--registers", "names", help="Registers to scan, separated by commas.", metavar="NAME,…")
 @option.seconds
-@option.shown(
+@option.with_default(
     "--every", "every_s", type=float, default=0.2, metavar="SECONDS", help="Screen: time per line."
 )
 @option.output("Record every scan to .csv[.gz].")
@@ -62,7 +65,7 @@ NOTES = {
 @click.option(
     "--range", "range_dps", type=int, metavar="DPS", help="Range of the gyros: 300, 150 or 75 °/s."
 )
-@option.shown(
+@option.with_default(
     "--gravity",
     "gravity_mps2",
     type=float,
@@ -337,7 +340,7 @@ class Columns:
     metavar="FILE",
     help="Correct the angle by a calibration (export, JSON) or by the fit of a session.",
 )
-@option.shown(
+@option.with_default(
     "--lag",
     "lag_s",
     type=float,
@@ -346,7 +349,7 @@ class Columns:
     help="Delay of the smoothed angle; 0: the smallest possible.",
 )
 @option.flag("--no-gyro", help="Use gravity alone: fewer registers to read, no smoothed angle.")
-@option.shown(
+@option.with_default(
     "--reconnect",
     "patience_s",
     type=float,

@@ -146,7 +146,7 @@ def flag(*names: str, help: str) -> Option[Any]:
     return click.option(*names, is_flag=True, help=help)
 
 
-def shown(*names: str, default: Any, help: str, **more: Any) -> Option[Any]:
+def with_default(*names: str, default: Any, help: str, **more: Any) -> Option[Any]:
     """Return an option with its default in the help."""
     return click.option(*names, default=default, show_default=True, help=help, **more)
 
@@ -154,7 +154,7 @@ def shown(*names: str, default: Any, help: str, **more: Any) -> Option[Any]:
 def dwell(default_s: float = 10.0) -> Option[Any]:
     """Return `--dwell`."""
     help = "Length of a dwell."
-    return shown("--dwell", "dwell_s", type=float, default=default_s, metavar="SECONDS", help=help)
+    return with_default("--dwell", "dwell_s", type=float, default=default_s, metavar="SECONDS", help=help)
 
 
 def fixture(
@@ -173,7 +173,7 @@ def gravity(help: str = "Local gravity in m/s² (default 9.80665).", **more: Any
 def part(default: str = "accelerometer", help: str = "Part of the sensor to use.") -> Option[Any]:
     """Return `--sensor-part`."""
     parts = click.Choice(sorted(("accelerometer", "gyro"), key=lambda part: part != default))
-    return shown("--sensor-part", "part", type=parts, default=default, help=help)
+    return with_default("--sensor-part", "part", type=parts, default=default, help=help)
 
 
 def time_limit(help: str) -> Option[Any]:
@@ -187,7 +187,7 @@ places = click.argument(
     "places", type=click.Path(path_type=Path, readable=False), nargs=-1, metavar="[DIR]..."
 )
 json = flag("--json", "as_json", help="Write one JSON document to standard output.")
-variant = shown("--variant", default="adis16354", help="adis16354, adis16350 or adis16355.")
+variant = with_default("--variant", default="adis16354", help="adis16354, adis16350 or adis16355.")
 poll = flag("--poll", help="Poll the scans and leave the data-ready line alone.")
 no_check = flag("--no-check", help="Open the sensor without checking that |a| is 1 g for this variant.")
 seconds = click.option(
@@ -196,16 +196,16 @@ seconds = click.option(
 positions = click.option(
     "--positions", type=int, metavar="N", help="Number of positions, if the plan leaves a choice."
 )
-check = shown(
+check = with_default(
     "--check", type=int, default=0, metavar="N", help="Extra positions that the fit does not use."
 )
-settle = shown(
+settle = with_default(
     "--settle", "settle_s", type=float, default=0.5, metavar="SECONDS", help="Wait after stillness."
 )
 rate = click.option(
     "--rate", "rate_hz", type=float, metavar="HZ", help="Samples per second, 0.413 to 819.2 (default)."
 )
-filter = shown(
+filter = with_default(
     "--filter", "filter_m", type=int, default=2, metavar="M", help="Filter: two passes of 2^M taps."
 )
 title = click.option("--title", default="", help="Title to keep with the session.")
@@ -274,8 +274,8 @@ def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
 
 def load(path: Path, overrides: Overrides) -> Session:
     """Load a session, with progress on standard error if it takes long."""
-    from adis_gonio.faces.cli.show import working
+    from adis_gonio.faces.cli.show import report_progress
     from adis_gonio.record.loading import load_session
 
-    with working(f"reading {path.name}"):
+    with report_progress(f"reading {path.name}"):
         return load_session(path, overrides)

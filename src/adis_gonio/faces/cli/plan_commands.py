@@ -15,7 +15,7 @@ from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import check_output, ends_in
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import print_json, working
+from adis_gonio.faces.cli.show import print_json, report_progress
 from adis_gonio.model.records import SENSORS, STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     metavar="MG",
     help="Minimum of the Allan deviation in mg (default: the variant's figure).",
 )
-@click.option("--positions", type=int, help="Number of positions.")
+@click.option("--positions", type=int, metavar="N", help="Number of positions.")
 @click.option(
     "--angle-error",
     "angle_deg",
@@ -54,7 +54,9 @@ if TYPE_CHECKING:
     metavar="DEGREES",
     help="Find the fewest positions with at most this angle error (rms over the turn).",
 )
-@click.option("--minutes", type=float, help="Take as many positions as fit into this time.")
+@click.option(
+    "--minutes", type=float, metavar="MINUTES", help="Take as many positions as fit into this time."
+)
 @click.option(
     "--beware",
     metavar="EFFECT[,EFFECT…]",
@@ -67,22 +69,27 @@ if TYPE_CHECKING:
     help="Criterion of the search (default: tell-apart with --beware, else angle).",
 )
 @click.option("--plan", "plan_name", metavar="NAME|FILE", help="Evaluate this plan instead of a search.")
-@option.shown("--check", type=int, default=0, help="With --plan: positions that the fit does not use.")
-@option.shown("--grid", "grid_deg", type=float, default=5.0, help="Step of the searched angles in degrees.")
-@option.shown(
+@option.with_default(
+    "--check", type=int, default=0, help="With --plan: positions that the fit does not use."
+)
+@option.with_default(
+    "--grid", "grid_deg", type=float, default=5.0, metavar="DEGREES", help="Step of the searched angles."
+)
+@option.with_default(
     "--start",
     "start_deg",
     type=float,
     default=0.0,
-    help="Angle of the part at the stage's zero in degrees, as far as it is known.",
+    metavar="DEGREES",
+    help="Angle of the part at the stage's zero, as far as it is known.",
 )
 @option.dwell()
 @option.settle
 @option.rate
 @option.filter
 @option.gravity()
-@option.shown("--sensor", default="adis16354", help="adis16354, adis16350 or adis16355.")
-@option.shown("--seed", type=int, default=1, help="Seed of the search.")
+@option.with_default("--sensor", default="adis16354", help="adis16354, adis16350 or adis16355.")
+@option.with_default("--seed", type=int, default=1, help="Seed of the search.")
 @option.output("Plan file to write, for calibrate --plan FILE.")
 @option.flag("--force", help="Replace an existing plan file.")
 @option.json
@@ -107,7 +114,7 @@ def plan_command(*, output: Path | None, force: bool, as_json: bool, **options: 
     if options["plan_name"] is not None:
         prediction = _predict_given(bench, **options)
     else:
-        with working("searching for the best plan"):
+        with report_progress("searching for the best plan"):
             found = _search(bench, **options)
         prediction = found.prediction
     if output is not None:
@@ -135,7 +142,7 @@ def _bench(*, gravity_mps2: float | None, **options: Any) -> Bench:
 
 
 def _predict_given(bench: Bench, **options: Any) -> Prediction:
-    from adis_gonio.plan import plan_by, predict
+    from adis_gonio.plan import find_plan, predict
 
     search = {"--angle-error": "angle_deg", "--minutes": "minutes", "--best": "best"}
     wrong = [flag for flag, name in search.items() if options[name] is not None]
@@ -143,7 +150,7 @@ def _predict_given(bench: Bench, **options: Any) -> Prediction:
         wrong.append("--beware")
     if wrong:
         raise UsageError(f"--plan evaluates a plan as it is: leave {', '.join(wrong)} out")
-    return predict(plan_by(options["plan_name"], options["positions"], options["check"]), bench)
+    return predict(find_plan(options["plan_name"], options["positions"], options["check"]), bench)
 
 
 def _search(
@@ -177,7 +184,7 @@ def _search(
 
 
 @option.command("template", "--output --plan --unit")
-@option.shown(
+@option.with_default(
     "--plan",
     "plan_name",
     default="two-position",
@@ -186,8 +193,10 @@ def _search(
 @option.positions
 @option.check
 @option.output("CSV file to write.", required=True)
-@option.shown("--sensor", type=click.Choice(SENSORS), default=SENSORS[0], help="Sensor of the readings.")
-@option.shown(
+@option.with_default(
+    "--sensor", type=click.Choice(SENSORS), default=SENSORS[0], help="Sensor of the readings."
+)
+@option.with_default(
     "--unit",
     "accel_unit",
     type=option.parse_unit,
@@ -204,12 +213,12 @@ def template_command(
 
     Fill in times and readings in an editor or a spreadsheet; `adis-gonio fit` reads the saved file.
     """
-    from adis_gonio.plan import plan_by
+    from adis_gonio.plan import find_plan
     from adis_gonio.record.samples_writer import template_text, write_template
 
     if ends_in(output, ".gz"):
         raise UsageError(f"{output}: a template is filled in by hand: name it .csv")
-    chosen = plan_by(plan_name, positions, check)
+    chosen = find_plan(plan_name, positions, check)
     write_template(output, template_text(chosen, **keys))
     click.echo(f"{output}: {counted(len(chosen), 'position')} to fill in", err=True)
 
@@ -258,16 +267,16 @@ def _setting_rows() -> list[tuple[str, str]]:
     "File to write: .csv or .csv.gz for samples without the truth, else a session file with the truth.",
     required=True,
 )
-@option.shown("--plan", "plan_name", default="four-position", help="A plan by name, or a plan file.")
+@option.with_default("--plan", "plan_name", default="four-position", help="A plan by name, or a plan file.")
 @option.positions
 @option.check
-@option.shown(
+@option.with_default(
     "--order",
     type=click.Choice(["plan", "reverse", "shuffled"]),
     default="plan",
     help="Order of the positions.",
 )
-@option.shown("--seed", type=int, default=0, help="Seed of all random numbers.")
+@option.with_default("--seed", type=int, default=0, help="Seed of all random numbers.")
 @option.variant
 @click.option(
     "--effect",
@@ -302,7 +311,7 @@ def simulate_command(*, output: Path, **options: Any) -> None:
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor import open_sensor
     from adis_gonio.faces.cli.line_prompts import PlainBench
-    from adis_gonio.plan import plan_by
+    from adis_gonio.plan import find_plan
     from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.loading import load_session
     from adis_gonio.record.samples_writer import export_csv
@@ -314,7 +323,7 @@ def simulate_command(*, output: Path, **options: Any) -> None:
     settings = option.measuring_settings(
         **{name: options[name] for name in ("dwell_s", "rate_hz", "filter_m")}
     )
-    positions = plan_by(options["plan_name"], options["positions"], options["check"])
+    positions = find_plan(options["plan_name"], options["positions"], options["check"])
     positions = positions.ordered(options["order"], np.random.default_rng(options["seed"]))
     as_csv = ends_in(output, ".csv", ".csv.gz")
     with (
@@ -354,12 +363,12 @@ def _simulate_twin(path: Path, output: Path, seed: int) -> None:
 
     if not ends_in(output, ".csv", ".csv.gz"):
         raise UsageError(f"{output}: --like writes a samples CSV; name it .csv or .csv.gz")
-    with working(f"reading {path.name}"):
+    with report_progress(f"reading {path.name}"):
         try:
             session = load_session(path)
         except DataError as error:
             raise DataError(as_it_is(str(error))) from None
-    with working(f"twin of {counted(len(session.dwells), 'dwell')} of {path.name}"):
+    with report_progress(f"twin of {counted(len(session.dwells), 'dwell')} of {path.name}"):
         traced = trace(session)
         if not traced.fits:
             raise DataError(f"{path}: one pose has no model of positions to simulate")

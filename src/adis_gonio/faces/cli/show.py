@@ -182,7 +182,7 @@ class Work:
 
 
 @contextmanager
-def working(what: str) -> Iterator[None]:
+def report_progress(what: str) -> Iterator[None]:
     """Report the progress of a block on standard error.
 
     A terminal gets one line that changes, a log gets lines at growing intervals; work of less than a second

@@ -11,7 +11,7 @@ import click
 from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.base.numbers import counted, format_number, format_percent
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import WIDTH, check_page, console, print_json, working, write_page
+from adis_gonio.faces.cli.show import WIDTH, check_page, console, print_json, report_progress, write_page
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @option.command("trace", "--max-effects --time-limit --json")
 @option.session
-@option.shown(
+@option.with_default(
     "--max-effects", type=click.IntRange(0, 12), default=6, help="Most effects to add to the model."
 )
 @option.time_limit(
@@ -52,7 +52,7 @@ def trace_command(
     from adis_gonio.tracing.trace import trace
 
     loaded = option.load(session, overrides)
-    with working(f"tracing {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
+    with report_progress(f"tracing {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
         result = trace(loaded, max_effects=max_effects, time_limit=time_limit, part=part)
     if as_json:
         print_json(result.as_dict())
@@ -265,7 +265,7 @@ def report_command(*, session: Path, output: Path, time_limit: float | None, ove
     check_page(output)
     loaded = option.load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
-    with working(f"report of {what} of {session.name}"):
+    with report_progress(f"report of {what} of {session.name}"):
         page = _report_page(loaded, time_limit)
     write_page(output, page)
 

@@ -15,7 +15,7 @@ from textual.screen import ModalScreen
 from textual.widgets import Input, Static
 
 from adis_gonio.bench import events
-from adis_gonio.faces.tui.screen_text import measured
+from adis_gonio.faces.tui.screen_text import format_measured
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def guard_dialog(event: events.GuardRaised) -> Dialog:
     known = CHOICES | (ON_TABLE if event.position.turned_deg is not None else {})
     choices = [known[name] for name in event.answers if name != "stop"] + [CHOICES["stop"]]
     heading = f"{event.position}: {event.kind.replace('_', ' ')}"
-    rows = [measured(name, value) for name, value in event.values.items()]
+    rows = [format_measured(name, value) for name, value in event.values.items()]
     return Dialog(heading, event.message, choices, event.default, rows)
 
 

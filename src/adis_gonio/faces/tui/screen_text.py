@@ -333,7 +333,7 @@ def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[
     return [*lines, url if len(url) <= width else f"{url[: max(0, width - 1)]}…"]
 
 
-def measured(name: str, value: float) -> tuple[str, str]:
+def format_measured(name: str, value: float) -> tuple[str, str]:
     """Name and value, as text, of a number with its unit at the end of the name, such as `gyro_deg`."""
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in _UNITS:
