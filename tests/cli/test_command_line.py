@@ -6,11 +6,12 @@ import re
 import subprocess
 import sys
 
+import click
 import numpy as np
 import pytest
 
 from adis_gonio import load_session, open_sensor
-from adis_gonio.faces.cli import COMMANDS, main
+from adis_gonio.faces.cli import COMMANDS, app, main
 
 SIM = "sim:?seed=1"
 
@@ -55,6 +56,25 @@ def test_help_answers_without_numpy_scipy_or_matplotlib():
 def test_every_command_explains_itself(capsys, name):
     assert main([name, "--help"]) == 0
     assert "Usage: adis-gonio " + name in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_lists_each_option_once_in_sections_of_80_columns(capsys, monkeypatch, name):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([name, "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert not any("\\b" in line for line in lines)
+    sections = [line for line in lines if re.fullmatch(r"[A-Z][\w ]+:", line)]
+    lines = lines[lines.index(sections[0]) :]
+    command = app.get_command(click.Context(app), name)
+    options = [option for option in command.params if isinstance(option, click.Option)]
+    for option in options:
+        flags = [line for line in lines if re.match(rf"  (-\w, )?{option.opts[0]}(?![\w-])", line)]
+        assert len(flags) == 1, option.opts
+    if len(options) > 9:
+        assert sections[0] == "Main options:"
+        assert 2 <= len([line for line in lines[: lines.index("")] if line.startswith("  -")]) <= 3
 
 
 def test_no_command_shows_the_help_and_is_wrong_usage(capsys):

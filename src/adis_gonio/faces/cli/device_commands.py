@@ -34,9 +34,11 @@ def devices_command(*, udev: bool, as_json: bool) -> None:
 
     If the program cannot search a bus, its row gives the reason; the exit status is still 0.
 
-    Linux needs a rule before a user may open the devices: adis-gonio devices --udev | sudo tee
-    /etc/udev/rules.d/70-adis-gonio.rules, then plug the device in again.
-    """
+    Linux needs a rule before a user may open the devices. Write it, then plug the device in again:
+
+    \b
+    adis-gonio devices --udev | sudo tee /etc/udev/rules.d/70-adis-gonio.rules
+    """  # noqa: D301 - click keeps the lines of a paragraph with this character
     if udev:
         click.echo(rules(), nl=False)
         return
