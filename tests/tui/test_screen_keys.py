@@ -369,7 +369,3 @@ def test_without_the_extra_there_are_prompts_and_the_name_of_it(terminal, capsys
     terminal.setattr(choosing.importlib.util, "find_spec", lambda name: None)
     assert chosen() == "prompts"
     assert "pip install 'adis-gonio[bench]'" in capsys.readouterr().err
-
-
-def test_both_know_the_same_least_size():
-    assert bench_screen.LEAST_SIZE == (choosing.LEAST_COLUMNS, choosing.LEAST_ROWS)

@@ -26,6 +26,7 @@ from adis_gonio.bench.guidance import drawing, to_do, turn_to_do
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.faces.cli.show import WIDTH, console
 from adis_gonio.faces.cli.trace_commands import loop_lines
+from adis_gonio.faces.tui.bench_state import LEAST_SIZE
 from adis_gonio.record.plans import GYRO_TURNS
 
 if TYPE_CHECKING:
@@ -48,8 +49,6 @@ _GUARD_MEANING = {
     "q": "end",
 }
 _WHOLE_TURN_MEANING = {"r": "turn again", "v": "take it so, and turn the next one the other way"}
-LEAST_COLUMNS, LEAST_ROWS = 80, 24
-"""Smallest terminal of the screen, repeated here so that `choose_face` need not import textual."""
 
 
 def on_terminal() -> bool:
@@ -499,8 +498,8 @@ def choose_face(runner: SessionRunner, prompts: Face, *, plain: bool, resume_by:
     missing = ""
     if importlib.util.find_spec("textual") is None:
         missing = "the bench screen needs pip install 'adis-gonio[bench]'"
-    elif size.columns < LEAST_COLUMNS or size.lines < LEAST_ROWS:
-        least = f"{LEAST_COLUMNS} × {LEAST_ROWS} characters"
+    elif size.columns < LEAST_SIZE[0] or size.lines < LEAST_SIZE[1]:
+        least = f"{LEAST_SIZE[0]} × {LEAST_SIZE[1]} characters"
         missing = f"the bench screen needs {least}, this terminal has {size.columns} × {size.lines}"
     if missing:
         click.echo(f"plain prompts: {missing}", err=True)

@@ -28,11 +28,9 @@ from adis_gonio.bench import events
 from adis_gonio.bench.guidance import drawing
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.faces.tui import dialogs, screen_text
-from adis_gonio.faces.tui.bench_state import BenchState
+from adis_gonio.faces.tui.bench_state import LEAST_SIZE, BenchState
 from adis_gonio.record.archive import ArchiveView
 
-LEAST_SIZE = (80, 24)
-"""Smallest columns and rows with room for everything."""
 LARGE_SIZE = (120, 40)
 """Columns and rows from which the angle is twice as large."""
 
@@ -77,10 +75,10 @@ class BenchApp(App[None]):
 
     ENABLE_COMMAND_PALETTE = False
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("enter", "take", show=False),
-        Binding("t", "retake", show=False),
-        Binding("s", "skip", show=False),
-        Binding("u", "undo", show=False),
+        Binding("enter", "answer_position('confirm')", show=False),
+        Binding("t", "answer_position('repeat')", show=False),
+        Binding("s", "answer_position('skip')", show=False),
+        Binding("u", "answer_position('undo')", show=False),
         Binding("p", "pause", show=False),
         Binding("n", "note", show=False),
         Binding("q", "ask_to_quit", show=False),
@@ -307,35 +305,23 @@ class BenchApp(App[None]):
         self.state.answered()
         self.show()
 
-    def _answer_position(self, answer: str, can: bool, why_not: str) -> None:
-        question = self.state.question
-        if not isinstance(question, events.PositionAsked):
-            self.state.say("no position is asked for now")
-        elif can:
-            self._give(answer)
-        else:
-            self.state.say(why_not)
-        self.show()
-
     # -- keys ---------------------------------------------------------------------------------------
 
-    def action_take(self) -> None:
-        """Confirm that the part is at the position."""
-        self._answer_position("confirm", can=True, why_not="")
-
-    def action_skip(self) -> None:
-        """Skip the position."""
-        self._answer_position("skip", can=True, why_not="")
-
-    def action_retake(self) -> None:
-        """Take the last dwell again."""
-        can = getattr(self.state.question, "can_repeat", False)
-        self._answer_position("repeat", can, "there is no dwell before this one to take again")
-
-    def action_undo(self) -> None:
-        """Withdraw the last dwell."""
-        can = getattr(self.state.question, "can_undo", False)
-        self._answer_position("undo", can, "there is no dwell before this one to withdraw")
+    def action_answer_position(self, answer: str) -> None:
+        """Answer the question for a position, or report why that is not possible."""
+        question = self.state.question
+        impossible = ""
+        if not isinstance(question, events.PositionAsked):
+            impossible = "no position is asked for now"
+        elif answer == "repeat" and not question.can_repeat:
+            impossible = "there is no dwell before this one to take again"
+        elif answer == "undo" and not question.can_undo:
+            impossible = "there is no dwell before this one to withdraw"
+        if impossible:
+            self.state.say(impossible)
+        else:
+            self._give(answer)
+        self.show()
 
     def action_pause(self) -> None:
         """Pause, or go on."""

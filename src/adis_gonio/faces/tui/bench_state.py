@@ -15,6 +15,8 @@ from adis_gonio.bench.guidance import face
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
 
 MOST_MESSAGES = 100
+LEAST_SIZE = (80, 24)
+"""Smallest columns and rows of the screen."""
 
 Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered | events.ExtensionOffered
 
