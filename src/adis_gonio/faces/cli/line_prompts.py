@@ -44,11 +44,11 @@ _GUARD_MEANING = {
     "r": "take the position again",
     "k": "keep it as it is",
     "s": "skip",
-    "v": "take the whole session as reversed",
+    "v": "reverse the whole session",
     "p": "pause",
     "q": "end",
 }
-_WHOLE_TURN_MEANING = {"r": "turn again", "v": "take it so, and turn the next one the other way"}
+_WHOLE_TURN_MEANING = {"r": "turn again", "v": "keep it, and turn the next one the other way"}
 
 
 def on_terminal() -> bool:
@@ -228,10 +228,10 @@ class PlainBench:
     def _offer_repetition(self, event: events.RepetitionOffered) -> None:
         where = ", ".join(str(position) for position in event.positions)
         if self._auto:
-            self._say(f"  kept with an error or alarm in them: {where}", "yellow")
+            self._say(f"  kept with an error or alarm: {where}", "yellow")
             return
         keys = {"": self._runner.accept, "n": self._runner.decline, "q": self._runner.stop}
-        text = f"an error or alarm stood at {where}: repeat? (Enter yes, n no: keep as it is, q end)"
+        text = f"an error or alarm occurred at {where}: repeat? (Enter yes, n no: keep it, q end)"
         self._put(text, keys, self._no_more_input)
 
     def _offer_extension(self, event: events.ExtensionOffered) -> None:

@@ -32,7 +32,7 @@ CHOICES = {
     for choice in (
         Choice("retake", "t", "go back: ask for the position again"),
         Choice("keep", "k", "keep it as it is"),
-        Choice("reverse", "r", "the stage counts the other way: take the whole session so"),
+        Choice("reverse", "r", "the stage counts the other way: reverse the whole session"),
         Choice("confirm", "c", "take it"),
         Choice("skip", "s", "skip this position"),
         Choice("undo", "u", "withdraw the last dwell"),
@@ -46,7 +46,7 @@ CHOICES = {
 
 ON_TABLE = {
     "retake": Choice("retake", "t", "go back to the mark and turn again"),
-    "reverse": Choice("reverse", "r", "take it so, and turn the next one the other way"),
+    "reverse": Choice("reverse", "r", "keep it, and turn the next one the other way"),
 }
 """Answers with other labels for whole turns on a table."""
 
@@ -162,7 +162,7 @@ class NoteDialog(_Finishing[str]):
         """Build the box with its input line."""
         with Vertical(id="box"):
             yield Static(Text("Note", style="bold"), id="heading")
-            yield Input(placeholder="kept with the session, with its time and position", id="note")
+            yield Input(placeholder="saved in the session with its time and position", id="note")
             yield Static(Text("Enter keeps it, Esc gives it up", style="dim"))
 
     def action_give_up(self) -> None:
@@ -210,7 +210,7 @@ def guard_dialog(event: events.GuardRaised) -> Dialog:
 def repetition_dialog(event: events.RepetitionOffered) -> Dialog:
     """Dialog that asks whether to repeat dwells with a fault."""
     where = ", ".join(str(position) for position in event.positions)
-    text = f"An error or alarm stood at {where}. Make them again? Else they are kept as they are."
+    text = f"An error or alarm occurred at {where}. Repeat these dwells? Otherwise they are kept."
     answers = [CHOICES["accept"], CHOICES["decline"], CHOICES["stop"]]
     return Dialog("Faults within dwells", text, answers, "accept")
 
@@ -227,5 +227,5 @@ def extension_dialog(event: events.ExtensionOffered, positions: int) -> Dialog:
 
 def quit_dialog(resume_by: str) -> Dialog:
     """Dialog that asks whether to end the session."""
-    text = f"All that is recorded stays. Go on later with\n  {resume_by}"
+    text = f"The recorded data stay. Go on later with\n  {resume_by}"
     return Dialog("Quit the session?", text, [STAY, QUIT], "stay")

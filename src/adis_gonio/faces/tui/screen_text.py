@@ -29,20 +29,20 @@ _UNITS = {
     "deg": "°", "mg": " mg", "c": " °C", "v": " V", "s": " s", "dps": " °/s", "k": " K", "percent": " %",
 }  # fmt: skip
 _BY_GRAVITY = """\
-The angle is by gravity, to a degree or two while biases and gains
-are not known yet: what counts is the stage's scale."""
+The angle comes from gravity, with an error of a degree or two until
+biases and gains are known: set each position by the stage's scale."""
 _BY_GYROS = """\
-The angle is the gyros' integral since the rest before, counter-clockwise
-positive as seen from above; as large as their gain makes it."""
+The angle is the integral of the gyro since the last rest, positive
+counter-clockwise seen from above; it has the error of the gyro's gain."""
 HELP = f"""\
-Enter  take: the part is at the position that is asked for
+Enter  take: the part is at the position
 t      take the last dwell again; the old one stays in the file
 s      skip this position
-u      undo: withdraw the last dwell, its position is asked again
-p      pause, and go on; nothing is measured meanwhile
-n      a note, kept with the session
-d      the drawing: how the part is held, which way is positive
-q      quit; all that is recorded stays, --resume goes on with it
+u      undo: withdraw the last dwell, and ask for its position again
+p      pause or go on; nothing is measured during a pause
+n      add a note to the session
+d      draw how to hold the part, and the positive direction
+q      quit; the recorded data stay, --resume continues the session
 Ctrl-C quit at once
 
 ▶ now   ✓ done   – skipped   ! fault   ↶ again   · to do
