@@ -406,7 +406,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
         yield from fold_text(f"{', '.join(names)}: {reason}", WIDTH, 2)
     yield "Cannot tell apart"
     others = defaultdict(list)
-    for pair in sight.alike:
+    for pair in sight.confounded:
         others[pair.one].append(pair.other)
     for name, several in others.items():
         yield from fold_text(f"{name} from {', '.join(several)}", WIDTH, 2)

@@ -90,7 +90,7 @@ def _unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for key, value in pairs:
         if key in fields:
-            raise _DuplicateError(_shown(key))
+            raise _DuplicateError(_quote(key))
         fields[key] = value
     return fields
 
@@ -109,17 +109,17 @@ def plan_from(document: Any, name: str = "plan") -> Plan:
     if isinstance(version, bool) or version != VERSION:
         newer = isinstance(version, int) and version > VERSION
         cure = "update adis-gonio" if newer else f"take {VERSION}"
-        raise DataError(f"{name}: version is {_shown(version)}, this program reads {VERSION}: {cure}")
+        raise DataError(f"{name}: version is {_quote(version)}, this program reads {VERSION}: {cure}")
     unknown = sorted(set(document) - set(_FIELDS))
     if unknown:
-        raise DataError(f"{name}: {_shown(unknown[0])} is not known; a plan has {', '.join(_FIELDS)}")
+        raise DataError(f"{name}: {_quote(unknown[0])} is not known; a plan has {', '.join(_FIELDS)}")
     called = document.get("name")
     if not isinstance(called, str) or not _NAME.fullmatch(called):
-        raise DataError(f"{name}: name is {_shown(called)}: take a word of letters, digits and . + - _")
+        raise DataError(f"{name}: name is {_quote(called)}: take a word of letters, digits and . + - _")
     if called in PLAN_NAMES:
         raise DataError(f"{name}: name is '{called}', which is a plan of the program: take another")
     if document.get("plane") != "xy":
-        raise DataError(f"{name}: plane is {_shown(document.get('plane'))}: a plan file has plane 'xy'")
+        raise DataError(f"{name}: plane is {_quote(document.get('plane'))}: a plan file has plane 'xy'")
     entries = document.get("positions")
     if not isinstance(entries, list) or not 2 <= len(entries) <= MOST_POSITIONS:
         raise DataError(f"{name}: positions is no list of 2 to {MOST_POSITIONS} entries")
@@ -131,7 +131,7 @@ def plan_from(document: Any, name: str = "plan") -> Plan:
 
 def _position(entry: Any, where: str) -> Position:
     if not isinstance(entry, Mapping):
-        raise DataError(f"{where} is {_shown(entry)}: take an object with {', '.join(_KEYS)}")
+        raise DataError(f"{where} is {_quote(entry)}: take an object with {', '.join(_KEYS)}")
     unknown = sorted(set(entry) - set(_KEYS))
     if unknown:
         raise DataError(f"{where}.{unknown[0][:40]} is not known; a position has {', '.join(_KEYS)}")
@@ -139,15 +139,15 @@ def _position(entry: Any, where: str) -> Position:
     wait: Any = entry.get("wait_s", 0.0)
     if not _number(angle, -LARGEST_DEG, LARGEST_DEG):
         raise DataError(
-            f"{where}.angle_deg is {_shown(angle)}: take degrees from {-LARGEST_DEG:g} to {LARGEST_DEG:g}"
+            f"{where}.angle_deg is {_quote(angle)}: take degrees from {-LARGEST_DEG:g} to {LARGEST_DEG:g}"
         )
     approach, use = entry.get("approach", 1), entry.get("use", "fit")
     if isinstance(approach, bool) or approach not in (1, -1):
-        raise DataError(f"{where}.approach is {_shown(approach)}: take 1 (from below) or -1 (from above)")
+        raise DataError(f"{where}.approach is {_quote(approach)}: take 1 (from below) or -1 (from above)")
     if use not in ("fit", "check"):
-        raise DataError(f"{where}.use is {_shown(use)}: take 'fit' or 'check'")
+        raise DataError(f"{where}.use is {_quote(use)}: take 'fit' or 'check'")
     if not _number(wait, 0.0, LONGEST_WAIT_S):
-        raise DataError(f"{where}.wait_s is {_shown(wait)}: take 0 to {LONGEST_WAIT_S:g} s")
+        raise DataError(f"{where}.wait_s is {_quote(wait)}: take 0 to {LONGEST_WAIT_S:g} s")
     return Position(float(angle), -1 if approach == -1 else 1, use, wait_s=float(wait))
 
 
@@ -155,7 +155,7 @@ def _number(value: Any, low: float, high: float) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
 
 
-def _shown(value: Any) -> str:
+def _quote(value: Any) -> str:
     if value is None:
         return "missing"
     text = repr(value)

@@ -24,7 +24,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.jsonable import JsonRecord, key
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import join_words
 from adis_gonio.base.values import Detectable, Value
 from adis_gonio.device.sensor.settings import filter_settling_samples, sample_period_s
@@ -333,12 +333,12 @@ class Sight(JsonRecord):
     ----------
     detectable : dict of str to Detectable
         For each effect of the catalogue, the amplitude that 90 of 100 sessions would find.
-    alike : tuple of ConfoundedPair
+    confounded : tuple of ConfoundedPair
         Pairs that the plan cannot distinguish, the worst first.
     """
 
     detectable: dict[str, Detectable]
-    alike: tuple[ConfoundedPair, ...] = field(metadata=key("confounded"))
+    confounded: tuple[ConfoundedPair, ...]
 
 
 @dataclass(frozen=True)
@@ -433,13 +433,13 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
 
 
 def _reach(result: FitResult) -> PlanUncertainty:
-    made, angle = result.origin, result.shown_angle
+    origin, angle = result.origin, result.shown_angle
     # The noise is known and the part turns in a plane.
-    assert made is not None
-    assert made.sources is not None
+    assert origin is not None
+    assert origin.sources is not None
     assert angle is not None
-    shown = ShownAngle.around(made.fit)
-    whole = float(np.sqrt(made.sources.by_place(shown.gradient, shown.reading).max()))
+    shown = ShownAngle.around(origin.fit)
+    whole = float(np.sqrt(origin.sources.by_place(shown.gradient, shown.reading).max()))
     fitted = float(np.sqrt(fitted_variance(result).max()))
     sure = angle.u is not None
     return PlanUncertainty(
@@ -455,13 +455,13 @@ def _reach(result: FitResult) -> PlanUncertainty:
 
 def fitted_variance(result: FitResult) -> Floats:
     """Variance (m,) in degrees² of the shown angle around the turn, without the reading's own noise."""
-    made = result.origin
-    assert made is not None
-    assert made.sources is not None
-    shown = ShownAngle.around(made.fit)
-    own = sum(source.reading_mg2 for source in made.sources.each)
+    origin = result.origin
+    assert origin is not None
+    assert origin.sources is not None
+    shown = ShownAngle.around(origin.fit)
+    own = sum(source.reading_mg2 for source in origin.sources.each)
     noise = np.einsum("ma,ab,mb->m", shown.reading, own, shown.reading)
-    return np.asarray(made.sources.by_place(shown.gradient, shown.reading) - noise)
+    return np.asarray(origin.sources.by_place(shown.gradient, shown.reading) - noise)
 
 
 # -- effects ------------------------------------------------------------------------------------------

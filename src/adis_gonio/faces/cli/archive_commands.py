@@ -313,13 +313,13 @@ def fleet_command(
     if journal is None and outputs:
         journal = outputs[0].with_name(f"{outputs[0].name}.journal")
     options = Options(trace=trace, evidence=population)
-    with _journal(journal) as held, report_progress(f"fleet of {counted(len(names), 'file')}"):
+    with _journal(journal) as store, report_progress(f"fleet of {counted(len(names), 'file')}"):
         tell = current().tell
         tell("reading")
         found = survey(names, current().share)
         tell("waiting for workers")
         with LocalPool(workers) if scheduler is None else Cluster(scheduler) as pool:
-            fleet = run_fleet(found, options, pool, held, lambda progress: tell(str(progress)))
+            fleet = run_fleet(found, options, pool, store, lambda progress: tell(str(progress)))
         tell("summary")
         outcome = FleetResult(fleet, options)
         for path in outputs:
@@ -340,12 +340,12 @@ def _journal(path: Path | None) -> Iterator[Store]:
     """Open the store of the results; after Ctrl-C, report the number of results in it."""
     from adis_gonio.fleet.store import IN_MEMORY, Store
 
-    with Store(path or IN_MEMORY, strict=True) as held:
+    with Store(path or IN_MEMORY, strict=True) as store:
         try:
-            yield held
+            yield store
         except KeyboardInterrupt:
             if path is not None:
-                done = counted(held.sessions, "session")
+                done = counted(store.sessions, "session")
                 click.echo(f"{path} keeps {done}: the same command continues from there", err=True)
             raise
 

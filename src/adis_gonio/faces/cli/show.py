@@ -35,14 +35,14 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
         Largest width in columns; 0 for no limit.
     """
 
-    def made(width: int | None = None) -> Console:
+    def make(width: int | None = None) -> Console:
         return Console(stderr=stderr, highlight=False, markup=False, emoji=False, width=width)
 
-    screen = made()
+    screen = make()
     width = screen.width if screen.is_terminal else 200
     if most:
         width = min(width, most)
-    return screen if screen.width == width else made(width)
+    return screen if screen.width == width else make(width)
 
 
 LEAST_TEXT = 16

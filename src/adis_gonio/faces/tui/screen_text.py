@@ -91,8 +91,8 @@ def title(state: BenchState) -> str:
         return "adis-gonio"
     total = len(state.plan)
     settled = sum(state.mark(place) in _SETTLED for place in range(total))
-    left = "" if state.time_left_s is None else f", about {format_duration(state.time_left_s)} left"
-    return f"{state.plan.name}: {settled} of {total} done{left} · {state.variant} · {state.path}"
+    remaining = "" if state.time_left_s is None else f", about {format_duration(state.time_left_s)} left"
+    return f"{state.plan.name}: {settled} of {total} done{remaining} · {state.variant} · {state.path}"
 
 
 def _place_name(position: Position, *, on_table: bool) -> str:
