@@ -129,11 +129,9 @@ def _archive_cells(row: Mapping[str, Any]) -> list[str]:
 @option.places
 @option.output("Write a page with figures (extra: report).")
 @click.option(
-    "--run-length",
-    type=click.FloatRange(min=10),
-    metavar="N",
+    "--run-length", type=click.FloatRange(min=10), metavar="N",
     help="Mean number of sessions between false alarms of the CUSUM (default: 465, from h = 5 σ).",
-)
+)  # fmt: skip
 @option.index
 @option.json
 def history_command(
@@ -187,34 +185,21 @@ def history_command(
 @click.argument("serial")
 @option.places
 @click.option(
-    "--limit",
-    "limit_deg",
-    type=option.POSITIVE,
-    metavar="DEG",
+    "--limit", "limit_deg", type=option.POSITIVE, metavar="DEG",
     help="Permissible error of an angle for your use (default: assume 0.1°).",
-)
+)  # fmt: skip
 @option.with_default(
-    "--first",
-    "first_days",
-    type=option.POSITIVE,
-    default=365.25,
-    metavar="DAYS",
+    "--first", "first_days", type=option.POSITIVE, default=365.25, metavar="DAYS",
     help="Interval of a sensor without a known history.",
-)
+)  # fmt: skip
 @option.with_default(
-    "--longer",
-    type=click.FloatRange(min=1),
-    default=1.5,
-    metavar="FACTOR",
+    "--longer", type=click.FloatRange(min=1), default=1.5, metavar="FACTOR",
     help="Factor after a calibration that was still good.",
-)
+)  # fmt: skip
 @option.with_default(
-    "--shorter",
-    type=click.FloatRange(0, 1, min_open=True),
-    default=0.5,
-    metavar="FACTOR",
+    "--shorter", type=click.FloatRange(0, 1, min_open=True), default=0.5, metavar="FACTOR",
     help="Factor after a calibration outside the limit.",
-)
+)  # fmt: skip
 @option.index
 @option.json
 def due_command(
@@ -265,21 +250,16 @@ def due_command(
     "--trace/--no-trace", default=True, help="Also look for effects (the default): seconds per session."
 )
 @click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    metavar="N",
+    "--workers", type=click.IntRange(min=1), metavar="N",
     help="Number of processes (default: one per core).",
-)
+)  # fmt: skip
 @click.option(
     "--scheduler", metavar="ADDRESS", help="Use a dask cluster, such as tcp://10.0.0.1:8786 (extra: fleet)."
 )
 @option.file(
-    "--output",
-    "-o",
-    "outputs",
-    multiple=True,
+    "--output", "-o", "outputs", multiple=True,
     help="Summary to write: .html for a page, .json, .parquet with a row per session; may be repeated.",
-)
+)  # fmt: skip
 @option.file(
     "--journal", help="File that keeps the results during the work (default: next to the first -o)."
 )

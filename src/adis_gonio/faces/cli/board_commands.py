@@ -111,23 +111,19 @@ def _write_report(found: Bringup, page: Path, document: Path) -> None:
 @option.flag("--dry-run", help="Measure, check and show the plan; write nothing.")
 @option.flag("--yes", help="Write without asking.")
 @click.option(
-    "--at",
-    "angle_deg",
-    type=float,
-    metavar="DEGREES",
+    "--at", "angle_deg", type=float, metavar="DEGREES",
     help="Current angle of the stage, as in the session (default: compare only the length of gravity).",
-)
+)  # fmt: skip
 @option.dwell(5.0)
 @click.option("--method", help="Method as in `fit` (default: the recommended one).")
 @option.flag(
     "--gyros", help="Write the zero rates of the gyros (XGYRO_OFF …) instead of accelerometer biases."
 )
 @click.option(
-    "--autonull",
-    type=click.Choice(["quick", "precise"]),
+    "--autonull", type=click.Choice(["quick", "precise"]),
     help="With --gyros: let the chip null its gyros, and keep the result if it agrees with the session;"
     " precise takes 30 s. The chip saves the result to flash.",
-)
+)  # fmt: skip
 @option.flag("--even-if-inadequate", help="Write even if the fit is inadequate.")
 @option.no_check
 @option.json

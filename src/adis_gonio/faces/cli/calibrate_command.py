@@ -47,59 +47,44 @@ _TURNED = {
 @option.url
 @option.output("Session file to write.", required=True)
 @click.option(
-    "--plan",
-    "plan_name",
+    "--plan", "plan_name",
     help="two-position (default), four-position, mmpm, tumble, poses, free-turn, gyro-turns, or a file.",
-)
+)  # fmt: skip
 @option.positions
 @option.check
 @click.option(
-    "--duration",
-    "duration_s",
-    type=click.FloatRange(min=15, max=600),
-    metavar="SECONDS",
+    "--duration", "duration_s", type=click.FloatRange(min=15, max=600), metavar="SECONDS",
     help="With --plan free-turn: longest recording in s (default 60).",
-)
+)  # fmt: skip
 @click.option(
-    "--turns",
-    type=int,
-    metavar="N",
+    "--turns", type=int, metavar="N",
     help="With --plan free-turn: number of full turns (default 2); with gyro-turns: in each direction"
     " (default 5).",
-)
+)  # fmt: skip
 @option.flag("--auto", help="Move the stage by program and answer all prompts (simulator).")
 @option.flag("--extend", help="With --auto: extend two positions to four.")
 @option.flag(
-    "--trace",
-    "closing",
+    "--trace", "closing",
     help="Then trace the session, and measure the positions that decide open questions.",
-)
+)  # fmt: skip
 @click.option(
-    "--max-extra",
-    type=click.IntRange(0, 1000),
-    metavar="N",
+    "--max-extra", type=click.IntRange(0, 1000), metavar="N",
     help="With --trace: most positions beyond the plan (default 24).",
-)
+)  # fmt: skip
 @option.flag("--resume", help="Continue the session in the file.")
 @option.dwell()
 @option.settle
 @option.rate
 @option.filter
 @option.with_default(
-    "--range",
-    "range_dps",
-    type=int,
-    default=300,
-    metavar="DPS",
+    "--range", "range_dps", type=int, default=300, metavar="DPS",
     help="Range of the gyros: 300, 150 or 75 °/s.",
-)
+)  # fmt: skip
 @click.option(
-    "--record-turns/--no-record-turns",
-    "record_turns",
-    default=None,
+    "--record-turns/--no-record-turns", "record_turns", default=None,
     help="Record the moves between dwells, which calibrate the gyros: at most 2.4 MB each (default: yes;"
     " for gyro-turns only the whole turns).",
-)
+)  # fmt: skip
 @option.poll
 @option.gravity()
 @click.option(

@@ -92,11 +92,9 @@ def selftest_command(*, url: str, variant: str, no_check: bool, as_json: bool) -
     "--iio", "port", type=click.IntRange(0, 65535), default=30431, help="TCP port; 0: a free one."
 )
 @option.with_default(
-    "--listen",
-    "host",
-    default="127.0.0.1",
+    "--listen", "host", default="127.0.0.1",
     help="Address to listen on; 0.0.0.0 is every address of this machine.",
-)
+)  # fmt: skip
 @option.flag("--allow-writes", help="Let clients write calibbias, rate and filter.")
 @click.option("--registers", "names", help="Registers to serve, separated by commas.", metavar="NAME,…")
 @option.variant
@@ -133,11 +131,9 @@ def serve_command(
 @option.flag("--fields", help="Show the bit fields of control registers.")
 @option.flag("--save", help="Save to flash after writing (ENDURANCE goes up by one).")
 @option.file(
-    "--cal",
-    "calibration_path",
-    metavar="FILE",
+    "--cal", "calibration_path", metavar="FILE",
     help="Also show the offsets that this calibration (export, JSON) or session would write.",
-)
+)  # fmt: skip
 @option.variant
 @option.no_check
 @option.json

@@ -48,19 +48,15 @@ _PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
 )
 @option.flag("--all", "everything", help="Show every method in full.")
 @click.option(
-    "--monte-carlo",
-    "trials",
-    type=click.IntRange(min=100),
-    metavar="N",
+    "--monte-carlo", "trials", type=click.IntRange(min=100), metavar="N",
     help="Also propagate the input distributions by N trials (GUM Supplement 1).",
-)
+)  # fmt: skip
 @option.with_default("--seed", type=int, default=1, help="Seed of the trials.")
 @option.part()
 @option.file(
-    "--calibration",
-    metavar="FILE",
+    "--calibration", metavar="FILE",
     help="With --sensor-part gyro: calibration or session of the same part's accelerometers.",
-)
+)  # fmt: skip
 @option.file(
     "--gyros",
     help="For poses in space: another session of this part (plan gyro-turns), or its gyros' calibration.",
@@ -268,12 +264,9 @@ _ALLAN_ENDINGS = (".html", ".htm", ".svg")
 @option.session
 @option.part("gyro")
 @click.option(
-    "--filter",
-    "filter_m",
-    type=click.IntRange(0, 6),
-    metavar="M",
+    "--filter", "filter_m", type=click.IntRange(0, 6), metavar="M",
     help="Filter of the chip, two passes of 2^M taps, if the file does not contain it.",
-)
+)  # fmt: skip
 @option.output("Write a page with the Allan plot (.html), or only the plot (.svg) (extra: report).")
 @option.overrides
 @option.json

@@ -25,11 +25,9 @@ STANDARD_OUTPUT = "-"
 @option.command("export", "--output --format --method", {"Content": "--trace --samples --name --gyros"})
 @option.session
 @click.option(
-    "--format",
-    "kind",
-    type=click.Choice(list(BY_NAME)),
+    "--format", "kind", type=click.Choice(list(BY_NAME)),
     help="Format (default: by the ending of the file).",
-)
+)  # fmt: skip
 @click.option("--output", "-o", metavar="FILE", help="File to write; - is standard output.")
 @click.option("--method", help="Method of the coefficients (default: the recommended one).")
 @option.flag("--trace", "traced", help="Export the coefficients of the traced model.")

@@ -66,13 +66,9 @@ NOTES = {
     "--range", "range_dps", type=int, metavar="DPS", help="Range of the gyros: 300, 150 or 75 °/s."
 )
 @option.with_default(
-    "--gravity",
-    "gravity_mps2",
-    type=float,
-    default=9.80665,
-    metavar="M/S²",
+    "--gravity", "gravity_mps2", type=float, default=9.80665, metavar="M/S²",
     help="Local gravity for the file.",
-)
+)  # fmt: skip
 @option.flag("--leave-registers", help="Write nothing; use data-ready only if it is already enabled.")
 @option.poll
 @option.flag("--json", "as_json", help="Write one JSON document with every scan at the end.")
@@ -335,28 +331,18 @@ class Columns:
 @option.url
 @option.seconds
 @option.file(
-    "--cal",
-    "calibration_path",
-    metavar="FILE",
+    "--cal", "calibration_path", metavar="FILE",
     help="Correct the angle by a calibration (export, JSON) or by the fit of a session.",
-)
+)  # fmt: skip
 @option.with_default(
-    "--lag",
-    "lag_s",
-    type=float,
-    default=LAG_S,
-    metavar="SECONDS",
+    "--lag", "lag_s", type=float, default=LAG_S, metavar="SECONDS",
     help="Delay of the smoothed angle; 0: the smallest possible.",
-)
+)  # fmt: skip
 @option.flag("--no-gyro", help="Use gravity alone: fewer registers to read, no smoothed angle.")
 @option.with_default(
-    "--reconnect",
-    "patience_s",
-    type=float,
-    default=30.0,
-    metavar="SECONDS",
+    "--reconnect", "patience_s", type=float, default=30.0, metavar="SECONDS",
     help="Time to try to open a sensor again after its link broke; 0: end.",
-)
+)  # fmt: skip
 @option.poll
 @option.flag("--json", "as_json", help="Write one JSON object per line, ten per second.")
 @option.variant

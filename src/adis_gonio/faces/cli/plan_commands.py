@@ -33,41 +33,29 @@ if TYPE_CHECKING:
 )
 @option.fixture(required=True)
 @click.option(
-    "--noise",
-    "noise_mg",
-    type=float,
-    metavar="MG",
+    "--noise", "noise_mg", type=float, metavar="MG",
     help="White noise of a sample in mg rms, without the chip's filter (default: the variant's figure).",
-)
+)  # fmt: skip
 @click.option(
-    "--flicker",
-    "flicker_mg",
-    type=float,
-    metavar="MG",
+    "--flicker", "flicker_mg", type=float, metavar="MG",
     help="Minimum of the Allan deviation in mg (default: the variant's figure).",
-)
+)  # fmt: skip
 @click.option("--positions", type=int, metavar="N", help="Number of positions.")
 @click.option(
-    "--angle-error",
-    "angle_deg",
-    type=float,
-    metavar="DEGREES",
+    "--angle-error", "angle_deg", type=float, metavar="DEGREES",
     help="Find the fewest positions with at most this angle error (rms over the turn).",
-)
+)  # fmt: skip
 @click.option(
     "--minutes", type=float, metavar="MINUTES", help="Take as many positions as fit into this time."
 )
 @click.option(
-    "--beware",
-    metavar="EFFECT[,EFFECT…]",
-    default="",
+    "--beware", metavar="EFFECT[,EFFECT…]", default="",
     help="Possible effects, which the plan fits or distinguishes (simulate --list-effects).",
-)
+)  # fmt: skip
 @click.option(
-    "--best",
-    type=click.Choice(["angle", "parameters", "tell-apart"]),
+    "--best", type=click.Choice(["angle", "parameters", "tell-apart"]),
     help="Criterion of the search (default: tell-apart with --beware, else angle).",
-)
+)  # fmt: skip
 @click.option("--plan", "plan_name", metavar="NAME|FILE", help="Evaluate this plan instead of a search.")
 @option.with_default(
     "--check", type=int, default=0, help="With --plan: positions that the fit does not use."
@@ -76,13 +64,9 @@ if TYPE_CHECKING:
     "--grid", "grid_deg", type=float, default=5.0, metavar="DEGREES", help="Step of the searched angles."
 )
 @option.with_default(
-    "--start",
-    "start_deg",
-    type=float,
-    default=0.0,
-    metavar="DEGREES",
+    "--start", "start_deg", type=float, default=0.0, metavar="DEGREES",
     help="Angle of the part at the stage's zero, as far as it is known.",
-)
+)  # fmt: skip
 @option.dwell()
 @option.settle
 @option.rate
@@ -185,11 +169,9 @@ def _search(
 
 @option.command("template", "--output --plan --unit")
 @option.with_default(
-    "--plan",
-    "plan_name",
-    default="two-position",
+    "--plan", "plan_name", default="two-position",
     help="two-position, four-position, mmpm, tumble, poses, or a plan file.",
-)
+)  # fmt: skip
 @option.positions
 @option.check
 @option.output("CSV file to write.", required=True)
@@ -197,13 +179,9 @@ def _search(
     "--sensor", type=click.Choice(SENSORS), default=SENSORS[0], help="Sensor of the readings."
 )
 @option.with_default(
-    "--unit",
-    "accel_unit",
-    type=option.parse_unit,
-    metavar=option.UNITS,
-    default="mg",
+    "--unit", "accel_unit", type=option.parse_unit, metavar=option.UNITS, default="mg",
     help="Unit of the accelerations.",
-)
+)  # fmt: skip
 @option.gravity("Local gravity in m/s².", default=STANDARD_GRAVITY_MPS2, show_default=True)
 @option.fixture("fixture_sigma_deg")
 def template_command(
@@ -271,36 +249,27 @@ def _setting_rows() -> list[tuple[str, str]]:
 @option.positions
 @option.check
 @option.with_default(
-    "--order",
-    type=click.Choice(["plan", "reverse", "shuffled"]),
-    default="plan",
+    "--order", type=click.Choice(["plan", "reverse", "shuffled"]), default="plan",
     help="Order of the positions.",
-)
+)  # fmt: skip
 @option.with_default("--seed", type=int, default=0, help="Seed of all random numbers.")
 @option.variant
 @click.option(
-    "--effect",
-    "effects",
-    multiple=True,
-    metavar="NAME[:PARAMETER=VALUE,…]",
+    "--effect", "effects", multiple=True, metavar="NAME[:PARAMETER=VALUE,…]",
     help="An effect of the catalogue, such as quadratic:k2_x=2.5; may be repeated.",
-)
+)  # fmt: skip
 @click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="NAME=VALUE",
+    "--set", "settings", multiple=True, metavar="NAME=VALUE",
     help="A setting of the simulated world, such as delta_k=0.01; may be repeated.",
-)
+)  # fmt: skip
 @option.dwell()
 @option.rate
 @option.filter
 @option.title
 @option.file(
-    "--like",
-    metavar="SESSION",
+    "--like", metavar="SESSION",
     help="Simulate a session's digital twin: its traced model, noise, positions and times; to .csv[.gz].",
-)
+)  # fmt: skip
 @_list_option("--list-effects", _effect_rows, "List the effects with their causes.")
 @_list_option("--list-settings", _setting_rows, "List the settings with their defaults.")
 def simulate_command(*, output: Path, **options: Any) -> None:
