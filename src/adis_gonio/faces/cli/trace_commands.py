@@ -174,7 +174,7 @@ def loop_lines(summary: Mapping[str, Any]) -> list[str]:
     Parameters
     ----------
     summary : mapping
-        Summary of a trace by `bench.advisor.where_it_stands`; empty if no trace was possible.
+        Summary of a trace by `bench.advisor.summarise_trace`; empty if no trace was possible.
     """
     if not summary:
         return []
@@ -192,7 +192,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from adis_gonio.bench.advisor import where_it_stands
+    from adis_gonio.bench.advisor import summarise_trace
 
     rounds = session.facts.get("advised", [])
     if not rounds or not rounds[0]["summary"]:
@@ -200,7 +200,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
     screen = console(most=WIDTH)
     planned = len(session.facts["plan"]["positions"])
     extra = planned - rounds[0]["planned"]
-    before, after = rounds[0]["summary"], where_it_stands(result, len(session.dwells))
+    before, after = rounds[0]["summary"], summarise_trace(result, len(session.dwells))
     _print_heading(screen, "Closing the loop")
     if extra:
         table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
