@@ -191,6 +191,7 @@ def interleaved_plan(positions: int) -> Plan:
 
     Slow changes with time are then not correlated with the angle.
     """
+    # A step without a common divisor visits every position once.
     steps = [step for step in range(1, positions) if math.gcd(step, positions) == 1]
     step = min(steps, key=lambda one: abs(one / positions - _GOLDEN))
     places = [(k * step) % positions for k in range(positions)]
@@ -208,6 +209,7 @@ def _starts(ground: Candidates, positions: int, rng: np.random.Generator) -> lis
     starts = [ground.nearest(other) for other in known]
     starts.append(rng.permutation(starts[0]))
     for _ in range(DRAWN):
+        # Random candidates, repeated if there are fewer candidates than positions.
         drawn = rng.permutation(len(ground.angle_deg))
         starts.append(np.resize(drawn, positions).astype(np.intp))
     return starts
@@ -218,6 +220,7 @@ def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates, crit
     theirs = criterion.figure(ground.information(ground.nearest(other)))
     reach = predict_uncertainty(other, ours.bench)
     pairs = {name: (value.u, ours.reach.parameters.get(name)) for name, value in reach.parameters.items()}
+    # Only parameters that both plans determine have a ratio.
     ratios = {name: (u or 0.0) / one.u for name, (u, one) in pairs.items() if one is not None and one.u}
     ratios["angle_worst"] = (reach.angle_worst.u or 0.0) / (ours.reach.angle_worst.u or math.inf)
     ratios["angle_worst_by_parameters"] = reach.fitted_deg / ours.reach.fitted_deg
@@ -280,6 +283,7 @@ def _fewest_interleaved(bench: Bench, angle_deg: float) -> int:
             f"angle-error is {angle_deg:g}°: {counted(MOST, 'position')} reach {error_deg(MOST):.2g}°, most"
             " of which is a single reading's own; take longer dwells or a quieter part"
         )
+    # `high` always keeps the error, `low` does not.
     low, high = LEAST - 1, MOST
     while high - low > 1:
         middle = (low + high) // 2

@@ -96,6 +96,7 @@ class Criterion:
     def __call__(self, information: Floats) -> Floats:
         """Scores (k,) of information matrices (k, p, p), which include the prior; larger is better."""
         covariance = np.asarray(np.linalg.inv(information))
+        # Logarithms make the scores additive and independent of the units.
         if self.name == "angle":
             return np.asarray(-np.log(self._angle_variance(covariance)))
         if self.name == "parameters":
@@ -111,6 +112,7 @@ class Criterion:
 
     def separations(self, information: Floats) -> Floats:
         """Standard uncertainties (k, q) by which each amplitude of typical size is detected."""
+        # Diagonal of each covariance matrix, for the amplitudes.
         variance = np.einsum("kpp->kp", np.linalg.inv(information))[:, self.base :]
         return np.asarray(np.sqrt(np.maximum(1 / variance - self.precision[self.base :], 0.0)))
 
@@ -184,6 +186,7 @@ class Candidates:
     def information(self, choice: Choice) -> Floats:
         """Information (p, p) of a plan with position choice[k] in dwell k, including the prior."""
         n, p = self.dwells, self.columns.shape[3]
+        # Rows of the plan's Jacobian, J; the information is Jᵀ C⁻¹ J.
         rows = self.columns[np.arange(n), choice].reshape(2 * n, p)
         solved = np.linalg.solve(self._covariance(choice), rows)
         return np.asarray(rows.T @ solved + np.diag(self.precision))
@@ -191,11 +194,13 @@ class Candidates:
     def exchanged(self, choice: Choice, dwell: int) -> Floats:
         """Information (m, p, p) with each position in turn in one dwell.
 
-        The information of correlated readings is the information of all other readings, plus that of this
-        reading given the others: with B = C_ir C_rr⁻¹, (J_i − B J_r)ᵀ (C_ii − B C_ri)⁻¹ (J_i − B J_r).
+        With correlated readings the information is the sum of the information of all other readings and the
+        information of this reading given the others: with B = C_ir C_rr⁻¹,
+        (J_i − B J_r)ᵀ (C_ii − B C_ri)⁻¹ (J_i − B J_r).
         """
         n, p = self.dwells, self.columns.shape[3]
         rows = self.columns[np.arange(n), choice].reshape(2 * n, p)
+        # Mask of the two rows of this dwell.
         here = np.zeros(2 * n, dtype=bool)
         here[2 * dwell : 2 * dwell + 2] = True
         covariance = self._covariance(choice)
@@ -205,6 +210,7 @@ class Candidates:
             covariance[np.ix_(~here, ~here)], np.concatenate([rows[~here], across], axis=1)
         )
         rest = rows[~here].T @ solved[:, :p] + np.diag(self.precision)
+        # J_i − B J_r and C_ii − B C_ri for each candidate position, (m, 2, p) and (m, 2, 2).
         innovation = self.columns[dwell] - across.T @ solved[:, :p]
         own = self.noise + np.diag(self.own[dwell]) + self.shared[np.ix_(here, here)]
         given = own - across.T @ solved[:, p:]
@@ -225,6 +231,7 @@ class Candidates:
         """Return the choice nearest to another plan with the same number of positions."""
         choice = []
         for position in plan.positions:
+            # The nearest angle; among equal angles the one with the right side of approach.
             off = np.abs(wrap_degrees(self.angle_deg - (position.angle_deg or 0.0)))
             choice.append(int((off + 1e-3 * (self.approach != position.approach)).argmin()))
         return np.array(choice, dtype=np.intp)
@@ -242,6 +249,7 @@ def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float
     UsageError
         An effect that the positions do not influence, or that no plan can show.
     """
+    # The grid and the even spacing, without duplicates.
     even = 360.0 * np.arange(dwells) / dwells
     angles = np.unique(np.round(np.concatenate([np.arange(0.0, 360.0 - 1e-9, grid_deg), even]), 9))
     up = Plan("even", tuple(Position(float(a), _side((-1.0) ** k)) for k, a in enumerate(even)))
@@ -252,12 +260,14 @@ def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float
     place, side = np.tile(angles, len(sides)), np.repeat(sides, len(angles))
     fit = _fit_everywhere(bench, readings, place, np.where(side == 0, 1.0, side))
     natural = natural_units(fit.data)
+    # Columns of the base model in natural units, then of each effect in its typical size.
     columns = [fit.columns * natural]
     for term in terms:
         typical = np.array([term.effect.parameters[k].typical for k in term.amplitudes])
         columns.append(fit.candidate(term) * np.abs(typical))
         _refuse_hidden(term, columns[0], columns[-1])
     m, n, base = len(place), len(readings), len(natural)
+    # Change of a reading by the angle; it carries the fixture's error into the noise.
     tangent = fit.tangent[:m, :, 0]
     flicker = readings.flicker
     assert flicker is not None  # expected readings state it, even if it is zero
@@ -304,6 +314,7 @@ def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
     rows = columns.reshape(-1, columns.shape[2])
     within = base.reshape(len(rows), -1)
     size = np.maximum(np.linalg.norm(within, axis=0), 1e-300)
+    # Residual of the term's columns after a projection onto the base model.
     outside = rows - (within / size) @ np.linalg.lstsq(within / size, rows, rcond=1e-10)[0]
     if (np.linalg.norm(outside, axis=0) <= _HIDDEN * np.linalg.norm(rows, axis=0)).any():
         raise UsageError(
@@ -336,6 +347,7 @@ def search(
     highest = sorted(starts, key=lambda start: -climb.score(start))
     ascents = max(_WORK // ground.dwells, 1)
     best = max((climb.from_(start) for start in highest[:ascents]), key=lambda found: found.score)
+    # These positions in the order of their angles, forwards or backwards.
     order = np.lexsort((ground.approach[best.choice], ground.angle_deg[best.choice]))
     simple = best.choice[order]
     for one in (simple, simple[::-1]):

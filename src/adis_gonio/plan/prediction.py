@@ -217,10 +217,12 @@ def expected_readings(plan: Plan, bench: Bench, off_deg: Floats | None = None) -
         raise UsageError(f"plan '{plan.name}' has attitudes in space: only turns in a plane are predicted")
     angle = np.radians([position.angle_deg or 0.0 for position in plan.positions])
     n = len(angle)
+    # Times of the dwells, from the time model of a session.
     begin = bench.begins_s(plan)
     end = begin + bench.settings.dwell_s
     mean = ideal_mg(angle if off_deg is None else angle + np.radians(off_deg), bench)
     white, rounding = bench.mean_mg2
+    # 1/f noise of each dwell itself, and the part that dwells share.
     own, slow = flicker_parts(begin, end, np.full(2, bench.floor_mg**2))
     approach = np.array([float(position.approach) for position in plan.positions])
     # Begin and end of each dwell in turn, for the history of the load.
@@ -409,6 +411,7 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
 
     def median(value: Value, u_of: Callable[[PlanUncertainty], float | None]) -> Value:
         found = [None if session is None else u_of(session) for session in sessions]
+        # A session that does not determine the value counts as infinitely uncertain.
         u = float(np.median([math.inf if u is None else u for u in found]))
         return replace(value, u=u if math.isfinite(u) else None)
 
@@ -460,6 +463,7 @@ def fitted_variance(result: FitResult) -> Floats:
     assert origin.sources is not None
     shown = ShownAngle.around(origin.fit)
     own = sum(source.reading_mg2 for source in origin.sources.each)
+    # The share of the reading itself, g C gᵀ for each place of the turn.
     noise = np.einsum("ma,ab,mb->m", shown.reading, own, shown.reading)
     return np.asarray(origin.sources.by_place(shown.gradient, shown.reading) - noise)
 
@@ -525,6 +529,7 @@ def _separation(columns: Floats, others: Floats, limit: Detectable) -> float:
     """Least distance of a detectable amplitude of any of the columns from the span of the others."""
     size = np.maximum(np.linalg.norm(others, axis=0), 1e-300)
     u, s, _ = np.linalg.svd(others / size, full_matrices=False)
+    # Orthonormal basis of the span of the others, without directions of rounding.
     inside = u[:, s > 1e-6]
     outside = np.linalg.norm(columns - inside @ (inside.T @ columns), axis=0)
     return float(outside.min()) * float(limit.amplitude or 0.0)

@@ -50,7 +50,9 @@ def bringup_command(
     if allow_writes and leave_registers:
         raise UsageError("--leave-registers writes nothing, so it excludes --allow-writes")
     if allow_writes and not (yes or at_a_terminal()):
-        raise UsageError("--allow-writes asks before each step, and nobody is there to answer: add --yes")
+        raise UsageError(
+            "--allow-writes asks before each step, and standard input is no terminal: add --yes"
+        )
     files = _check_report_files(output)
     from adis_gonio.bench.bringup import Permission, bring_up
     from adis_gonio.device.bus import open_bus
@@ -160,7 +162,7 @@ def write_command(
         raise UsageError("--autonull goes with --gyros, and without --undo, --status and --save (it saves)")
     if not (yes or status or dry_run or at_a_terminal()):
         raise UsageError(
-            "write asks before it writes, and nobody is there to answer: add --yes or --dry-run"
+            "write asks before it writes, and standard input is no terminal: add --yes or --dry-run"
         )
     from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
     from adis_gonio.bench.writeback.offset_writer import load
