@@ -38,8 +38,8 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.determination import natural_units
 from adis_gonio.fitting.estimation.fit import Fit, Values
 from adis_gonio.fitting.estimation.readings import Readings, from_means
-from adis_gonio.fitting.estimation.shown import ShownAngle
 from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.uncertainty import ShownAngle
 from adis_gonio.model.effects import AXES, Conditions, effect
 from adis_gonio.plan.prediction import Bench, expected_readings, ideal_mg, planned_terms
 from adis_gonio.record.plans import Approach, Plan, Position

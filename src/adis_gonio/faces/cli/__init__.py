@@ -95,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # LinAlgError of numpy or scipy, recognised by name to avoid importing them here.
         if type(error).__name__ != "LinAlgError":
             raise
-        from adis_gonio.fitting.solvable import unsolvable
+        from adis_gonio.base.arrays import unsolvable
 
         files = " ".join(word for word in words if not word.startswith("-") and Path(word).is_file())
         return _fail(str(unsolvable(files or words[0], error)), 1)

@@ -179,10 +179,10 @@ def _parameter_table(answer: Answer, truth: Mapping[str, float] | None) -> Table
 
 def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
     """Show the scores of the methods, and with `everything` each method in full."""
-    from adis_gonio.fitting.tables import blocks
+    from adis_gonio.fitting.answer import method_tables
 
     head, rows = answer.score_rows()
-    failures = answer.standing.failures
+    failures = answer.comparison.failures
     if len(rows) > 1 or failures:
         screen.print(f"\n{answer.scored_on}")
         if len(head) > 1:
@@ -190,7 +190,7 @@ def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
     for method, reason in failures.items():
         screen.print(f"no result by {method}: {reason}")
     narrow = {"no_wrap": True}
-    for block_head, block in blocks(answer.standing.results, screen.width) if everything else ():
+    for block_head, block in method_tables(answer.comparison.results, screen.width) if everything else ():
         screen.print()
         screen.print(table_of(block_head, block, (0, 1), number=narrow, text=narrow))
 
@@ -251,7 +251,7 @@ def show_gyro_fit(
 
 
 def _gyro_table(parameters: dict[str, Value]) -> Table:
-    from adis_gonio.fitting.tables import parameter_row
+    from adis_gonio.fitting.answer import parameter_row
 
     rows = [parameter_row(name, value) for name, value in parameters.items()]
     return table_of(_PARAMETER_HEAD, rows, (0, 1))
