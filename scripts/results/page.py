@@ -186,7 +186,7 @@ def free_turn(found: Document) -> str:
     head = ("60 s", "hands", "ΔK", "Δφ", "bias of X", "angle", "error of the angle", "over 24 dwells")
     return "\n\n".join(
         (
-            "Coverage of U, and the error of the angle over that of 24 dwells with equal measuring time.",
+            "Coverage of U, and the error of the angle relative to 24 dwells with equal measuring time.",
             table(head, rows),
             "![Error of the angle, hand by hand](free_turn-errors.svg)",
         )
@@ -392,7 +392,7 @@ def bench(found: Document) -> str:
         (
             "Time of the baseline over ours, measured in turn; above 1 we are faster. The answers are "
             "compared first. "
-            "`trace` also weighs unnamed causes, holds dwells out and looks into the dwells; its peers "
+            "`trace` also weighs unnamed causes, leaves dwells out and looks into the dwells; its peers "
             "do not.",
             table(("benchmark", "baseline", "ratio"), rows),
         )
