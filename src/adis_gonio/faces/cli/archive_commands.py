@@ -22,10 +22,10 @@ from adis_gonio.faces.cli.show import (
 )
 
 if TYPE_CHECKING:
-    from adis_gonio.fleet import Store
-    from adis_gonio.fleet.outputs import FleetResult
-    from adis_gonio.fleet.record import SessionRecord
-    from adis_gonio.fleet.run import Scan
+    from adis_gonio.fleet.fleet_pages import FleetResult
+    from adis_gonio.fleet.fleet_run import Scan
+    from adis_gonio.fleet.session_record import SessionRecord
+    from adis_gonio.fleet.store import Store
 
 _HEAD = ("serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects", "file")
 _HISTORY_WIDTH = 80
@@ -38,7 +38,7 @@ def _indexed(
     places: Sequence[Path], index_path: Path | None, *, trace: bool
 ) -> Iterator[tuple[Store, Scan]]:
     """Open the index, add all sessions in the folders, and report problems of its file."""
-    from adis_gonio.fleet.run import scan
+    from adis_gonio.fleet.fleet_run import scan
     from adis_gonio.fleet.store import Store
 
     places = places or (Path(),)
@@ -52,7 +52,7 @@ def _indexed(
 
 def _records_of(store: Store, serial: str) -> list[SessionRecord]:
     """Records of a sensor in the order of time; else `UsageError` with similar serial numbers."""
-    from adis_gonio.fleet.memory.history import alike, known_serial
+    from adis_gonio.fleet.sensor_history import alike, known_serial
 
     known = store.serials()
     found = store.records(known_serial(serial, known))
@@ -149,33 +149,32 @@ def history_command(
     The command tests for drift between sessions, draws a control chart (CUSUM, and 3σ limits from u and the
     scatter between sessions), and lists the effects found each time.
     """
-    from adis_gonio.fleet.memory import words
-    from adis_gonio.fleet.memory.control_chart import CUSUM_H, limit_for
-    from adis_gonio.fleet.memory.history import history_of
+    from adis_gonio.fleet import sensor_history
+    from adis_gonio.fleet.control_charts import CUSUM_H, limit_for
 
     check_page(output)
     h = CUSUM_H if run_length is None else limit_for(run_length)
     with _indexed(places, index_path, trace=trace) as (store, _):
-        found = history_of(serial, _records_of(store, serial), h=h)
+        found = sensor_history.history_of(serial, _records_of(store, serial), h=h)
     if output is not None:
-        from adis_gonio.fleet.memory.history_page import history_page
+        from adis_gonio.fleet.fleet_pages import history_page
 
         write_page(output, history_page(found))
     if as_json:
         print_json(found.as_dict())
         return
     screen = console(most=_HISTORY_WIDTH)
-    screen.print(f"Sensor {found.serial}: {words.headline(found)}", style="bold")
+    screen.print(f"Sensor {found.serial}: {sensor_history.headline(found)}", style="bold")
     for track in found.tracks.values():
         screen.print()
         screen.print(track.label, style="bold cyan")
-        for line in words.chart_lines(track, screen.width):
+        for line in sensor_history.chart_lines(track, screen.width):
             screen.print(line)
-        for text in (*words.of_drift(track), *words.of_chart(track, found)):
+        for text in (*sensor_history.drift_sentences(track), *sensor_history.chart_sentences(track, found)):
             screen.print(f"  {text}")
     screen.print()
     screen.print("Effects found", style="bold cyan")
-    for row in words.of_effects(found):
+    for row in sensor_history.effect_table(found):
         screen.print(f"  {'  '.join(row)}")
     for record, reason in found.left_out:
         screen.print(f"left out: {record.path}: {reason}")
@@ -217,8 +216,8 @@ def due_command(
     Staircase: the interval grows if the previous calibration was still good, and shrinks if it was not.
     Control chart: the day on which drift and U reach the permissible error. The earlier date counts.
     """
-    from adis_gonio.fleet.memory.history import history_of
-    from adis_gonio.fleet.memory.intervals_due import DEFAULT_LIMIT_DEG, Rules, due_of
+    from adis_gonio.fleet.calibration_due import DEFAULT_LIMIT_DEG, Rules, due_of
+    from adis_gonio.fleet.sensor_history import history_of
 
     limits = Rules(DEFAULT_LIMIT_DEG if limit_deg is None else limit_deg, limit_deg is None, **factors)
     with _indexed(places, index_path, trace=trace) as (store, _):
@@ -283,8 +282,10 @@ def fleet_command(
     session failed.
     """
     from adis_gonio.base.budget import current
-    from adis_gonio.fleet import Cluster, LocalPool, Options, files_of, run_fleet, survey
-    from adis_gonio.fleet.outputs import FleetResult, check_outputs
+    from adis_gonio.fleet.fleet_pages import FleetResult, check_outputs
+    from adis_gonio.fleet.fleet_run import files_of, run_fleet, survey
+    from adis_gonio.fleet.session_record import Options
+    from adis_gonio.fleet.workers import Cluster, LocalPool
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: the one is for this machine, the other for a cluster")
@@ -331,7 +332,7 @@ def _journal(path: Path | None) -> Iterator[Store]:
 
 
 def _show_fleet(outcome: FleetResult) -> None:
-    from adis_gonio.fleet import words
+    from adis_gonio.fleet import fleet_summary
 
     screen = console()
     summary = outcome.summary
@@ -345,14 +346,14 @@ def _show_fleet(outcome: FleetResult) -> None:
         if len(rows) > _MOST_ROWS:
             screen.print(f"{len(rows) - _MOST_ROWS} more: in the JSON document")
 
-    screen.print(words.headline(summary), style="bold")
-    for line in words.remarks(summary):
+    screen.print(fleet_summary.headline(summary), style="bold")
+    for line in fleet_summary.remarks(summary):
         screen.print(line)
-    table("Parameters", words.PARAMETER_HEAD, words.parameter_rows(summary))
-    table("Effects by frequency", words.EFFECT_HEAD, words.effect_rows(summary))
+    table("Parameters", fleet_summary.PARAMETER_HEAD, fleet_summary.parameter_rows(summary))
+    table("Effects by frequency", fleet_summary.EFFECT_HEAD, fleet_summary.effect_rows(summary))
     screen.print()
-    screen.print(words.outlying_text(summary))
-    table("Standing out", words.OUTLYING_HEAD, words.outlying_rows(summary))
+    screen.print(fleet_summary.outlying_text(summary))
+    table("Outlying groups", fleet_summary.OUTLYING_HEAD, fleet_summary.outlying_rows(summary))
     if outcome.population_lines:
         screen.print()
     for line in outcome.population_lines:

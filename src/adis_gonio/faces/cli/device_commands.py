@@ -19,7 +19,7 @@ from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json, table_of
 
 if TYPE_CHECKING:
-    from adis_gonio.handover.offsets import WantedOffset
+    from adis_gonio.handover.register_offsets import OffsetWord
 
 _ASSIGNMENT = re.compile(r"(?P<name>[A-Za-z0-9_/]+)=(?P<value>.+)")
 _VALUE = re.compile(r"(?P<number>[-+]?(0[xX][0-9a-fA-F]+|\d+(\.\d*)?([eE][-+]?\d+)?))\s*(?P<unit>\S*)")
@@ -167,11 +167,11 @@ def registers_command(
     reads = [register(word) for word, match in matches if not match]
     if save and not writes:
         raise UsageError("--save needs NAME=VALUE: there is nothing to write")
-    wanted: dict[str, WantedOffset] = {}
+    wanted: dict[str, OffsetWord] = {}
     if calibration_path is not None:
-        from adis_gonio.handover.offsets import wanted_offsets_in
+        from adis_gonio.handover.register_offsets import offset_words_in
 
-        wanted = {offset.name: offset for offset in wanted_offsets_in(calibration_path)}
+        wanted = {offset.name: offset for offset in offset_words_in(calibration_path)}
     with open_sensor(url, variant=variant, check=not no_check) as sensor:
         # All values are parsed before the first one is written.
         numbers = [(row, _parse_number(sensor, row, text)) for row, text in writes]
@@ -207,7 +207,7 @@ def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
 
 
 def _show_registers(
-    rows: list[tuple[Register, Any]], wanted: Mapping[str, WantedOffset], *, fields: bool, as_json: bool
+    rows: list[tuple[Register, Any]], wanted: Mapping[str, OffsetWord], *, fields: bool, as_json: bool
 ) -> None:
     """Show registers with their quantities; the quantity is None if a register was not read."""
     if as_json:

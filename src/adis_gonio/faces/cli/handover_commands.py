@@ -65,7 +65,7 @@ def export_command(
     be a calibration file for c-header, dcc and registers.
     """  # noqa: D301 - click keeps the lines of a paragraph with this character
     from adis_gonio.base.output import check_output, replacing
-    from adis_gonio.handover.exporting import ExportSource
+    from adis_gonio.handover.session_export import ExportSource
 
     if kind is None and output in (None, STANDARD_OUTPUT):
         raise UsageError(
@@ -105,8 +105,8 @@ def paper_command(*, output: Path | None, as_json: bool, seed: int, sessions: in
     Sessions are simulated through chip and driver, with the table's measured column as the true parameters.
     This takes a minute or two on two cores. Without -o and --json the conclusions are printed.
     """
-    from adis_gonio.handover.paper import reproduce
-    from adis_gonio.handover.paper.page import build_page, verdicts
+    from adis_gonio.handover.paper_page import build_page, verdicts
+    from adis_gonio.handover.paper_study import reproduce
 
     check_page(output)
     with report_progress("the seed paper"):

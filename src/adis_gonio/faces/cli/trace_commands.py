@@ -274,9 +274,8 @@ def _report_page(session: Session, time_limit: float | None) -> str:
     """Build the page from the fits by every method, the trace and the twin."""
     from adis_gonio.base.budget import current, told
     from adis_gonio.fitting import applicable_methods, fit
-    from adis_gonio.handover.report.allan import noise_section
-    from adis_gonio.handover.report.gyros import gyro_section
-    from adis_gonio.handover.report.page import build_page, views
+    from adis_gonio.handover.calibration_report import build_page, views
+    from adis_gonio.handover.gyro_report import gyro_section, noise_section
     from adis_gonio.tracing.trace import trace
 
     tell = current().tell
@@ -302,7 +301,7 @@ def _report_page(session: Session, time_limit: float | None) -> str:
 
 def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:
     """Section of the digital twin, or none if the session supports no twin."""
-    from adis_gonio.handover.report.twin import twin_section
+    from adis_gonio.handover.twin_comparison import twin_section
     from adis_gonio.page.parts import Section
 
     try:
