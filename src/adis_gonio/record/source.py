@@ -16,7 +16,7 @@ from typing import Any, Protocol, Self
 from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
-from adis_gonio.device.sensor.bartlett import white_gain
+from adis_gonio.device.sensor.bartlett import white_noise_gain
 from adis_gonio.device.sensor.data_ready import MASK as DATA_READY_BITS
 from adis_gonio.device.sensor.data_ready import DataReadyLoan
 from adis_gonio.device.sensor.driver import Adis16354, open_sensor
@@ -325,7 +325,7 @@ class ChipSource(SampleSource):
     def expected_noise_mg(self, measuring: Measuring) -> float:
         """The variant's estimate behind the filter that is set."""
         filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
-        return self.sensor.variant.performance.noise_mg * white_gain(filter_m)
+        return self.sensor.variant.performance.noise_mg * white_noise_gain(filter_m)
 
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
         """Scans of the registers that the settings name."""

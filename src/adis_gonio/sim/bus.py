@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import BusClosedError, BusTimeoutError, CapabilityError, UsageError
 from adis_gonio.device.bus.contract import (
     FRAME_BITS,
@@ -38,7 +39,6 @@ from adis_gonio.model.effects.base import Effect
 from adis_gonio.model.effects.registry import parse_effect
 from adis_gonio.sim.chip import SimulatedChip
 from adis_gonio.sim.gyros import realistic_gyros, stream_of
-from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.memory import FlashFile
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Stage

@@ -45,14 +45,25 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import BY_NAME, EA, GYRO_OFF, ND
 from adis_gonio.device.sensor.variants import Variant, variant
-from adis_gonio.sim import rules
 from adis_gonio.sim.electronics import IDEAL, BringsElectronics, Electronics
-from adis_gonio.sim.inputs import Floats, Surroundings
+from adis_gonio.sim.inputs import Surroundings
 from adis_gonio.sim.lines import data_ready_enabled, gpio_word, levels
 from adis_gonio.sim.memory import Memory
+from adis_gonio.sim.rules import (
+    FLASH_S,
+    SELF_TEST_S,
+    SLEEP_UNIT_S,
+    START_UP_S,
+    TOLERANCE_S,
+    WAKE_S,
+    SerialLimits,
+    serial_limits,
+    update_period_s,
+)
 from adis_gonio.sim.sampling import GYRO_COLUMNS, OUTPUTS, SignalChain, Updates
 
 Words = NDArray[np.uint16]
@@ -317,7 +328,7 @@ class SimulatedChip:
         UsageError
             The frame lies before the last one.
         """
-        if start_s < self._last_start or start_s < self._time_s - rules.TOLERANCE_S:
+        if start_s < self._last_start or start_s < self._time_s - TOLERANCE_S:
             raise UsageError(f"frame at {start_s} s: the chip has already lived until {self._time_s} s")
         self._advance(start_s)
         rise = start_s + bits / clock_hz + cs_hold_s
@@ -362,18 +373,18 @@ class SimulatedChip:
     def _fast(self, words: Words, starts: Floats, clock_hz: float, out: Words) -> int:
         """Answer the first of some reads, without a loop; returns how many were answered."""
         first = float(starts[0])
-        if first < max(self._last_start, self._time_s - rules.TOLERANCE_S):
+        if first < max(self._last_start, self._time_s - TOLERANCE_S):
             return 0
         self._advance(first)
-        limits = rules.limits(self._memory["SMPL_PRD"])
+        limits = serial_limits(self._memory["SMPL_PRD"])
         if self._state is not State.RUNNING or not limits.clock_ok(clock_hz):
             return 0
         if not _in_time(first - self._last_rise, first - self._last_start, limits):
             return 0
         starts = starts[:_CHUNK]
         rises = starts + 16 / clock_hz
-        bad = ((starts[1:] - rises[:-1]) < limits.stall_s - rules.TOLERANCE_S) | (
-            np.diff(starts) < limits.period_s - rules.TOLERANCE_S
+        bad = ((starts[1:] - rises[:-1]) < limits.stall_s - TOLERANCE_S) | (
+            np.diff(starts) < limits.period_s - TOLERANCE_S
         )
         n = int(np.argmax(bad)) + 1 if bad.any() else len(starts)
         done = np.floor((rises[:n] - self._epoch) / self._period + _EDGE_TOLERANCE).astype(np.int64)
@@ -426,12 +437,12 @@ class SimulatedChip:
     def _answer(
         self, word: int, bits: int, clock_hz: float, cs_hold_s: float, stall: float, period: float
     ) -> int:
-        limits = rules.limits(self._memory["SMPL_PRD"])
+        limits = serial_limits(self._memory["SMPL_PRD"])
         refused = self._refusal(bits, clock_hz, stall, limits)
         if refused is not None:
             return refused
         reply = self._reply
-        if period < limits.period_s - rules.TOLERANCE_S:
+        if period < limits.period_s - TOLERANCE_S:
             self._status |= _SPI_FAILED
             reply = self._shifted
         self._advance(self._last_rise)
@@ -445,18 +456,18 @@ class SimulatedChip:
             self._reply = self._read(word >> 8 & 0x3F)
         return reply
 
-    def _refusal(self, bits: int, clock_hz: float, stall: float, limits: rules.SerialLimits) -> int | None:
+    def _refusal(self, bits: int, clock_hz: float, stall: float, limits: SerialLimits) -> int | None:
         """What a chip replies that does not take the word: it is not running, or the frame is broken."""
         if self._state in (State.STARTING, State.RESTORING):
             self._state, self._until = State.DEAD, math.inf
         if self._state is State.DEAD:
             return self.floating_word
         if self._state is State.ASLEEP:
-            self._state, self._until = State.WAKING, self._last_rise + rules.WAKE_S
+            self._state, self._until = State.WAKING, self._last_rise + WAKE_S
             return self.floating_word
         if self._state in (State.FLASHING, State.WAKING):
             return self._reply
-        if stall < limits.stall_s - rules.TOLERANCE_S:
+        if stall < limits.stall_s - TOLERANCE_S:
             self._state, self._until = State.DEAD, math.inf
             return self.floating_word
         if bits == 0:
@@ -489,7 +500,7 @@ class SimulatedChip:
             return gpio_word(self._memory, self.external_levels)
         return self._memory.at(address)
 
-    def _write(self, address: int, data: int, cs_hold_s: float, limits: rules.SerialLimits) -> None:
+    def _write(self, address: int, data: int, cs_hold_s: float, limits: SerialLimits) -> None:
         before = self._memory["SMPL_PRD"]
         row = self._memory.write_byte(address, data)
         if row is None:
@@ -505,10 +516,10 @@ class SimulatedChip:
         if self._state is not State.RUNNING:
             return
         if row.name == "MSC_CTRL" and self._memory["MSC_CTRL"] & _SELF_TEST:
-            self._state, self._until = State.TESTING, now + rules.SELF_TEST_S
+            self._state, self._until = State.TESTING, now + SELF_TEST_S
         elif row.name == "SLP_CNT" and self._memory["SLP_CNT"] and cs_hold_s <= limits.sleep_cs_s:
             self._state = State.ASLEEP
-            self._until = now + rules.SLEEP_UNIT_S * (self._memory["SLP_CNT"] & 0xFF)
+            self._until = now + SLEEP_UNIT_S * (self._memory["SLP_CNT"] & 0xFF)
 
     def _command(self, data: int, now: float) -> None:
         """Do what COMMAND says; where several bits are set only the first of this order acts (D)."""
@@ -518,13 +529,13 @@ class SimulatedChip:
             return
         elif data & _COMMAND.field("restore").mask:
             self._memory.zero_offsets()
-            self._state, self._until = State.RESTORING, now + rules.FLASH_S
+            self._state, self._until = State.RESTORING, now + FLASH_S
         elif data & _COMMAND.field("autonull").mask:
             self._begin_null(now, self._electronics.autonull_s)
         elif data & _COMMAND.field("precision_autonull").mask:
             self._begin_null(now, self._electronics.precision_autonull_s)
         elif data & _COMMAND.field("flash_update").mask:
-            self._state, self._until = State.FLASHING, now + rules.FLASH_S
+            self._state, self._until = State.FLASHING, now + FLASH_S
         elif data & _COMMAND.field("latch_dac").mask:
             self._dac = self._memory["AUX_DAC"]
 
@@ -535,12 +546,12 @@ class SimulatedChip:
             self._state, self._until = State.NULLING, now + average_s
             return
         self._null(self._sampler.gyro_mean())
-        self._state, self._until = State.FLASHING, now + rules.FLASH_S
+        self._state, self._until = State.FLASHING, now + FLASH_S
 
     # -- time ---------------------------------------------------------------------------------------
 
     def _start_up(self, now: float) -> None:
-        self._state, self._until = State.STARTING, now + rules.START_UP_S
+        self._state, self._until = State.STARTING, now + START_UP_S
         self._status = self._standing = self._dac = 0
         self._reply = self._shifted = 0
         self._memory.load()
@@ -552,7 +563,7 @@ class SimulatedChip:
 
     def _restart_sampling(self, now: float, *, empty: bool = False) -> None:
         self._epoch, self._k = now, 0
-        self._period = rules.update_period_s(self._memory["SMPL_PRD"])
+        self._period = update_period_s(self._memory["SMPL_PRD"])
         if empty:
             self._sampler.clear()
         self._sampler.configure(self._memory)
@@ -576,10 +587,10 @@ class SimulatedChip:
                 self._status |= SELF_TEST_BITS[name]
         elif state is State.NULLING:
             self._null(self._null_sum / max(self._null_count, 1))
-            self._state, self._until = State.FLASHING, now + rules.FLASH_S
+            self._state, self._until = State.FLASHING, now + FLASH_S
             return
         elif state is State.ASLEEP:
-            self._state, self._until = State.WAKING, now + rules.WAKE_S
+            self._state, self._until = State.WAKING, now + WAKE_S
             return
         elif state is State.WAKING:
             self._memory["SLP_CNT"] = 0
@@ -622,8 +633,8 @@ class SimulatedChip:
         return updates
 
 
-def _in_time(stall: float, period: float, limits: rules.SerialLimits) -> bool:
-    return stall >= limits.stall_s - rules.TOLERANCE_S and period >= limits.period_s - rules.TOLERANCE_S
+def _in_time(stall: float, period: float, limits: SerialLimits) -> bool:
+    return stall >= limits.stall_s - TOLERANCE_S and period >= limits.period_s - TOLERANCE_S
 
 
 def _is_reset(word: int) -> bool:

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
-from adis_gonio.sim import rules
-from adis_gonio.sim.inputs import Floats
+from adis_gonio.base.arrays import Floats
+from adis_gonio.sim.rules import PRECISION_S
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Electronics:
     g_compensation: Floats | None = None
     origin_compensation: float = 1.0
     autonull_s: float = 0.0
-    precision_autonull_s: float = rules.PRECISION_S
+    precision_autonull_s: float = PRECISION_S
 
 
 IDEAL = Electronics()

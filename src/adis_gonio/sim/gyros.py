@@ -21,13 +21,13 @@ from typing import Literal
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import Confidence
 from adis_gonio.device.sensor.variants import Performance
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.effects.lag import lagged
 from adis_gonio.sim.electronics import Electronics
-from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.noise import RateWalk
 from adis_gonio.sim.settings import WorldSettings
 

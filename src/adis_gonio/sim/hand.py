@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.sim.inputs import Floats
+from adis_gonio.base.arrays import Floats
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.smooth import (
     PAUSE_S,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.sim.inputs import Floats
+from adis_gonio.base.arrays import Floats
 
 _PAGE = 1024
 

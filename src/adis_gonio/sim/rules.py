@@ -46,7 +46,7 @@ FAST = SerialLimits("fast", 10e3, 2e6, 9e-6, 40e-6, 10e-6)
 NORMAL = SerialLimits("normal", 10e3, 300e3, 75e-6, 160e-6, 80e-6)
 
 
-def limits(smpl_prd: int) -> SerialLimits:
+def serial_limits(smpl_prd: int) -> SerialLimits:
     """Limits that hold for a value of SMPL_PRD."""
     return FAST if smpl_prd & 0xFF < FIRST_NORMAL else NORMAL
 

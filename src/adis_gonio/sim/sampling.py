@@ -19,10 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, REGISTERS, Register
 from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE, Variant
 from adis_gonio.sim.electronics import IDEAL, Electronics
-from adis_gonio.sim.inputs import Floats, Inputs
+from adis_gonio.sim.inputs import Inputs
 from adis_gonio.sim.memory import Memory
 
 Integers = NDArray[np.int64]

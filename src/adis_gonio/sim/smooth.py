@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.sim.inputs import Floats
+from adis_gonio.base.arrays import Floats
 
 Course = tuple[Floats, Floats, Floats]
 """A function of time (n,) with its first and second derivative."""

@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.sim.hand import HandMove, HandTurn
-from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.smooth import Course
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from adis_gonio.bench.bringup.bench import BringupBench, BringupStep, Floats
 from adis_gonio.bench.bringup.result import Findings, StepResult
-from adis_gonio.device.sensor.bartlett import white_gain
+from adis_gonio.device.sensor.bartlett import white_noise_gain
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.driver import PLAUSIBLE
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, TEMP_OUT, registers
@@ -133,4 +133,4 @@ def _tolerance(part: Variant, warm_c: float) -> float:
 
 def _gain(bench: BringupBench) -> float:
     """Gain of the filter in force for white noise, rms."""
-    return white_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))
+    return white_noise_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))

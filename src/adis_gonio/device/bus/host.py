@@ -12,7 +12,7 @@ from typing import Protocol
 from adis_gonio.base.errors import CannotOpenError, UsageError
 from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiBus, SpiTiming
 from adis_gonio.device.bus.opening import BusUrl, Device
-from adis_gonio.device.bus.udev import rule_for
+from adis_gonio.device.bus.udev import udev_rule
 
 SAFE_TIMING = SpiTiming(clock_hz=250e3, stall_us=75.0, period_us=160.0)
 """Slow enough for both of the chip's modes; every bus starts with it."""
@@ -175,11 +175,11 @@ class UrlOptions:
 
 
 def no_permission(url: str, what: str, rule: str) -> CannotOpenError:
-    """Permission is missing; the message carries the udev rule that gives it (see `bus.udev`)."""
+    """Permission is missing; the message carries the udev rule that gives it (see `udev_rule`)."""
     return CannotOpenError(
         f"{url}: no permission for {what}: run 'adis-gonio devices --udev | sudo tee"
         f" /etc/udev/rules.d/70-adis-gonio.rules', then 'sudo udevadm control --reload' and plug it in"
-        f" again (rule: {rule_for(rule)})"
+        f" again (rule: {udev_rule(rule)})"
     )
 
 

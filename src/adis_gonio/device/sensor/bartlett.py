@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from adis_gonio.base.arrays import Floats
 
 
-def bartlett(m: int) -> Floats:
+def filter_weights(m: int) -> Floats:
     """Weights of the filter: two cascaded boxcars of 2^M taps (DS, A)."""
     box = np.full(1 << min(m, 6), 1.0 / (1 << min(m, 6)))
     return np.convolve(box, box)
 
 
-def white_gain(m: int) -> float:
+def white_noise_gain(m: int) -> float:
     """Gain for white noise, rms: 1, 0.612, 0.415 … (DS, A)."""
-    return float(np.sqrt(np.sum(bartlett(m) ** 2)))
+    return float(np.sqrt(np.sum(filter_weights(m) ** 2)))
 
 
-def response(m: int, frequency: Floats) -> Floats:
+def filter_response(m: int, frequency: Floats) -> Floats:
     """|H|² of the filter at frequencies in cycles a sample."""
     taps = 1 << m
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -39,16 +38,16 @@ def rounding_covariance(m: int, sigma: float) -> Floats:
     sigma : float
         Rms before the filter, in LSB.
     """
-    weights = bartlett(m)
+    weights = filter_weights(m)
     rho = np.correlate(weights, weights, "full")[len(weights) - 1 :]
-    turn = (2 * np.pi * sigma * white_gain(m)) ** 2 * (1 - rho / rho[0])
+    turn = (2 * np.pi * sigma * white_noise_gain(m)) ** 2 * (1 - rho / rho[0])
     order = np.arange(1, 65)[:, None]
     error = np.sum(np.exp(-(order**2) * turn) / (2 * np.pi**2 * order**2), axis=0)
     error[0] = 1 / 12
     return np.asarray(error, np.float64)
 
 
-def rounding(m: int, sigma: float, frequency: Floats) -> Floats:
+def rounding_spectrum(m: int, sigma: float, frequency: Floats) -> Floats:
     """Level (n,) in a periodogram of the rounding of filtered noise, in LSB².
 
     Parameters

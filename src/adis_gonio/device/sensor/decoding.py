@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import ChipError, UsageError
 from adis_gonio.device.bus import Words
 from adis_gonio.device.sensor.registers import (
@@ -22,8 +23,6 @@ from adis_gonio.device.sensor.registers import (
     registers,
 )
 from adis_gonio.device.sensor.variants import Variant, variant
-
-Floats = NDArray[np.float64]
 
 _IN_CACHE = 32_768
 """Words that are handled at a time: long rows for numpy's inner loops, short enough for the cache."""

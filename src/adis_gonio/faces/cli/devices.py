@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from adis_gonio.device.bus import find_devices
-from adis_gonio.device.bus.udev import rules
+from adis_gonio.device.bus.udev import udev_rules
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json, table_of
 
@@ -22,7 +22,7 @@ def command(*, udev: bool, as_json: bool) -> None:
     /etc/udev/rules.d/70-adis-gonio.rules, then plug the device in again.
     """
     if udev:
-        click.echo(rules(), nl=False)
+        click.echo(udev_rules(), nl=False)
         return
     devices = find_devices()
     if as_json:

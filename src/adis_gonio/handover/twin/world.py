@@ -10,7 +10,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-from adis_gonio.device.sensor.bartlett import bartlett
+from adis_gonio.device.sensor.bartlett import filter_weights
 from adis_gonio.device.sensor.settings import sample_period_s, smpl_prd_for
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
@@ -79,7 +79,7 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     if told is None:
         noisy = (variance > 0) & (white > 0)  # an axis that stands still shows no filter
         wanted = float(np.mean(np.log(variance[noisy] / white[noisy] ** 2))) if noisy.any() else 0.0
-        filter_m = min(range(7), key=lambda m: abs(math.log((bartlett(m) ** 2).sum()) - wanted))
+        filter_m = min(range(7), key=lambda m: abs(math.log((filter_weights(m) ** 2).sum()) - wanted))
     return SamplesNoise(smpl_prd, filter_m, white, np.sqrt(means.flicker))
 
 

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import BusClosedError, BusError, CapabilityError, UsageError
 from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words
 from adis_gonio.sim.chip import SimulatedChip
-from adis_gonio.sim.inputs import Floats
 
 TIMINGS = (
     SpiTiming(250e3, 75.0, 160.0),

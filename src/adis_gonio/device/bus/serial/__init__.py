@@ -15,9 +15,9 @@ from __future__ import annotations
 
 from adis_gonio.device.bus.host import WALL, Clock, UrlOptions, missing, several
 from adis_gonio.device.bus.opening import BusUrl, Device
-from adis_gonio.device.bus.serial import ports
 from adis_gonio.device.bus.serial.bus import BOOT_S, SerialBus
 from adis_gonio.device.bus.serial.link import Port, SerialLink
+from adis_gonio.device.bus.serial.ports import devices, list_boards, names_itself, open_port
 from adis_gonio.device.bus.wire import load_cobs
 from adis_gonio.device.bus.wire import protocol as wire
 
@@ -54,7 +54,7 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
     number = options.text("serial_number")
     load_cobs()  # what is missing is said before a port is opened, which resets many boards
     if port is None:
-        port = ports.open_port(_place(url, number), baud, url.text)
+        port = open_port(_place(url, number), baud, url.text)
     try:
         return SerialBus(port, url=url.text, clock=clock, boot_s=boot_ms / 1000, trigger=trigger, baud=baud)
     except BaseException:
@@ -64,19 +64,19 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
 
 def find_devices() -> list[Device]:
     """USB serial ports; whether the firmware is on a board only opening it tells."""
-    return ports.devices(ports.list_boards())
+    return devices(list_boards())
 
 
 def _place(url: BusUrl, number: str) -> str:
     if url.place:
         return url.place
-    boards = ports.list_boards()
+    boards = list_boards()
     fits = [board for board in boards if not number or board.serial_number == number]
     if not fits:
         what = f"port with serial number {number}" if number else "USB serial port"
-        raise missing(url.text, what, ports.devices(boards))
+        raise missing(url.text, what, devices(boards))
     if len(fits) > 1:
-        fits = [board for board in fits if ports.names_itself(board)] or fits
+        fits = [board for board in fits if names_itself(board)] or fits
     if len(fits) > 1:
-        raise several(url.text, ports.devices(fits))
+        raise several(url.text, devices(fits))
     return str(fits[0].device)

@@ -30,7 +30,19 @@ import numpy as np
 from adis_gonio.base.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiTiming, Words
 from adis_gonio.device.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock, HostBus, gone
-from adis_gonio.device.bus.spidev import kernel as k
+from adis_gonio.device.bus.spidev.kernel import (
+    BENT_FRAMES,
+    MODE_3,
+    MODE_BITS,
+    MOST_TRANSFERS,
+    RD_MODE32,
+    SET_VALUES,
+    WR_MODE32,
+    Kernel,
+    LineValues,
+    Transfer,
+    message,
+)
 
 CS_HIGH_US = 10.0
 """[M] CS-high time between two transfers with cs_change: the default of the kernel's SPI core
@@ -72,7 +84,7 @@ class SpidevBus(HostBus):
 
     def __init__(
         self,
-        system: k.Kernel,
+        system: Kernel,
         fd: int,
         *,
         release: Callable[[], object],
@@ -86,7 +98,7 @@ class SpidevBus(HostBus):
         self._fd = fd
         self._cs_high_us = cs_high_us
         self._reset_fd = reset_fd
-        self._most = k.MOST_TRANSFERS
+        self._most = MOST_TRANSFERS
         if reset_fd is not None:
             self.capabilities = frozenset({Capability.HARD_RESET})
         self._set_mode()
@@ -136,7 +148,7 @@ class SpidevBus(HostBus):
         sent = frames.astype(">u2")
         received = np.zeros(count, ">u2")
         step = sent.itemsize
-        transfers = (k.Transfer * count)()
+        transfers = (Transfer * count)()
         for j, transfer in enumerate(transfers):
             transfer.tx_buf = sent.ctypes.data + j * step
             transfer.rx_buf = received.ctypes.data + j * step
@@ -145,7 +157,7 @@ class SpidevBus(HostBus):
             transfer.bits_per_word = 8
             # On the last transfer cs_change would leave CS low.
             transfer.cs_change = j < count - 1
-        clocked = self._system.ioctl(self._fd, k.message(count), transfers)
+        clocked = self._system.ioctl(self._fd, message(count), transfers)
         if clocked != count * step:
             raise ProtocolError(f"{self.url}: {clocked} of {count * step} bytes were clocked")
         return received.astype(np.uint16)
@@ -154,15 +166,15 @@ class SpidevBus(HostBus):
 
     def _pull_reset(self) -> None:
         for bit in (0, 1):
-            self._call(self._reset_fd or 0, k.SET_VALUES, k.LineValues(bit, 1))
+            self._call(self._reset_fd or 0, SET_VALUES, LineValues(bit, 1))
             self.sleep_s(RESET_PULSE_S)
 
     # -- calls ---------------------------------------------------------------------------------------------
 
     def _set_mode(self) -> None:
-        mode = self._mode() & ~(k.MODE_BITS | k.BENT_FRAMES) | k.MODE_3
+        mode = self._mode() & ~(MODE_BITS | BENT_FRAMES) | MODE_3
         try:
-            self._system.ioctl(self._fd, k.WR_MODE32, ctypes.c_uint32(mode))
+            self._system.ioctl(self._fd, WR_MODE32, ctypes.c_uint32(mode))
         except OSError as error:
             if error.errno == errno.EINVAL:
                 raise CannotOpenError(
@@ -170,14 +182,14 @@ class SpidevBus(HostBus):
                     " a Raspberry Pi (spidev1.x): wire the sensor to the main one (spidev0.x)"
                 ) from error
             raise self._typed(error) from error
-        got = self._mode() & (k.MODE_BITS | k.BENT_FRAMES)
-        if got != k.MODE_3:
+        got = self._mode() & (MODE_BITS | BENT_FRAMES)
+        if got != MODE_3:
             raise ProtocolError(f"{self.url}: the SPI controller is in mode {got:#x}, not 3")
 
     def _mode(self) -> int:
         """Mode with its flags, as the kernel has it."""
         mode = ctypes.c_uint32()
-        self._call(self._fd, k.RD_MODE32, mode)
+        self._call(self._fd, RD_MODE32, mode)
         return mode.value
 
     def _call(self, fd: int, request: int, argument: Any) -> None:
