@@ -20,7 +20,7 @@ import sys
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import NORMAL_95
+from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.device.sensor.bartlett import filter_response
 from adis_gonio.fitting.allan.likelihood import Likelihood
 from adis_gonio.fitting.allan.ordinates import ordinates

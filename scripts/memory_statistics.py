@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fleet import SessionRecord, Store, row_of, summarise
 from adis_gonio.fleet.memory.control_chart import CUSUM_H, average_run_length, control_chart, cusum
 from adis_gonio.fleet.memory.drift import drift_of

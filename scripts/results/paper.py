@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from adis_gonio.handover.paper import reproduce
 from adis_gonio.handover.paper.page import figures_3, map_figures, sections
-from adis_gonio.page.parts import Section as Part
-from adis_gonio.page.parts import Table
+from adis_gonio.page.document import Section as Part
+from adis_gonio.page.document import Table
 from results.section import Effort, Section
 
 

@@ -18,8 +18,8 @@ from adis_gonio.base.errors import (
     UsageError,
 )
 from adis_gonio.device.bus import SpiTiming
+from adis_gonio.device.bus import cp2130 as r
 from adis_gonio.device.bus.cp2130 import find_devices
-from adis_gonio.device.bus.cp2130 import requests as r
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig
 from adis_gonio.sim.testing.faults import Faults

@@ -2,7 +2,7 @@
 
 import pytest
 
-from adis_gonio.device.bus.mcp2210 import reports
+from adis_gonio.device.bus import mcp2210 as reports
 from fakes import rubbish
 from fakes.rubbish import FUZZERS, PARSERS, fuzz_parser
 

@@ -5,9 +5,9 @@ import re
 import pytest
 from click.testing import CliRunner
 
-from adis_gonio.device.bus.cp2130 import requests
-from adis_gonio.device.bus.mcp2210 import reports
-from adis_gonio.device.bus.udev import RULES_FILE, udev_rule, udev_rules
+from adis_gonio.device.bus import cp2130 as requests
+from adis_gonio.device.bus import mcp2210 as reports
+from adis_gonio.device.bus.host import RULES_FILE, udev_rule, udev_rules
 from adis_gonio.faces.cli.devices import command
 
 LINES = [line for line in udev_rules().splitlines() if line and not line.startswith("#")]

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.base.intervals import coverage_factor, effective_dof, expanded, factor_over, wilson
-from adis_gonio.base.values import Detectable, Value
+from adis_gonio.base.uncertainty import (
+    Detectable,
+    Value,
+    coverage_factor,
+    effective_dof,
+    expanded,
+    factor_over,
+    wilson,
+)
 from adis_gonio.fitting.estimation.robust import robust_sd
 
 

@@ -27,7 +27,7 @@ from adis_gonio.device.bus import FrameBlock, FrameStream
 from adis_gonio.device.bus.opening import BusUrl
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.sim import SimBus, World
-from adis_gonio.sim.inputs import Inputs
+from adis_gonio.sim.sampling import Inputs
 from adis_gonio.sim.settings import WorldSettings
 
 PULSE_HZ = (7.0, 23.0, 61.0)

@@ -11,8 +11,7 @@ import pytest
 from scipy.stats import binom, chi2, fisher_exact
 
 from adis_gonio.base.errors import DataError
-from adis_gonio.base.intervals import wilson
-from adis_gonio.base.levels import OUTLYING
+from adis_gonio.base.uncertainty import OUTLYING, wilson
 from adis_gonio.fleet import read_parquet, row_of, summarise, write_parquet
 from adis_gonio.fleet.columns import COLUMNS
 from adis_gonio.fleet.outlying import by_share

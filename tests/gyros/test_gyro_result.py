@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.parts import known_part
 from adis_gonio.fitting.estimation.readings import from_means
 from adis_gonio.fitting.gyros import fit as module

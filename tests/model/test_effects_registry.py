@@ -12,7 +12,7 @@ PLUGIN = '''
 from typing import ClassVar
 import numpy as np
 from adis_gonio.model.effects import Effect, Enters, Parameter
-from adis_gonio.model.effects.families import StageEffect
+from adis_gonio.model.effects.base import StageEffect
 
 class ThirdHarmonic(StageEffect):
     """Three cycles a turn."""

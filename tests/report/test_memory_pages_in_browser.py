@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fleet import FoundEffect, SessionRecord, summarise
 from adis_gonio.fleet.memory import history_of
 from adis_gonio.fleet.memory.history_page import history_page

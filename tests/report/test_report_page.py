@@ -13,7 +13,7 @@ from adis_gonio.handover.report.page import build_page
 from adis_gonio.handover.report.views import views
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.page.parts import Figure, Section, Table
+from adis_gonio.page.document import Figure, Section, Table
 from adis_gonio.page.svg import Series, plot
 from adis_gonio.tracing.answer import answer_with_trace
 from adis_gonio.tracing.summary import confounded, headline, how_sure, sight

@@ -19,8 +19,7 @@ from adis_gonio.base.errors import (
 )
 from adis_gonio.device.bus import Capability
 from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, Alarm
-from adis_gonio.device.sensor.frames import FAST, NORMAL
-from adis_gonio.device.sensor.registers import BY_NAME, REGISTERS
+from adis_gonio.device.sensor.registers import BY_NAME, FAST, NORMAL, REGISTERS
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.chip import State
 from adis_gonio.sim.sampling import OUTPUTS, SignalChain

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.base.levels import POSITION_QUESTIONED
+from adis_gonio.base.uncertainty import POSITION_QUESTIONED
 from adis_gonio.bench.events import DwellDone, Problem
 from adis_gonio.bench.guards import GUARD_KINDS
 from adis_gonio.bench.runner import SessionRunner

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing.candidates.grammar import nameless_terms
 from adis_gonio.tracing.candidates.named import cycles_shown, named_terms
 from adis_gonio.tracing.candidates.processes import processes

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
 from adis_gonio.fitting.slips.finding import Named
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing.candidates.named import named_terms
 from adis_gonio.tracing.outcome.between import bases
 from adis_gonio.tracing.outcome.cycles import cycles_alike

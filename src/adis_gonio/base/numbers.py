@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from adis_gonio.base.values import Value
+    from adis_gonio.base.uncertainty import Value
 
 NO_BREAK = "\u00a0"
 """Space at which no line ends."""

@@ -18,7 +18,7 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.events import Event, Problem
 from adis_gonio.bench.recorder import FollowedTurn, Recorder
-from adis_gonio.model.sweeps import Sweeps
+from adis_gonio.model.records import Sweeps
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.plans import Plan, Position
 from adis_gonio.record.turns import FREE_TURN

@@ -48,8 +48,7 @@ from adis_gonio.bench.knowledge import Knowledge
 from adis_gonio.bench.ledger import Ledger
 from adis_gonio.bench.recorder import Recorder, recorder_of
 from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, checked_gravity_mps2
 from adis_gonio.record.archive import Archive, Header, read_session
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position, blindness, extended, extension
 from adis_gonio.record.settings import Settings, expected_each_s

@@ -14,7 +14,7 @@ from typing import Any, Self
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import HEAD, QuantityRow, counted
 from adis_gonio.base.tables import align_columns, fold_text
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.scores import Score
 from adis_gonio.fitting.standing import Recommendation, Standing

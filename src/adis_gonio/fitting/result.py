@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import factor_over
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import Entries, ParameterTable
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.fitting.slips.finding import listed
 from adis_gonio.fitting.solvable import unsolvable
 from adis_gonio.record.provenance import Provenance

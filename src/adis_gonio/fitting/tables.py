@@ -14,7 +14,7 @@ from adis_gonio.base.numbers import (
     format_uncertain,
     with_unit,
 )
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.scores import Score
 from adis_gonio.fitting.uncertainty_budget import BudgetRow

@@ -16,9 +16,9 @@ from itertools import islice
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import FleetError, NotInstalledError, UsageError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.version import __version__
 from adis_gonio.fleet.record import SessionRecord
 from adis_gonio.fleet.work import Job, Options, lost, work
 

@@ -20,7 +20,7 @@ from scipy.special import ndtr, ndtri, stdtr
 from scipy.stats import hypergeom, rankdata
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import OUTLYING
+from adis_gonio.base.uncertainty import OUTLYING
 from adis_gonio.fitting.estimation.robust import MAD_TO_SD, robust_sd
 
 FEWEST_UNITS = 5

@@ -9,10 +9,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.base.jsonable import finite, json_object
 from adis_gonio.base.output import check_output, replacing, write_utf8
-from adis_gonio.base.version import __version__
 from adis_gonio.fleet.columns import row_of
 from adis_gonio.fleet.run import Fleet
 from adis_gonio.fleet.summary import Summary, summarise

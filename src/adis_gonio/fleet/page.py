@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
-from adis_gonio.base.version import __version__
 from adis_gonio.fleet import words
 from adis_gonio.fleet.run import Repeated
 from adis_gonio.fleet.summary import GROUPS, Outlying, QuantitySummary, Summary
-from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
-from adis_gonio.page.render import render
+from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
 from adis_gonio.page.svg import Series, plot
 
 _MOST_BINS = 40

@@ -22,9 +22,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import FleetError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.version import __version__
 from adis_gonio.fleet.record import SessionRecord
 from adis_gonio.fleet.work import Job, Options, lost
 

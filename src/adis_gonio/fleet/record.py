@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 
 ANGLE = "angle"
 """Error of the angle, rms; its u and U are those of an angle that is shown."""

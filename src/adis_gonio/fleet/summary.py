@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import wilson
 from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord, key
-from adis_gonio.base.levels import OUTLYING
-from adis_gonio.base.version import __version__
+from adis_gonio.base.uncertainty import OUTLYING, wilson
 from adis_gonio.fleet.columns import Row, Table, table_of
 from adis_gonio.fleet.outlying import (
     Codes,

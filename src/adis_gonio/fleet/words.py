@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from adis_gonio.base.levels import OUTLYING
 from adis_gonio.base.numbers import (
     NAMES,
     count_decimals,
@@ -14,6 +13,7 @@ from adis_gonio.base.numbers import (
     format_unit,
     with_unit,
 )
+from adis_gonio.base.uncertainty import OUTLYING
 from adis_gonio.fleet.outlying import FEWEST, FEWEST_UNITS
 from adis_gonio.fleet.statistics import Beyond
 from adis_gonio.fleet.summary import Outlying, QuantitySummary, Summary

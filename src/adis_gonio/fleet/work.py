@@ -10,10 +10,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.values import Value, finite_or_none
-from adis_gonio.base.version import __version__
+from adis_gonio.base.uncertainty import Value, finite_or_none
 from adis_gonio.fleet.record import QUANTITIES, FoundEffect, SessionRecord
 
 if TYPE_CHECKING:

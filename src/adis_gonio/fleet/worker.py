@@ -14,7 +14,7 @@ import sys
 import threading
 from typing import Any
 
-from adis_gonio.base.version import __version__
+from adis_gonio.base import __version__
 from adis_gonio.fleet.work import work
 
 

@@ -1,4 +1,13 @@
-"""What was measured, as plain data: samples, dwells, sessions. No files, no devices.
+"""Local gravity: from latitude and height, and whether a stated one can be right.
+
+How often a part went all around: on and on, or forth and back.
+
+What lies between two dwells: the samples while the part was turned from one to the other.
+
+A samples CSV that holds its dwells alone has none. An archive has what was recorded before and after its
+dwells, a continuous recording has everything.
+
+What was measured, as plain data: samples, dwells, sessions. No files, no devices.
 
 A *dwell* is the scans taken while the part is still in one *position*; a *session* is all dwells with
 what surrounded them. Files become sessions in `adis_gonio.record`; fits read them in
@@ -8,21 +17,195 @@ what surrounded them. Files become sessions in `adis_gonio.record`; fits read th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import one_line
+from adis_gonio.base.errors import UsageError, one_line
 from adis_gonio.base.numbers import counted
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from adis_gonio.model.turns import Turn
+# WGS 84 (NGA.STND.0036): gravity at the equator, Somigliana's constant, first eccentricity squared,
+# semi-major axis, flattening, and m = ω²a²b/GM.
+_EQUATOR_MPS2 = 9.7803253359
+_K = 0.001931852652458
+_E2 = 0.00669437999014
+_A_M = 6378137.0
+_F = 1 / 298.257223563
+_M = 0.00344978650684
+
+ON_EARTH_MPS2 = (9.7, 9.9)
+"""What a stated gravity lies within: 9.764 (Huascarán) to 9.834 (Arctic Ocean), with room."""
+_SLIPS = {0.01: "cm/s² (Gal)", 1e-5: "mGal", 9.80665: "g", 9.80665e-3: "mg", 0.3048: "ft/s²"}
+
+
+def checked_gravity_mps2(value: float, *, anywhere: bool = False) -> float:
+    """A stated local gravity in m/s², if there is such a place on Earth.
+
+    Parameters
+    ----------
+    anywhere : bool
+        Another place will do too, unless the number is that of the Earth in another unit.
+
+    Raises
+    ------
+    UsageError
+        It lies outside `ON_EARTH_MPS2`; the message names the unit in which it would be right.
+    """
+    low, high = ON_EARTH_MPS2
+    slips = [f"; {value:g} {unit} are {value * k:.6g} m/s²" for k, unit in _SLIPS.items()]
+    fits = [text for k, text in zip(_SLIPS, slips, strict=True) if low <= value * k <= high]
+    if low <= value <= high or (anywhere and not fits and 0 < value < math.inf):
+        return value
+    raise UsageError(
+        f"gravity is {value:g}: give m/s², {low:g} to {high:g} on Earth{fits[0] if fits else ''}; "
+        f"for another place say so by writing the unit, {value:g}mps2"
+    )
+
+
+def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:
+    """Normal gravity of the WGS 84 ellipsoid in m/s² (Somigliana's formula, second order in height).
+
+    Real gravity differs by tens of mGal (1e-5 m/s² each): enough for ΔK and Δφ, which do not depend on
+    it, and an uncertainty of some 3e-5 for the scale factors.
+
+    Raises
+    ------
+    UsageError
+        Latitude outside ±90°, height outside -500 to 9000 m.
+    """
+    if not -90 <= latitude_deg <= 90:
+        raise UsageError(f"latitude is {latitude_deg:g}: take -90 to 90 degrees")
+    if not -500 <= height_m <= 9000:
+        raise UsageError(f"height is {height_m:g}: take -500 to 9000 m")
+    s2 = math.sin(math.radians(latitude_deg)) ** 2
+    surface = _EQUATOR_MPS2 * (1 + _K * s2) / math.sqrt(1 - _E2 * s2)
+    h = height_m / _A_M
+    return surface * (1 - 2 * (1 + _F + _M - 2 * _F * s2) * h + 3 * h * h)
+
+
+REVERSED_DEG = 10.0
+"""Going back by less is the hand's unevenness."""
+NEARLY_DEG = 5.0
+"""What may be wanting: nobody sees where exactly a turn is full."""
+
+
+class Sweeps:
+    """Follows an angle that is seen bit by bit.
+
+    Attributes
+    ----------
+    angle_deg : float
+        Where it is, from the start on, with its sign.
+    span_deg : float
+        From the least angle to the greatest.
+    """
+
+    def __init__(self) -> None:
+        self.angle_deg = 0.0
+        self._least = self._greatest = 0.0
+        self._gone = 0.0
+        self._from = self._farthest = 0.0
+
+    def see(self, angle_deg: float) -> None:
+        """Take the next angle, unwrapped."""
+        self.angle_deg = angle_deg
+        self._least, self._greatest = min(self._least, angle_deg), max(self._greatest, angle_deg)
+        on = self._farthest - self._from
+        if (angle_deg - self._farthest) * (on or angle_deg - self._farthest) >= 0:
+            self._farthest = angle_deg
+        elif abs(angle_deg - self._farthest) > REVERSED_DEG:
+            self._gone += abs(on)
+            self._from, self._farthest = self._farthest, angle_deg
+
+    @property
+    def span_deg(self) -> float:
+        """From the least angle to the greatest."""
+        return self._greatest - self._least
+
+    @property
+    def travelled_deg(self) -> float:
+        """All the way, there and back; what a hand trembles does not count."""
+        return self._gone + abs(self._farthest - self._from)
+
+    @property
+    def full(self) -> int:
+        """Full turns that were made; a way back over a full turn is one too."""
+        if self.span_deg < 360.0 - NEARLY_DEG:
+            return 0
+        return int((self.travelled_deg + NEARLY_DEG) // 360.0)
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Samples between two dwells that follow one another.
+
+    Attributes
+    ----------
+    before, position : int
+        Numbers (`Dwell.position`) of the dwell in which it begins and of the one in which it ends.
+    time_s : (n,) float
+        Time of each sample, increasing, on the clock of the dwells; n may be 0.
+    accel, gyro : (n, 3) float
+        As in `Dwell`; `gyro` None where there are no gyros.
+    temperature_c, supply_v : (n,) float or None
+    temperatures_c : (n, 3) float or None
+        As in `Dwell`.
+    turned_deg : float or None
+        How far the part was turned by a mark or a stop, about the vertical, positive counter-clockwise seen
+        from above; None where nobody declares it.
+    """
+
+    before: int
+    position: int
+    time_s: Floats
+    accel: Floats
+    gyro: Floats | None = None
+    temperature_c: Floats | None = None
+    supply_v: Floats | None = None
+    turned_deg: float | None = None
+    temperatures_c: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def __repr__(self) -> str:
+        return f"Turn({self.before} to {self.position}: {counted(len(self), 'sample')})"
+
+
+def turns_of_recording(recording: Dwell, dwells: Sequence[Dwell]) -> tuple[Turn, ...]:
+    """Turns of a continuous recording between its dwells; views of its rows, no copies."""
+    made = []
+    for before, after in pairwise(dwells):
+        low = int(recording.time_s.searchsorted(before.time_s[-1], side="right"))
+        high = int(recording.time_s.searchsorted(after.time_s[0], side="left"))
+        rows = slice(low, max(low, high))
+        made.append(
+            Turn(
+                before.position,
+                after.position,
+                recording.time_s[rows],
+                recording.accel[rows],
+                _rows(recording.gyro, rows),
+                _rows(recording.temperature_c, rows),
+                _rows(recording.supply_v, rows),
+                temperatures_c=_rows(recording.temperatures_c, rows),
+            )
+        )
+    return tuple(made)
+
+
+def _rows(series: Floats | None, rows: slice) -> Floats | None:
+    return None if series is None else series[rows]
+
 
 Plane = Literal["xy", "none"]
 Use = Literal["fit", "check"]
@@ -192,21 +375,12 @@ class Session:
             {name: np.concatenate(rows) for name, rows in columns.items() if len(rows) == len(self.sampled)}
         )
 
-    @property
+    @cached_property
     def turns(self) -> tuple[Turn, ...]:
-        """What lies between dwells that follow one another; read when first asked for.
+        """Samples between dwells that follow one another; read when first asked for.
 
-        Empty where the file has nothing between its dwells, as a samples CSV with positions.
+        Empty if the file has nothing between its dwells, as a samples CSV with positions.
         """
-        kept: tuple[Turn, ...] | None = vars(self).get("_turns")
-        if kept is None:
-            kept = self._read_turns()
-            vars(self)["_turns"] = kept
-        return kept
-
-    def _read_turns(self) -> tuple[Turn, ...]:
-        from adis_gonio.model.turns import turns_of_recording
-
         if self.turns_from is not None:
             here = {dwell.position for dwell in self.dwells}
             return tuple(turn for turn in self.turns_from() if {turn.before, turn.position} <= here)

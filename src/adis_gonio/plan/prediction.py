@@ -20,7 +20,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.shown import ShownAngle
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.fitting.result import FitResult

@@ -18,7 +18,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.base.numbers import join_words
-from adis_gonio.base.values import Detectable
+from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 from adis_gonio.base.numbers import NAMES, count_decimals, counted, format_fixed, format_unit
 from adis_gonio.base.tables import align_columns, fold_text
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.plan.best import BestPlan
 from adis_gonio.plan.criteria import Best
 from adis_gonio.plan.prediction import Prediction

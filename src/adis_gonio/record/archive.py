@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import SessionError
-from adis_gonio.base.version import __version__
 from adis_gonio.record import database
 from adis_gonio.record.blocks import to_bytes
 from adis_gonio.record.reading import read_session

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Session
+from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Session, checked_gravity_mps2
 
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 
@@ -96,7 +95,7 @@ class Overrides:
     Attributes
     ----------
     gravity_mps2 : float or None
-        Local gravity; anywhere above zero (`adis_gonio.model.gravity.checked_gravity_mps2` says whether it
+        Local gravity; anywhere above zero (`adis_gonio.model.records.checked_gravity_mps2` says whether it
         is on Earth).
     fixture_sigma_deg : float or None
         Standard uncertainty of a declared angle in degrees; `inf` where attitudes are free.

@@ -88,7 +88,7 @@ def provenance_of(session: Session) -> Provenance:
     """What a result keeps of its session; worked out once and kept with it."""
     kept: Provenance | None = vars(session).get("_provenance")  # the session is frozen: it cannot go stale
     if kept is None:
-        from adis_gonio.base.version import __version__
+        from adis_gonio.base import __version__
 
         kept = Provenance(
             **{name: getattr(session, name) for name in _FROM_SESSION},

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from adis_gonio.base.version import __version__
+from adis_gonio.base import __version__
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.plans import Plan, Position
 

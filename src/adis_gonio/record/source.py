@@ -13,7 +13,7 @@ from importlib.metadata import entry_points
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
 from adis_gonio.device.sensor.bartlett import white_noise_gain

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.model.records import Dwell
-from adis_gonio.model.turns import Turn
+from adis_gonio.model.records import Dwell, Turn
 from adis_gonio.record.blocks import Block, die_temperatures, join, session_columns, session_series
 from adis_gonio.record.rows import StoredAttempt
 from adis_gonio.record.view import ArchiveView

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing
 from adis_gonio.base.shapes import ShapeError, anything
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.record import database

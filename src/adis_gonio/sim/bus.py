@@ -35,8 +35,8 @@ from adis_gonio.device.bus.host import SAFE_TIMING
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.device.sensor.registers import WRITE
 from adis_gonio.device.sensor.variants import Variant
+from adis_gonio.model.effects import parse_effect
 from adis_gonio.model.effects.base import Effect
-from adis_gonio.model.effects.registry import parse_effect
 from adis_gonio.sim.chip import SimulatedChip
 from adis_gonio.sim.gyros import realistic_gyros, stream_of
 from adis_gonio.sim.memory import FlashFile

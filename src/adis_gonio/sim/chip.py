@@ -1,4 +1,6 @@
-"""An ADIS16350-family chip at frame level, in its own time.
+"""The DIO lines: what drives them, in the order data-ready, alarm, general output (CHIP.md, A).
+
+An ADIS16350-family chip at frame level, in its own time.
 
 `SimulatedChip.frame` sees what the pins would see: when chip select falls, how fast the clock runs, how
 many bits there are. Whatever lies between two frames happens inside: internal updates, flash updates,
@@ -49,22 +51,72 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import BY_NAME, EA, GYRO_OFF, ND
 from adis_gonio.device.sensor.variants import Variant, variant
-from adis_gonio.sim.electronics import IDEAL, BringsElectronics, Electronics
-from adis_gonio.sim.inputs import Surroundings
-from adis_gonio.sim.lines import data_ready_enabled, gpio_word, levels
-from adis_gonio.sim.memory import Memory
-from adis_gonio.sim.rules import (
+from adis_gonio.sim.memory import (
     FLASH_S,
     SELF_TEST_S,
     SLEEP_UNIT_S,
     START_UP_S,
     TOLERANCE_S,
     WAKE_S,
+    Memory,
     SerialLimits,
     serial_limits,
     update_period_s,
 )
-from adis_gonio.sim.sampling import GYRO_COLUMNS, OUTPUTS, SignalChain, Updates
+from adis_gonio.sim.sampling import (
+    ALARM_BITS,
+    GYRO_COLUMNS,
+    IDEAL,
+    OUTPUTS,
+    BringsElectronics,
+    Electronics,
+    SignalChain,
+    Surroundings,
+    Updates,
+)
+
+_MISC = BY_NAME["MSC_CTRL"]
+_ALARM = BY_NAME["ALM_CTRL"]
+_GPIO = BY_NAME["GPIO_CTRL"]
+_ANY_ALARM = ALARM_BITS[0] | ALARM_BITS[1]
+
+
+def data_ready_enabled(memory: Memory) -> bool:
+    """True where data-ready is on a line."""
+    return bool(_MISC.field("data_ready").of(memory["MSC_CTRL"]))
+
+
+def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None, int | None]:
+    """Levels that the chip drives on DIO1 and DIO2; None where a line is an input.
+
+    Parameters
+    ----------
+    pulse : bool
+        True during the data-ready pulse.
+    status : int
+        STATUS; an alarm output follows its alarm bits (D: until STATUS is read).
+    """
+    gpio, alarm, misc = memory["GPIO_CTRL"], memory["ALM_CTRL"], memory["MSC_CTRL"]
+    result: list[int | None] = [
+        _GPIO.field(f"level{k}").of(gpio) if _GPIO.field(f"output{k}").of(gpio) else None for k in (1, 2)
+    ]
+    if _ALARM.field("output").of(alarm):
+        active = bool(status & _ANY_ALARM)
+        result[_ALARM.field("line").of(alarm)] = int(active == bool(_ALARM.field("polarity").of(alarm)))
+    if data_ready_enabled(memory):
+        result[_MISC.field("line").of(misc)] = int(pulse == bool(_MISC.field("polarity").of(misc)))
+    return result[0], result[1]
+
+
+def gpio_word(memory: Memory, external: tuple[int, int]) -> int:
+    """GPIO_CTRL as read: the level of an input is what stands on the line."""
+    word = memory["GPIO_CTRL"]
+    for k, level in enumerate(external, 1):
+        if not _GPIO.field(f"output{k}").of(word):
+            mask = _GPIO.field(f"level{k}").mask
+            word = word | mask if level else word & ~mask
+    return word
+
 
 Words = NDArray[np.uint16]
 UpdateEdge = Literal["first", "last"]
@@ -293,7 +345,7 @@ class SimulatedChip:
         if self._update_edge == "last":
             since += self._pulse_s - self._period
         pulse = self._state in _SAMPLING and self._k > 0 and 0 <= since < self._pulse_s
-        return levels(self._memory, pulse=pulse, status=self._status)
+        return dio_levels(self._memory, pulse=pulse, status=self._status)
 
     def hard_reset(self, time_s: float) -> None:
         """RST is released at a time; the start-up follows."""

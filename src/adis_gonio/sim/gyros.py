@@ -25,10 +25,9 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import Confidence
 from adis_gonio.device.sensor.variants import Performance
-from adis_gonio.model.effects.base import AXES
-from adis_gonio.model.effects.lag import lagged
-from adis_gonio.sim.electronics import Electronics
+from adis_gonio.model.effects.base import AXES, lagged
 from adis_gonio.sim.noise import RateWalk
+from adis_gonio.sim.sampling import Electronics
 from adis_gonio.sim.settings import WorldSettings
 
 REFERENCE_C = 25.0

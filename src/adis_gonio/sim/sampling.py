@@ -1,4 +1,11 @@
-"""From analog inputs to output words: scaling, filter, offsets, limits, alarms, conditions.
+"""What the chip's sensing elements feel: the border between the chip and the world around it.
+
+What the chip itself does to its gyros and accelerometers, beyond what its registers say.
+
+CHIP.md has MSC_CTRL[7:6], the ranges and the autonulls, but nothing of how well they do: all figures here
+are estimates (D) and stay parameters.
+
+From analog inputs to output words: scaling, filter, offsets, limits, alarms, conditions.
 
 Choices where the chip's behaviour is not known (D): the filter works at a resolution of 1/1024 LSB and
 its output is rounded once; offsets are added after it; taps are cleared when range or M change; an
@@ -14,7 +21,9 @@ Samples are integers in fixed point, so that sums are exact however a run of sam
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +31,83 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, REGISTERS, Register
 from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE, Variant
-from adis_gonio.sim.electronics import IDEAL, Electronics
-from adis_gonio.sim.inputs import Inputs
-from adis_gonio.sim.memory import Memory
+from adis_gonio.sim.memory import PRECISION_S, Memory
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Analog inputs at n internal updates, in the sense in which the registers say them.
+
+    Attributes
+    ----------
+    accel_mg : (n, 3) float
+        Accelerations x, y, z in mg (thousandths of 9.80665 m/s²); level with Z up, z is -1000.
+    gyro_dps : (n, 3) float
+        Rates of turn in °/s, right-handed about the drawn axes.
+    temperature_c : (n, 3) float
+        Temperatures of the dies of the three gyros in °C.
+    supply_v, aux_v : (n,) float
+        Supply and auxiliary input in V.
+    place_mg : (n, 3) float or None
+        How much of `accel_mg` comes from the accelerometers' places within the part; None where nothing.
+    """
+
+    accel_mg: Floats
+    gyro_dps: Floats
+    temperature_c: Floats
+    supply_v: Floats
+    aux_v: Floats
+    place_mg: Floats | None = None
+
+
+class Surroundings(Protocol):
+    """What a chip is put into."""
+
+    def sample(self, time_s: Floats) -> Inputs:
+        """Inputs at increasing times (n,) in s; each call goes on where the last one ended.
+
+        How the updates are divided into calls must not change the values.
+        """
+
+
+@dataclass(frozen=True)
+class Electronics:
+    """A chip's own figures.
+
+    Attributes
+    ----------
+    range_gain : mapping of int to float
+        Gain of the gyros by range in °/s, relative to ±300 °/s; one that is not named has 1.
+    gyro_saturation : float
+        Where the gyros are cut off, in units of the range; the registers end at twice the range.
+    g_compensation : (3, 3) float or None
+        What MSC_CTRL[7] takes off the gyros, °/s per g that the chip's own accelerometers read; None takes
+        the family's figure for the own axis.
+    origin_compensation : float
+        Share of what the accelerometers' places add that MSC_CTRL[6] takes off.
+    autonull_s, precision_autonull_s : float
+        Over which time the autonulls average; 0 takes the filter's present output.
+    """
+
+    range_gain: dict[int, float] = field(default_factory=dict)
+    gyro_saturation: float = math.inf
+    g_compensation: Floats | None = None
+    origin_compensation: float = 1.0
+    autonull_s: float = 0.0
+    precision_autonull_s: float = PRECISION_S
+
+
+IDEAL = Electronics()
+
+
+@runtime_checkable
+class BringsElectronics(Protocol):
+    """Surroundings that say what the chip in them is like."""
+
+    @property
+    def electronics(self) -> Electronics:
+        """Of that chip."""
+
 
 Integers = NDArray[np.int64]
 

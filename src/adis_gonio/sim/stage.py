@@ -21,9 +21,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.sim.hand import HandMove, HandTurn
+from adis_gonio.sim.hand import Course, HandMove, HandTurn
 from adis_gonio.sim.settings import WorldSettings
-from adis_gonio.sim.smooth import Course
 
 _SHORTEST_MOVE_S = 0.3
 _LEAST_BY_HAND_RAD = 1e-6

@@ -30,10 +30,9 @@ from adis_gonio.device.sensor.variants import Variant, variant
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
 from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.sim.electronics import Electronics
 from adis_gonio.sim.gyros import PAIRS, REFERENCE_C, Dies, Felt, GyroTriad
-from adis_gonio.sim.inputs import Inputs
 from adis_gonio.sim.noise import Flicker, White
+from adis_gonio.sim.sampling import Electronics, Inputs
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Motion, Stage
 

@@ -13,7 +13,7 @@ from typing import Any
 from adis_gonio.base.budget import attempt, current, spent, within
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Detectable
+from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, known_part, readings_of_part
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term

@@ -12,8 +12,15 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.bringup.bench import BOARD_CLOCK_U, BringupBench, BringupStep, at_most
 from adis_gonio.bench.bringup.result import Curve, Findings, StepResult
 from adis_gonio.device.bus import SpiTiming, Words
-from adis_gonio.device.sensor.frames import FAST, FAST_UP_TO, IDLE, NORMAL, read_frames
-from adis_gonio.device.sensor.registers import REGISTERS, Register
+from adis_gonio.device.sensor.registers import (
+    FAST,
+    FAST_UP_TO,
+    IDLE,
+    NORMAL,
+    REGISTERS,
+    Register,
+    read_frames,
+)
 from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE
 
 CLOCKS_HZ = (2e6, 1.5e6, 1e6, 750e3, 500e3, 250e3, 125e3, 62.5e3, 31.25e3)

@@ -6,8 +6,7 @@ from adis_gonio.base.errors import NotInstalledError
 from adis_gonio.base.numbers import format_fixed, format_number, format_uncertain, with_unit
 from adis_gonio.bench.bringup.bench import MOST_TESTS
 from adis_gonio.bench.bringup.result import QUESTIONS, Bringup, Curve, Measured, Outcome, Row, Verdict
-from adis_gonio.page.parts import Figure, Section, Table
-from adis_gonio.page.render import render
+from adis_gonio.page.document import Figure, Section, Table, render
 from adis_gonio.page.svg import Series, plot
 
 

@@ -25,9 +25,8 @@ from adis_gonio.bench.writeback.checks import PRECISE_S, Agreement, AutonullFoun
 from adis_gonio.bench.writeback.parts import Gyros, part_of
 from adis_gonio.bench.writeback.plan import UNITS, WritePlan, recorded_offsets
 from adis_gonio.bench.writeback.rest import Rest
-from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354
+from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354, Undo
 from adis_gonio.device.sensor.registers import registers
-from adis_gonio.device.sensor.undo import Undo
 from adis_gonio.model.records import Session
 from adis_gonio.record.archive import Archive, read_session
 from adis_gonio.record.database import is_archive

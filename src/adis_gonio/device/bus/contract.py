@@ -46,7 +46,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing
 from adis_gonio.base.errors import BusClosedError, CapabilityError, ProtocolError, UsageError
 
 Words = NDArray[np.uint16]

@@ -1,4 +1,4 @@
-"""What all bridges on the host need: a clock, the pace of frames, options of URLs, words for failures."""
+"""What all bridges on the host need: a clock, the pace of frames, options of URLs, udev rules, messages."""
 
 from __future__ import annotations
 
@@ -6,13 +6,36 @@ import contextlib
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Protocol
 
 from adis_gonio.base.errors import CannotOpenError, UsageError
 from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiBus, SpiTiming
 from adis_gonio.device.bus.opening import BusUrl, Device
-from adis_gonio.device.bus.udev import udev_rule
+
+RULES_FILE = "70-adis-gonio.rules"
+"""Name of the rules, here and in /etc/udev/rules.d; below 73, where uaccess tags are acted upon."""
+
+
+def udev_rules() -> str:
+    """The rules file as text."""
+    return files("adis_gonio.device.bus").joinpath(RULES_FILE).read_text(encoding="utf-8")
+
+
+def udev_rule(words: str) -> str:
+    """First rule that holds every one of some words, such as `hidraw 04d8`.
+
+    Raises
+    ------
+    LookupError
+        No rule does.
+    """
+    for line in udev_rules().splitlines():
+        if not line.startswith("#") and line and all(word in line for word in words.split()):
+            return line
+    raise LookupError(f"no udev rule holds '{words}'")
+
 
 SAFE_TIMING = SpiTiming(clock_hz=250e3, stall_us=75.0, period_us=160.0)
 """Slow enough for both of the chip's modes; every bus starts with it."""

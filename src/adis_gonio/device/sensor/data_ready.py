@@ -21,8 +21,7 @@ import numpy as np
 
 from adis_gonio.base.errors import AdisGonioError, ChipError, VerifyError
 from adis_gonio.device.bus import Capability, SpiBus
-from adis_gonio.device.sensor.frames import read_frames, write_frames
-from adis_gonio.device.sensor.registers import BY_NAME, ND, Register
+from adis_gonio.device.sensor.registers import BY_NAME, ND, Register, read_frames, write_frames
 
 if TYPE_CHECKING:
     from adis_gonio.device.sensor.driver import Adis16354

@@ -7,18 +7,21 @@ Rules that it keeps
     * The bus's clock follows SMPL_PRD, and is slow whenever the mode is not known.
     * After a reset, restore, self-test or flash update nothing is sent until the part has recovered.
     * Nothing is taken for data that does not say so: silence, a wrong variant and STATUS are errors.
+
+Registers are put back and verified, also after an error or an interruption.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing
 from adis_gonio.base.errors import (
+    AdisGonioError,
     ChipError,
     SilentChipError,
     StatusError,
@@ -37,17 +40,21 @@ from adis_gonio.device.sensor.data_ready import (
     refusal,
 )
 from adis_gonio.device.sensor.decoding import ScanBlock, join, scales
-from adis_gonio.device.sensor.frames import IDLE, NORMAL, read_frames, timing_for, write_frames
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
     ACCEL_OUT,
     BY_NAME,
     GYRO_OFF,
     GYRO_OUT,
+    IDLE,
+    NORMAL,
     REGISTERS,
     Register,
+    read_frames,
     register,
     registers,
+    timing_for,
+    write_frames,
 )
 from adis_gonio.device.sensor.scanning import (
     LONGEST_EXCHANGE_S,
@@ -747,3 +754,77 @@ class Adis16354(Closing):
             f" ({norm_lsb:.0f} LSB, no known variant): keep the part still while opening, or open it"
             " without the check"
         )
+
+
+_TRIES = 4
+"""The operator's Ctrl-C or a bus that fails once must not keep a register from going back."""
+
+
+class Undo:
+    """Notes registers; `put_back` restores what differs and reads it back.
+
+    Parameters
+    ----------
+    sensor : Adis16354
+        Open.
+    rows : sequence of Register
+        Writable registers.
+    before : mapping of str to int or None
+        Words by name to go back to; None notes those that are there now.
+
+    Attributes
+    ----------
+    before : dict of str to int
+        Words, as far as a write can change them.
+    left : tuple of str
+        Registers that `put_back` could not restore.
+    """
+
+    def __init__(
+        self, sensor: Adis16354, rows: Sequence[Register], before: Mapping[str, int] | None = None
+    ) -> None:
+        self._sensor = sensor
+        self.rows = tuple(rows)
+        self.before = (
+            self._read() if before is None else {r.name: before[r.name] & r.write_mask for r in rows}
+        )
+        self.left: tuple[str, ...] = ()
+
+    def put_back(self) -> None:
+        """Restore every register that is not as it was noted; `left` names those that could not be.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            The operator interrupted it; raised when it is done.
+        """
+        interrupted = False
+        self.left = tuple(row.name for row in self.rows)
+        for _ in range(_TRIES):
+            try:
+                self.left = tuple(row.name for row in self._restore())
+                if not self.left:
+                    break
+            except KeyboardInterrupt:
+                interrupted = True
+            except AdisGonioError:
+                continue
+        if interrupted:
+            raise KeyboardInterrupt
+
+    def _restore(self) -> list[Register]:
+        """One try; rows that still differ."""
+        bus = self._sensor.bus
+        bus.configure(NORMAL)  # keeps the limits of both modes
+        now = self._read()
+        for row in self.rows:
+            if now[row.name] != self.before[row.name]:
+                bus.exchange_array(write_frames(row, self.before[row.name]))
+        now = self._read()
+        left = [row for row in self.rows if now[row.name] != self.before[row.name]]
+        self._sensor._follow()
+        return left
+
+    def _read(self) -> dict[str, int]:
+        words = self._sensor.read_words(self.rows)
+        return {row.name: word & row.write_mask for row, word in zip(self.rows, words, strict=True)}

@@ -26,13 +26,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base import Closing
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import AdisGonioError, ChipError, ProtocolError, SilentChipError
 from adis_gonio.device.bus import FrameStream, SpiBus, Words
 from adis_gonio.device.sensor.decoding import ScanBlock
-from adis_gonio.device.sensor.frames import IDLE, read_frames
-from adis_gonio.device.sensor.registers import ND, Register
+from adis_gonio.device.sensor.registers import IDLE, ND, Register, read_frames
 
 SILENT_PERIODS = 20
 """Updates in a row that may fail to appear before the chip is called silent."""

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import click
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.base.version import __version__
 from adis_gonio.faces.cli.characters import make_readable, message_line
 from adis_gonio.faces.cli.interrupt import Insistent
 from adis_gonio.faces.cli.lazy import LazyGroup

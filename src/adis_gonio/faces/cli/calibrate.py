@@ -275,7 +275,7 @@ def _runner(
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
     from adis_gonio.faces.cli.plain import on_terminal
-    from adis_gonio.model.gravity import normal_gravity_mps2
+    from adis_gonio.model.records import normal_gravity_mps2
     from adis_gonio.record.plans import GYRO_TURNS
 
     if resume:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from adis_gonio.device.bus import find_devices
-from adis_gonio.device.bus.udev import udev_rules
+from adis_gonio.device.bus.host import udev_rules
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json, table_of
 

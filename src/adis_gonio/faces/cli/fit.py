@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from adis_gonio.base.values import Value
+    from adis_gonio.base.uncertainty import Value
     from adis_gonio.fitting import FitResult
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.fitting.monte_carlo import MonteCarlo

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.model.records import ACCEL_UNITS, SENSORS
+from adis_gonio.model.records import ACCEL_UNITS, SENSORS, checked_gravity_mps2
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session

@@ -13,7 +13,7 @@ from adis_gonio.faces.cli.show import check_page, working, write_page
 
 if TYPE_CHECKING:
     from adis_gonio.model import Session
-    from adis_gonio.page.parts import Section
+    from adis_gonio.page.document import Section
     from adis_gonio.record.overrides import Overrides
     from adis_gonio.tracing import TraceResult
 
@@ -78,7 +78,7 @@ def _twin(session: Session, traced: TraceResult) -> list[Section]:
     """The twin's section, where the session can have one."""
     from adis_gonio.base.errors import AdisGonioError
     from adis_gonio.handover.report.twin import twin_section
-    from adis_gonio.page.parts import Section
+    from adis_gonio.page.document import Section
 
     try:
         section = twin_section(session, traced)

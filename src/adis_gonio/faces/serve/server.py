@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import CannotOpenError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.version import __version__
 from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354
 from adis_gonio.faces.serve.client import ClientSession
 from adis_gonio.faces.serve.device import ServedDevice

@@ -12,9 +12,7 @@ from scipy import stats
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.intervals import NORMAL_95
-from adis_gonio.base.levels import INADEQUATE, SLOW_NOISE
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import INADEQUATE, NORMAL_95, SLOW_NOISE, Value
 from adis_gonio.device.sensor.bartlett import (
     filter_response,
     filter_weights,

@@ -16,8 +16,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import NORMAL_95
-from adis_gonio.base.levels import SLOW_NOISE
+from adis_gonio.base.uncertainty import NORMAL_95, SLOW_NOISE
 from adis_gonio.fitting.allan.ordinates import Ordinates
 
 _POWER_90 = 1.2815515655446004

@@ -11,7 +11,7 @@ from scipy import fft, signal
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.levels import LINE_IN_NOISE
+from adis_gonio.base.uncertainty import LINE_IN_NOISE
 
 MOST = 12
 _LOWEST = 24

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.values import Value, finite_or_none
+from adis_gonio.base.uncertainty import Value, finite_or_none
 from adis_gonio.fitting.allan.deviation import AllanCurve
 from adis_gonio.fitting.allan.likelihood import Profile
 from adis_gonio.fitting.allan.lines import SpectralLine

@@ -5,8 +5,8 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 
-from adis_gonio.base.levels import INADEQUATE, SLOW_NOISE
 from adis_gonio.base.numbers import counted, format_number, format_unit
+from adis_gonio.base.uncertainty import INADEQUATE, SLOW_NOISE
 from adis_gonio.fitting.allan.result import AllanResult, AxisNoise, NoiseParameter
 
 PARTS = {"gyro": "gyros", "accelerometer": "accelerometers"}

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import COMMON_DIVISOR
+from adis_gonio.base.uncertainty import COMMON_DIVISOR
 from adis_gonio.model.records import Dwell
 
 _PILE, _STEEP = 20, 5

@@ -10,7 +10,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.numbers import counted
 from adis_gonio.fitting.free_turn.windows import TurnRecording, Windows
-from adis_gonio.model.sweeps import Sweeps
+from adis_gonio.model.records import Sweeps
 
 LEAST_S = 10.0
 """A recording shorter than this holds no slow turn."""

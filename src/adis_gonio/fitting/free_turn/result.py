@@ -10,8 +10,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import DataError, FitError
-from adis_gonio.base.intervals import effective_dof, factor_over
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value, effective_dof, factor_over
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.shown import gradient_of_base
 from adis_gonio.fitting.free_turn import checks

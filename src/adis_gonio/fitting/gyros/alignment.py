@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, central_differences
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.model.measurement import SKEW_AXES
 
 AXES = "xyz"

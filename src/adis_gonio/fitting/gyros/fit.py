@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.levels import INADEQUATE
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import Entries, ParameterTable
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy
 from adis_gonio.fitting.estimation.parts import GYRO, readings_of_part
 from adis_gonio.fitting.estimation.readings import Readings

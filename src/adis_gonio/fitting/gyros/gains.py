@@ -11,7 +11,7 @@ from typing import Any
 
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.numbers import counted, format_uncertain
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.parts import GYRO, readings_of_part
 from adis_gonio.fitting.gyros.fit import GyroFit, fit_gyro_readings
 from adis_gonio.model.records import Session

@@ -41,8 +41,7 @@ from adis_gonio.fitting.gyros.reference import (
     whole_turns,
 )
 from adis_gonio.fitting.gyros.triad import Triad, triad_of
-from adis_gonio.model.records import Dwell, Session
-from adis_gonio.model.turns import Turn
+from adis_gonio.model.records import Dwell, Session, Turn
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration

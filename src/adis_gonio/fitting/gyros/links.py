@@ -30,8 +30,7 @@ from adis_gonio.fitting.gyros.attitude import AssumedGyros, Attitude, attitude
 from adis_gonio.fitting.gyros.integral import Integral, Path, Sampling, integrate, smooth
 from adis_gonio.fitting.gyros.intervals import GyroDwells, gyro_dwells_of, path_between
 from adis_gonio.fitting.gyros.prior import GyroPrior
-from adis_gonio.model.records import Session
-from adis_gonio.model.turns import Turn
+from adis_gonio.model.records import Session, Turn
 
 EARTH_DPS = 360.0 / 86164.0
 """Rate of the earth."""

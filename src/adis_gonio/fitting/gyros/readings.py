@@ -18,7 +18,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.estimation.readings import Readings, Unit
 from adis_gonio.fitting.gyros.intervals import RateIntervals, rate_intervals
 from adis_gonio.model.effects import AXES, Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
-from adis_gonio.base.levels import CREDIBLE_SET
+from adis_gonio.base.uncertainty import CREDIBLE_SET
 from adis_gonio.fitting.slips.angles import Angles
 from adis_gonio.fitting.slips.evidence import Beside, ScatterPoint, Weighed, Whitened, scatters, weigh
 from adis_gonio.fitting.slips.faults import ACCUSED, Name, Pattern, patterns_of

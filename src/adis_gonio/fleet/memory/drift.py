@@ -14,7 +14,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 
 YEAR_DAYS = 365.25
 LEAST = 3

@@ -13,8 +13,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import JsonRecord, json_object
-from adis_gonio.base.levels import DRIFTING
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import DRIFTING, Value
 from adis_gonio.fleet.memory.control_chart import CUSUM_H, CUSUM_K, ControlChart, control_chart
 from adis_gonio.fleet.memory.drift import Drift, drift_of
 from adis_gonio.fleet.record import ANGLE, QUANTITIES, SessionRecord

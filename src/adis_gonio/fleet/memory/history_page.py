@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from adis_gonio.base import __version__
 from adis_gonio.base.numbers import label_quantity
-from adis_gonio.base.version import __version__
 from adis_gonio.fleet.memory import words
 from adis_gonio.fleet.memory.history import History, Track
-from adis_gonio.page.parts import Figure, Section, Table
-from adis_gonio.page.render import render
+from adis_gonio.page.document import Figure, Section, Table, render
 from adis_gonio.page.svg import Series, plot
 
 

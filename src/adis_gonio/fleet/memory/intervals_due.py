@@ -16,9 +16,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.intervals import coverage_factor
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.base.numbers import counted
+from adis_gonio.base.uncertainty import coverage_factor
 from adis_gonio.fleet.memory.as_found import PARAMETERS, worst_deg
 from adis_gonio.fleet.memory.drift import LEAST, YEAR_DAYS
 from adis_gonio.fleet.memory.history import History, date_of

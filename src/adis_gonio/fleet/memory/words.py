@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adis_gonio.base.levels import DRIFTING
 from adis_gonio.base.numbers import (
     DASH,
     NAMES,
@@ -17,7 +16,7 @@ from adis_gonio.base.numbers import (
     label_quantity,
     use_minus,
 )
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import DRIFTING, Value
 from adis_gonio.fleet.memory.history import History, Track, date_of
 from adis_gonio.fleet.record import SessionRecord
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fleet.population.mixture import MOST_OF_KNOWN, Group, log_factor, log_sum, mixed
 from adis_gonio.fleet.population.selection import ChosenCause, Population, group_at, parameters_of
 

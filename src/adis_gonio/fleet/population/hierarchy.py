@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.levels import POPULATION_SET
+from adis_gonio.base.uncertainty import POPULATION_SET
 from adis_gonio.fleet.population.candidates import candidates_of
 from adis_gonio.fleet.population.distribution import means_of, share_of
 from adis_gonio.fleet.population.evidence import SessionEvidence

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 
 
 @dataclass(frozen=True)

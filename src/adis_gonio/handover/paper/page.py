@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from adis_gonio.base import __version__
 from adis_gonio.base.numbers import (
     DASH,
     NO_BREAK,
@@ -12,15 +13,13 @@ from adis_gonio.base.numbers import (
     format_number,
     with_unit,
 )
-from adis_gonio.base.version import __version__
 from adis_gonio.handover.paper.ambiguities import Ambiguity, LabelledValue
 from adis_gonio.handover.paper.comparison import COLUMNS, Cell, MethodSpread, printed_verdicts
 from adis_gonio.handover.paper.crossing import BIASES_MG, FIXTURES_DEG, NOISES_MG, Point
 from adis_gonio.handover.paper.sessions import DWELL_S, METHODS, TRACED
 from adis_gonio.handover.paper.study import Study
 from adis_gonio.handover.paper.truth import RMSD, TABLE
-from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
-from adis_gonio.page.render import render
+from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
 from adis_gonio.page.svg import Series, plot
 
 NAMES = {

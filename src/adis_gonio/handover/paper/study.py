@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base import __version__
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.version import __version__
 from adis_gonio.handover.paper.ambiguities import Ambiguity, ambiguities, load_parts
 from adis_gonio.handover.paper.comparison import (
     BiasError,

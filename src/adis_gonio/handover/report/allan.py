@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import format_number, format_unit
-from adis_gonio.base.version import __version__
 from adis_gonio.fitting.allan import AllanResult, AxisNoise, fit_allan
 from adis_gonio.fitting.allan import words as said
 from adis_gonio.model.records import Session
-from adis_gonio.page.parts import Figure, Section, Table
-from adis_gonio.page.render import render
+from adis_gonio.page.document import Figure, Section, Table, render
 from adis_gonio.page.svg import ROLES, Series, plot
 
 LONG_S = 30.0

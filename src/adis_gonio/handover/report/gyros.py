@@ -6,13 +6,13 @@ import numpy as np
 
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.numbers import format_fixed, format_number, format_uncertain, format_unit, join_words
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.gyros.fit import GyroFit, fit_gyro
 from adis_gonio.fitting.gyros.gains import gains_in
 from adis_gonio.handover.offsets import gyro_offset_words
 from adis_gonio.model.records import Session
-from adis_gonio.page.parts import Figure, Section, Table
+from adis_gonio.page.document import Figure, Section, Table
 from adis_gonio.page.svg import Role, Series, plot
 from adis_gonio.tracing.calibrations import gyros_as_recorded
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from adis_gonio.base.version import __version__
+from adis_gonio.base import __version__
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.handover.report import sections as make
 from adis_gonio.handover.report.positions import positions
 from adis_gonio.model.records import Session
-from adis_gonio.page.parts import Section
-from adis_gonio.page.render import render
+from adis_gonio.page.document import Section, render
 from adis_gonio.tracing import summary as words
 from adis_gonio.tracing.answer import answer_with_trace
 from adis_gonio.tracing.outcome.figures import Views

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from adis_gonio.base.numbers import DASH, format_percent, format_uncertain, use_minus
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.finding import Angle
-from adis_gonio.page.parts import Section, Table
+from adis_gonio.page.document import Section, Table
 
 _HEAD = ("position", "declared", "by gravity", "by the gyro", "found", "how sure")
 

@@ -33,7 +33,7 @@ from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.tables import freedom, share
 from adis_gonio.model.records import Session
-from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
+from adis_gonio.page.document import Figure, KeyFigure, Section, Table
 from adis_gonio.page.svg import Role, Series, Style, plot
 from adis_gonio.tracing import summary as words
 from adis_gonio.tracing.outcome.figures import Panel, Views

@@ -7,7 +7,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.handover.twin import TwinComparison, compare, simulate_like
 from adis_gonio.model.records import Session
-from adis_gonio.page.parts import Figure, Section, Table
+from adis_gonio.page.document import Figure, Section, Table
 from adis_gonio.page.svg import Role, Series, plot
 from adis_gonio.tracing import TraceResult
 

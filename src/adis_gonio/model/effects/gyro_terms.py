@@ -14,10 +14,17 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.model.effects.base import AXES, CYCLE, Conditions, Parameter
-from adis_gonio.model.effects.dwell_terms import OutlierDwell
-from adis_gonio.model.effects.environment import REFERENCE_C, BiasTemperature, SupplyBias, WarmUp
-from adis_gonio.model.effects.families import AxisEffect, LinearAxisEffect, by_letters
+from adis_gonio.model.effects.base import (
+    AXES,
+    CYCLE,
+    AxisEffect,
+    Conditions,
+    LinearAxisEffect,
+    Parameter,
+    by_letters,
+)
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, BiasTemperature, SupplyBias, WarmUp
+from adis_gonio.model.effects.stage_terms import OutlierDwell
 
 GYRO = ("gyro",)
 _OTHER_ORDER = "repeat the first poses last, or all in another order: a drift goes on, a force comes back"

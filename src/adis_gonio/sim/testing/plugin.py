@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from adis_gonio.sim.testing.board import SimulatedBoard
-    from adis_gonio.sim.testing.simulated import SimulatedSensor
+    from adis_gonio.sim.testing.doubles import SimulatedBoard, SimulatedSensor
 
 MARK = "adis_gonio"
 OPTIONS = {
@@ -41,7 +40,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def simulated_sensor(request: pytest.FixtureRequest) -> Iterator[SimulatedSensor]:
     """An open driver over a simulated chip, with `stage`, `world`, `truth()` and `faulty`; virtual time."""
-    from adis_gonio.sim.testing.simulated import open_simulated
+    from adis_gonio.sim.testing.doubles import open_simulated
 
     with _made(open_simulated, request, ("url", "check", "bus_faults")) as sensor:
         yield sensor
@@ -50,7 +49,7 @@ def simulated_sensor(request: pytest.FixtureRequest) -> Iterator[SimulatedSensor
 @pytest.fixture
 def simulated_board(request: pytest.FixtureRequest) -> Iterator[SimulatedBoard]:
     """A board with the project's firmware behind a serial port, `path` or `host` and `port`; real time."""
-    from adis_gonio.sim.testing.board import open_board
+    from adis_gonio.sim.testing.doubles import open_board
 
     with _made(open_board, request, ("url", "line_faults", "transport", "boot_s")) as board:
         yield board

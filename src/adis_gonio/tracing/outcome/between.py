@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import COVERED, NORMAL_95
+from adis_gonio.base.uncertainty import COVERED, NORMAL_95
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.tracing.selection.design import LinearProblem, amplitudes
 from adis_gonio.tracing.selection.posterior import posterior

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.model.effects.stage import StagePeriodic, alike
+from adis_gonio.model.effects.stage_terms import StagePeriodic, alike
 from adis_gonio.tracing.selection.design import span
 from adis_gonio.tracing.selection.select import Selection
 from adis_gonio.tracing.thresholds import limits

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.base.values import Detectable
+from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import catalogue
 from adis_gonio.tracing.selection.design import LinearProblem, span

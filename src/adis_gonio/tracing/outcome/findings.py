@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from adis_gonio.base.intervals import NORMAL_95
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import NORMAL_95, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Unit
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.base.values import Detectable
+from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.tracing.within.courses import courses
 from adis_gonio.tracing.within.density import density_of
 from adis_gonio.tracing.within.events import events

@@ -18,9 +18,8 @@ import math
 import numpy as np
 from scipy import optimize, stats
 
-from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, left_by_quantization
 from adis_gonio.model.records import Session

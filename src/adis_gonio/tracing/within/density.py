@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize, signal, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
+from adis_gonio.base.uncertainty import FOUND_WITHIN
 from adis_gonio.tracing.within.finding import corrected
 from adis_gonio.tracing.within.samples import Samples
 

@@ -19,9 +19,8 @@ import numpy as np
 from scipy import stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
 from adis_gonio.fitting.estimation.robust import MAD_TO_SD
 from adis_gonio.tracing.within.finding import (
     Place,

@@ -8,7 +8,7 @@ from typing import Literal
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import name_positions
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 
 Kind = Literal[
     "drift", "settling", "step", "disturbance", "tone", "spikes", "stuck", "noise_change", "limit", "coarse"

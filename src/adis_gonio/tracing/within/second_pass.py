@@ -26,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from adis_gonio.base.levels import FOUND_WITHIN
+from adis_gonio.base.uncertainty import FOUND_WITHIN
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session

@@ -12,8 +12,7 @@ import numpy as np
 from scipy import optimize, special, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
-from adis_gonio.base.values import Detectable
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Detectable
 from adis_gonio.tracing.within.courses import LEAST_DWELLS, LEAST_SAMPLES, grid, projections
 from adis_gonio.tracing.within.density import TAPER_LOSS, Density
 from adis_gonio.tracing.within.finding import SEARCHES

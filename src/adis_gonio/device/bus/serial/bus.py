@@ -1,4 +1,12 @@
-"""A board with the project's firmware as a bus; the firmware makes the timing and the streams.
+"""The firmware's clock on the host's: wraps undone, offset and rate followed.
+
+A packet cannot arrive before it was sent, so the earliest arrivals of a while lie on the true line; a
+straight line through them gives offset and rate (a ceramic resonator is off by up to 0.5 %). Times that
+were handed out stay: the map is bent towards the line, never torn.
+
+A stream of the firmware: packets of scans to blocks, with what was lost counted.
+
+A board with the project's firmware as a bus; the firmware makes the timing and the streams.
 
 Batches longer than the firmware takes go in several requests; it keeps stall and period across them.
 """
@@ -7,17 +15,258 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.base.errors import BusError, BusTimeoutError, ProtocolError, UsageError
-from adis_gonio.device.bus.contract import RESERVED_BIT, Capability, FrameStream, SpiTiming, Words
+from adis_gonio.device.bus.contract import (
+    RESERVED_BIT,
+    Capability,
+    FrameBlock,
+    FrameStream,
+    SpiTiming,
+    Words,
+)
 from adis_gonio.device.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock, HostBus
-from adis_gonio.device.bus.serial.clocks import ClockMap
 from adis_gonio.device.bus.serial.link import B, Port, RefusedError, SerialLink
-from adis_gonio.device.bus.serial.stream import SerialStream
 from adis_gonio.device.bus.wire import Body, Packet
 from adis_gonio.device.bus.wire import protocol as wire
+
+_WRAP_US = 1 << 32
+_WHILE_S = 1.0
+"""Arrivals of so long give one point, the earliest."""
+_POINTS = 32
+_LEAST_POINTS = 4
+_STEEPEST = 0.02
+"""Most that the map's rate is off 1; resonators are four times better."""
+
+
+class ClockMap:
+    """Map from the firmware's µs (u32) to the bus's clock.
+
+    Parameters
+    ----------
+    now_us : int
+        Firmware's clock in a reply.
+    arrival_s : float
+        When that reply came in.
+    """
+
+    def __init__(self, now_us: int, arrival_s: float) -> None:
+        self._us = now_us
+        self._s = 0.0
+        self._anchor = (0.0, arrival_s)
+        self._points: list[tuple[float, float]] = []
+        self._fitted: tuple[float, float, float] | None = None
+
+    def times(self, first_us: int, span_us: int, count: int, arrival_s: float) -> NDArray[np.float64]:
+        """Times (count,) of evenly spaced scans on the bus's clock.
+
+        Parameters
+        ----------
+        first_us, span_us : int
+            Time of the first scan, and from there to the last.
+        arrival_s : float
+            When the packet came in.
+        """
+        first_s = self._unwrap(first_us)
+        end_s = first_s + span_us * 1e-6
+        self._learn(end_s, arrival_s)
+        at_s, at_host_s = self._anchor
+        if end_s <= at_s:
+            rate = 1.0
+        else:
+            rate = (self._line(end_s) - at_host_s) / (end_s - at_s)
+            rate = min(max(rate, 1 - _STEEPEST), 1 + _STEEPEST)
+            self._anchor = (end_s, at_host_s + rate * (end_s - at_s))
+        return at_host_s + rate * (np.linspace(first_s, end_s, count) - at_s)
+
+    def _unwrap(self, us: int) -> float:
+        """Seconds since the start for a time that is at most half a wrap away from the last one."""
+        step = (us - self._us + _WRAP_US // 2) % _WRAP_US - _WRAP_US // 2
+        self._us = us
+        self._s += step * 1e-6
+        return self._s
+
+    def _learn(self, time_s: float, arrival_s: float) -> None:
+        late_s = arrival_s - time_s
+        points = self._points
+        if points and time_s - points[-1][0] < _WHILE_S:
+            points[-1] = (points[-1][0], min(points[-1][1], late_s))
+        else:
+            if len(points) >= _LEAST_POINTS:
+                self._fit()
+            points.append((time_s, late_s))
+            del points[:-_POINTS]
+
+    def _fit(self) -> None:
+        """Straight line through the points, all of which are complete now."""
+        at, late = np.array(self._points).T
+        middle = float(at.mean())
+        slope = float((at - middle) @ late / ((at - middle) @ (at - middle)))
+        self._fitted = (middle, float(late.mean()), slope)
+
+    def _line(self, time_s: float) -> float:
+        if self._fitted is None:
+            return time_s + min(late for _, late in self._points)
+        middle, offset, slope = self._fitted
+        return time_s + offset + slope * (time_s - middle)
+
+
+SILENCE_S = 3.0
+"""Without an edge for so long the chip is not sampling: its slowest rate has one every 2.42 s."""
+_POLL_S = 0.5
+_PACKETS_MISSED = 4
+"""Packets that the edges counted should have filled; where none of so many arrives the line is no good."""
+_AROUND = wire.HEADER_SIZE + wire.CRC_SIZE + 2
+"""Bytes on the line beside a packet's body: header, CRC, COBS, delimiter."""
+
+
+class StreamOwner(Protocol):
+    """What a stream needs of its bus."""
+
+    url: str
+
+    def next_scans(self, wait_s: float) -> tuple[Packet, float] | None:
+        """Next packet of scans and its arrival; None where none came in time."""
+
+    def count_edges(self) -> int:
+        """Data-ready edges that the firmware has counted (u32)."""
+
+    def now_s(self) -> float:
+        """The bus's clock."""
+
+
+class SerialStream(FrameStream):
+    """Blocks of a running firmware stream.
+
+    Parameters
+    ----------
+    owner : StreamOwner
+        The bus.
+    stream_id : int
+        Id of the request that started it; packets of other streams are thrown away.
+    width : int
+        Frames in the list.
+    packet_scans : int
+        Scans in a full packet.
+    block_scans : int
+        Scans that a block has at least, unless the stream is slow.
+    clock : ClockMap
+        For times.
+    byte_s : float
+        Time of a byte on the line.
+    stop : callable
+        Ends the stream and frees the bus.
+    """
+
+    def __init__(
+        self,
+        owner: StreamOwner,
+        *,
+        stream_id: int,
+        width: int,
+        packet_scans: int,
+        block_scans: int,
+        clock: ClockMap,
+        byte_s: float,
+        stop: Callable[[], None],
+    ) -> None:
+        self._owner = owner
+        self._id = stream_id
+        self._width = width
+        self._packet_scans = packet_scans
+        self._block = block_scans
+        self._clock = clock
+        self._byte_s = byte_s
+        self._stop = stop
+        self._open = True
+        self._next_sequence = 0
+        self._lost = 0
+
+    def __next__(self) -> FrameBlock:
+        """Next block.
+
+        Raises
+        ------
+        BusTimeoutError
+            No data-ready edges, the firmware is silent, or no packet comes through whole.
+        CannotOpenError
+            The board was unplugged.
+        """
+        parts: list[FrameBlock] = []
+        have = 0
+        while have < self._block:
+            if not self._open:
+                if parts:
+                    break
+                raise StopIteration
+            part = self._part()
+            if part is not None:
+                parts.append(part)
+                have += len(part.time_s)
+        return FrameBlock(
+            np.concatenate([part.words for part in parts]),
+            np.concatenate([part.time_s for part in parts]),
+            sum(part.lost for part in parts),
+        )
+
+    def close(self) -> None:
+        """Stop; the bus is free again."""
+        if self._open:
+            self._open = False
+            self._stop()
+
+    def _part(self) -> FrameBlock | None:
+        """Scans of the next packet that belongs here and is sound."""
+        packet, arrival_s = self._packet()
+        if packet.id != self._id:
+            return None
+        try:
+            scans = wire.Scans.unpack(packet.body)
+        except ProtocolError:
+            return None
+        count, rest = divmod(len(scans.words), self._width)
+        if not count or rest:
+            return None
+        missed = (scans.sequence - self._next_sequence) & 0xFFFF_FFFF
+        if missed > 0x8000_0000:
+            return None  # a packet from before: a repetition on the line
+        lost = missed + ((scans.lost - self._lost) & 0xFFFF)
+        self._next_sequence = (scans.sequence + count) & 0xFFFF_FFFF
+        self._lost = scans.lost
+        left_s = arrival_s - (len(packet.body) + _AROUND) * self._byte_s
+        times = self._clock.times(scans.first_us, scans.span_us, count, left_s)
+        return FrameBlock(scans.words.reshape(count, self._width), times, lost)
+
+    def _packet(self) -> tuple[Packet, float]:
+        """Next packet of scans; asks the firmware for its edges while none comes."""
+        owner = self._owner
+        first: int | None = None
+        edges: int | None = None
+        begin_s = since_s = owner.now_s()
+        while True:
+            found = owner.next_scans(_POLL_S)
+            if found is not None:
+                return found
+            now_edges = owner.count_edges()
+            first = now_edges if first is None else first
+            unheard = (now_edges - first) & 0xFFFF_FFFF
+            if unheard > _PACKETS_MISSED * self._packet_scans and owner.now_s() - begin_s > SILENCE_S:
+                raise BusTimeoutError(
+                    f"{owner.url}: {unheard} data-ready edges, but no packet of scans came through whole in"
+                    f" {owner.now_s() - begin_s:.1f} s: check the cable and the baud rate"
+                )
+            if now_edges != edges:
+                edges, since_s = now_edges, owner.now_s()
+            elif owner.now_s() - since_s > SILENCE_S:
+                raise BusTimeoutError(
+                    f"{owner.url}: no data-ready edge in {SILENCE_S:g} s: enable the line in MSC_CTRL[2],"
+                    " and check the wire from the chip's DIO1 to the board"
+                )
+
 
 BOOT_S = 3.0
 """How long a hello is repeated after opening: many boards reset then, and their boot loader waits."""

@@ -1,15 +1,106 @@
-"""Sections into one self-contained HTML document."""
+"""Sections, tables and figures, and the self-contained HTML document that holds them."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from adis_gonio.base.numbers import NO_BREAK
-from adis_gonio.page.parts import Section
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A plot with its caption.
+
+    Attributes
+    ----------
+    svg : str
+        Result of `adis_gonio.page.svg.plot`; put into the page as it is.
+    caption : str
+        Plain text.
+    """
+
+    svg: str
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class KeyFigure:
+    """A number that is read from across the bench, with its name above it.
+
+    Attributes
+    ----------
+    name, value : str
+        Such as `ΔK` and `0.0108 ± 0.0004`.
+    note : str
+        One line below it, in small print.
+    """
+
+    name: str
+    value: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of texts; columns named in `numeric` are set to the right.
+
+    Its first column names the rows. Two columns without a head are a list of names and their texts.
+
+    Attributes
+    ----------
+    head : sequence of str
+    rows : sequence of sequence of str
+        As many cells as `head` has.
+    caption : str
+    numeric : collection of int
+        Columns of numbers.
+    strong : collection of int
+        Rows to emphasise.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+    numeric: tuple[int, ...] = ()
+    strong: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section; its parts stand in the order key figures, words, list, figures, tables, notes.
+
+    Attributes
+    ----------
+    title : str
+    words : sequence of str
+        Paragraphs of plain text.
+    points : sequence of str
+        Items of a list.
+    figures : sequence of Figure
+        Side by side where there is room.
+    tables : sequence of Table
+    notes : sequence of str
+        Small print.
+    """
+
+    title: str
+    words: Sequence[str] = ()
+    points: Sequence[str] = ()
+    figures: Sequence[Figure] = ()
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()
+    parts: Sequence[Section] = ()
+    """Subsections."""
+    key: Sequence[KeyFigure] = ()
+    """The answer, in large numerals."""
+    folded: bool = False
+    """Closed on a screen until it is opened; on paper always open."""
+
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 """Characters of control that have no place in a page: C0, C1, and those that turn the sense of writing."""
