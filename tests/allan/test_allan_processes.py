@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import fft, integrate, optimize, stats
 
-from adis_gonio.device.sensor.bartlett import filter_weights
+from adis_gonio.device.sensor.settings import filter_weights
 from adis_gonio.fitting.allan.likelihood import Likelihood, profile
 from adis_gonio.fitting.allan.ordinates import ordinates
 from adis_gonio.fitting.allan.processes import KINDS, line, variances, variograms

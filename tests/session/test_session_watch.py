@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import SessionError
-from adis_gonio.device.sensor.bartlett import white_noise_gain
-from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.record.stillness import StillnessLimits
 from adis_gonio.record.watch import NoiseMeter, StillnessWatch, window_samples
 

@@ -17,9 +17,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import BusError, ChipError, UsageError
-from adis_gonio.device.sensor.bartlett import white_noise_gain
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT
-from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.live.smoothed import Smoothed, SmoothedMeter, sensing_of
 from adis_gonio.record.blocks import Block, session_columns
 from adis_gonio.record.settings import Settings

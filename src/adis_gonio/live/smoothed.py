@@ -14,8 +14,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.sensor.bartlett import white_noise_gain
-from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.live.smoothing import LAG_S, AngleSmoother, GyroKnowledge, Sensing, SmoothedAngle
 from adis_gonio.live.smoothing.motion import BEND

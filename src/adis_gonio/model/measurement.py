@@ -15,7 +15,7 @@ U_y = K_y G sin(ψ + Δφ) + b_y: Δφ *is* skew_xy, and K_x = K_y (1 + ΔK). A 
 seen by gravity alone, which is why D has three angles and not six.
 
 A `Measurement` is this with what is unknown of each dwell (its *attitude*), as an object: `PlanarTurn` and
-`FreeAttitude` here, the gyros' `MeanRate` in `model.rates`, and whatever else gives readings as another
+`FreeAttitude` here, the gyros' `MeanRate`, and whatever else gives readings as another
 subclass. What fit and trace have to know of a kind of readings is a fact of its object: its unit, how large
 it can be, what drives it. Angles are radians inside; `BaseParameter.unit` is what a result is stated in.
 

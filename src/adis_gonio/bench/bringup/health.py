@@ -6,11 +6,10 @@ import numpy as np
 
 from adis_gonio.bench.bringup.bench import BringupBench, BringupStep, Floats
 from adis_gonio.bench.bringup.result import Findings, StepResult
-from adis_gonio.device.sensor.bartlett import white_noise_gain
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.driver import PLAUSIBLE
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, TEMP_OUT, registers
-from adis_gonio.device.sensor.settings import Status
+from adis_gonio.device.sensor.settings import Status, white_noise_gain
 from adis_gonio.device.sensor.variants import VARIANTS, Variant
 
 SUPPLY_V = (4.75, 5.25)

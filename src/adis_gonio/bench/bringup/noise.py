@@ -17,15 +17,15 @@ from adis_gonio.bench.bringup.bench import (
     not_measured,
 )
 from adis_gonio.bench.bringup.result import Curve, Findings, Measured, Outcome, StepResult
-from adis_gonio.device.sensor.bartlett import (
+from adis_gonio.device.sensor.decoding import scales
+from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, registers
+from adis_gonio.device.sensor.settings import (
     filter_response,
     filter_weights,
     rounding_spectrum,
+    sens_avg_word,
     white_noise_gain,
 )
-from adis_gonio.device.sensor.decoding import scales
-from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, registers
-from adis_gonio.device.sensor.settings import sens_avg_word
 from adis_gonio.device.sensor.variants import Variant
 
 _SCANS = 4096

@@ -9,12 +9,11 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError, UsageError
 from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
-from adis_gonio.device.sensor.bartlett import white_noise_gain
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT, Kind
 from adis_gonio.device.sensor.scanning import ScanStream
-from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.device.sensor.variants import variant
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.settings import LEAST_SAMPLES

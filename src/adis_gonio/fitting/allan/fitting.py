@@ -13,7 +13,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.uncertainty import INADEQUATE, NORMAL_95, SLOW_NOISE, Value
-from adis_gonio.device.sensor.bartlett import (
+from adis_gonio.device.sensor.settings import (
     filter_response,
     filter_weights,
     rounding_covariance,

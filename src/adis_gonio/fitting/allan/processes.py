@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.device.sensor.bartlett import filter_response, filter_weights
+from adis_gonio.device.sensor.settings import filter_response, filter_weights
 
 Kind = Literal["quantization", "white", "flicker", "walk"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

@@ -1,6 +1,6 @@
 """Method `gyro`: zero rates, g-sensitivity, gains and directions of the gyros, by weighted least squares.
 
-The model is the gyros' base model (`model.rates`) with the effects of a physical calibration:
+The model is the gyros' base model (`MeanRate`) with the effects of a physical calibration:
 `g_sensitivity` where poses show it, `gyro_scale` and `gyro_misalignment` where turns do. Each gyro is
 determined by itself, since no parameter belongs to two. What the intervals do not determine is held at that
 of a perfect gyro, and said. Of gains and misalignments a result states K and D of rate = K D ω, however

@@ -10,8 +10,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-from adis_gonio.device.sensor.bartlett import filter_weights
-from adis_gonio.device.sensor.settings import sample_period_s, smpl_prd_for
+from adis_gonio.device.sensor.settings import filter_weights, sample_period_s, smpl_prd_for
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Unit
