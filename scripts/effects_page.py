@@ -52,7 +52,7 @@ STAGE_TURN = ("stage_eccentricity", "stage_ellipticity", "stage_periodic")
 PLUGIN = """\
 ## An effect of your own
 
-Subclass `adis_gonio.model.effects.Effect` (or one of the families in `families.py`), give it a `name`,
+Subclass `adis_gonio.model.effects.Effect` (or one of the families in `base.py`), give it a `name`,
 `cause`, `formula` and `separated_by`, and name it in your package's `pyproject.toml`; nothing else changes:
 
 ```toml
@@ -131,10 +131,8 @@ def section(kind: type[Effect]) -> list[str]:
 
 
 GROUPS = {
-    "sensor_terms": "Response of the sensor",
-    "environment": "Surroundings: temperature, supply, time, gravity",
-    "stage": "Stage, and how a position was reached",
-    "dwell_terms": "Within dwells, and single dwells",
+    "sensor_terms": "Sensor and its surroundings: response, temperature, supply, time, gravity",
+    "stage_terms": "Stage, approach of a position, single dwells and samples",
     "gyro_terms": "Gyros: what adds to a rate of turn ([gyros.md](gyros.md))",
 }
 
