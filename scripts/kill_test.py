@@ -71,7 +71,8 @@ def run_session(path: Path, plan_name: str, positions: int | None, dwell_s: floa
 def run_writer(path: Path, seed: int) -> None:
     """Write small dwells to an archive as fast as possible, so that most moments lie within a commit."""
     from adis_gonio.device.sensor.decoding import ScanBlock
-    from adis_gonio.record.archive import Archive, Attempt, Header, utc_now
+    from adis_gonio.record.archive import Archive
+    from adis_gonio.record.archive_tables import Attempt, Header, utc_now
     from adis_gonio.record.plans import plan
 
     print(json.dumps(READY), flush=True)
@@ -209,7 +210,7 @@ def check_announced(path: Path, announced: dict[int, str]) -> None:
 
 def check_same(path: Path, undisturbed: Path) -> None:
     """Two finished sessions must be equal in all that a fit reads."""
-    from adis_gonio.record.archive import read_session
+    from adis_gonio.record.session_reader import read_session
 
     ours, theirs = read_session(path), read_session(undisturbed)
     if len(ours.dwells) != len(theirs.dwells):

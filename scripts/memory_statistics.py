@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from adis_gonio.base.uncertainty import Value
-from adis_gonio.fleet import SessionRecord, Store, row_of, summarise
+from adis_gonio.fleet import SessionRecord, Store, summarise
 from adis_gonio.fleet.memory.control_chart import CUSUM_H, average_run_length, control_chart, cusum
 from adis_gonio.fleet.memory.drift import drift_of
 
@@ -65,7 +65,7 @@ def summary_seconds(rng: np.random.Generator, records: int) -> tuple[float, floa
             index.keep(*(_record(rng, n) for n in range(records)))
         filled = time.perf_counter()
         with Store(Path(folder) / "index") as index:
-            assert summarise([row_of(one) for one in index.records()]).sessions["n"] == records
+            assert summarise([one.row() for one in index.records()]).sessions["n"] == records
     return filled - begun, time.perf_counter() - filled
 
 

@@ -132,14 +132,7 @@ ROOMS = {
         ),
     ),
     "tracing": Room(
-        (
-            "tracing/*.py",
-            "tracing/candidates/*.py",
-            "tracing/selection/*.py",
-            "tracing/unnamed/*.py",
-            "tracing/validation/*.py",
-            "tracing/outcome/*.py",
-        ),
+        ("tracing/*.py",),
         (
             "tests/tracing/test_trace_grammar.py",
             "tests/tracing/test_trace_arithmetic.py",

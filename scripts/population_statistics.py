@@ -34,10 +34,10 @@ from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fleet.population import PopulationResult, SessionEvidence, evidence_of, trace_population
 from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.outcome.detect import detectable
-from adis_gonio.tracing.selection.design import linearise
-from adis_gonio.tracing.selection.search import Search, price
+from adis_gonio.tracing.findings import detectable
+from adis_gonio.tracing.linear_problem import linearise
+from adis_gonio.tracing.model_search import Search, price
+from adis_gonio.tracing.named_candidates import named_terms
 from tracing.named_truth import Term, catalogued_term
 from tracing.plans import Bench, Floats, draw_bench, draw_noise
 

@@ -25,10 +25,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation import Fit, Readings
 from adis_gonio.fitting.estimation.terms import Term
-from adis_gonio.tracing.candidates.grammar import nameless_terms
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.selection.design import LinearProblem, linearise
-from adis_gonio.tracing.selection.search import price, search
+from adis_gonio.tracing.grammar import nameless_terms
+from adis_gonio.tracing.linear_problem import LinearProblem, linearise
+from adis_gonio.tracing.model_search import price, search
+from adis_gonio.tracing.named_candidates import named_terms
 from tracing.small_problems import observations
 from tracing.test_trace_engine import QUADRATIC
 

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio import load_session, trace
 from adis_gonio.fitting.estimation import Fit, Readings, readings_of
-from adis_gonio.tracing.candidates.processes import Process, evidence, processes
+from adis_gonio.tracing.smooth_candidates import Process, evidence, processes
 from adis_gonio.tracing.validation import leave, rms
 from tracing.blind import Blind, draw, write
 from tracing.lens import Lens

@@ -29,8 +29,7 @@ from scipy import linalg, optimize
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.tracing.within import search_within
-from adis_gonio.tracing.within.second_pass import stands
+from adis_gonio.tracing.within.second_pass import search_within, stands
 from tracing.dwell_samples import bartlett, draw
 from tracing.stated import EFFECTS, SORTS, finder
 

@@ -11,7 +11,7 @@ import pytest
 
 import adis_gonio
 from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError
-from adis_gonio.record.export import export_csv
+from adis_gonio.record.samples_writer import export_csv
 from calibration.sessions import planar_session
 
 
@@ -90,7 +90,7 @@ def test_without_pandas_the_extra_is_named(session, result, monkeypatch):
 
 def test_a_trace_shows_itself_too():
     from adis_gonio.base.uncertainty import Value
-    from adis_gonio.tracing import ErrorFigures, Finding, TraceResult
+    from adis_gonio.tracing.trace_result import ErrorFigures, Finding, TraceResult
 
     figures = ErrorFigures(1.0, 1.0, 0.1, 1.0)
     finding = Finding(

@@ -12,8 +12,8 @@ import numpy as np
 
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.record.archive import Archive
+from adis_gonio.record.archive_tables import Attempt, Header
 from adis_gonio.record.plans import plan as plan_named
-from adis_gonio.record.rows import Attempt, Header
 from speed.timing import Row, compare, require
 
 NAMES = ("XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT", "XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "SUPPLY_OUT")

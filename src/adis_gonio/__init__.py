@@ -20,9 +20,9 @@ _HOMES = {
     "fit": "adis_gonio.faces.api",
     "FitResult": "adis_gonio.fitting",
     "trace": "adis_gonio.faces.api",
-    "TraceResult": "adis_gonio.tracing",
-    "Calibration": "adis_gonio.tracing.loading",
-    "GyroCalibration": "adis_gonio.tracing.loading",
+    "TraceResult": "adis_gonio.tracing.trace_result",
+    "Calibration": "adis_gonio.tracing.trace_calibrations",
+    "GyroCalibration": "adis_gonio.tracing.trace_calibrations",
     "AdisGonioError": "adis_gonio.base.errors",
 }
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from adis_gonio.model import Dwell as Dwell
     from adis_gonio.model import Session as Session
     from adis_gonio.record.loading import load_session as load_session
-    from adis_gonio.tracing import TraceResult as TraceResult
+    from adis_gonio.tracing.trace_result import TraceResult as TraceResult
 
 
 def __getattr__(name: str) -> Any:

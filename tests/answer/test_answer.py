@@ -18,11 +18,10 @@ from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.readings import Unit
 from adis_gonio.handover.report.page import build_page
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.record.samples_csv import write_samples_csv
-from adis_gonio.tracing.answer import TracedAnswer, answer_with_trace
-from adis_gonio.tracing.outcome.findings import in_units_of_file
-from adis_gonio.tracing.outcome.result import ErrorFigures, Finding
-from adis_gonio.tracing.outcome.shares import shares
+from adis_gonio.record.samples_writer import write_samples_csv
+from adis_gonio.tracing.findings import in_units_of_file, shares
+from adis_gonio.tracing.trace_result import ErrorFigures, Finding
+from adis_gonio.tracing.traced_answer import TracedAnswer, answer_with_trace
 
 TURN = (*range(0, 360, 30), *range(330, -30, -30))
 
@@ -258,7 +257,7 @@ def test_a_followed_advice_is_not_given_again():
 
 
 def test_error_figures_without_a_known_noise_share_by_the_residual():
-    from adis_gonio.tracing.outcome.shares import excesses
+    from adis_gonio.tracing.findings import excesses
 
     figures = [ErrorFigures(r, None, None, None) for r in (4.0, 2.0, 1.0)]
     assert shares(["a", "b"], excesses([], figures)) == pytest.approx({"a": 0.75, "b": 0.1875})

@@ -3,8 +3,7 @@
 import pytest
 
 from adis_gonio.bench.bringup import STEPS, Outcome, Permission, Verdict, bring_up
-from adis_gonio.bench.bringup.bench import MOST_TESTS
-from adis_gonio.bench.bringup.result import QUESTIONS
+from adis_gonio.bench.bringup.bringup_step import MOST_TESTS, QUESTIONS
 from fakes.boards import FAULTY, SOUND, Board, sound
 
 ALL = Permission(writes=True, flash=True)

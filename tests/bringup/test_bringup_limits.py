@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.bench.bringup.bench import FALSE_ALARM, MOST_TESTS, AlarmBudget, at_most
-from adis_gonio.bench.bringup.noise import degrees_of_freedom, flicker, response, rounding, spectrum
-from adis_gonio.bench.bringup.updates import nearest_code
+from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, MOST_TESTS, AlarmBudget, at_most
+from adis_gonio.bench.bringup.noise_steps import degrees_of_freedom, flicker, response, rounding, spectrum
+from adis_gonio.bench.bringup.update_steps import nearest_code
 from adis_gonio.device.sensor.settings import sample_period_s
 from adis_gonio.sim.noise import Flicker
 from adis_gonio.sim.sampling import bartlett_sums, history_rows, taps

@@ -5,7 +5,7 @@ import pytest
 
 from adis_gonio.base.errors import BusTimeoutError
 from adis_gonio.bench.bringup import STEPS, Permission, Verdict, bring_up
-from adis_gonio.bench.bringup.bench import writable
+from adis_gonio.bench.bringup.bringup_step import writable
 from fakes.boards import Board
 
 HELD = (("SMPL_PRD", 0x03), ("SENS_AVG", 0x0201 | 0x2), ("XACCL_OFF", 57), ("ALM_MAG1", 0x8123))

@@ -15,8 +15,8 @@ import adis_gonio
 from adis_gonio import Calibration
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.faces.cli import main
-from adis_gonio.record.export import export_csv
 from adis_gonio.record.loading import load_session
+from adis_gonio.record.samples_writer import export_csv
 from calibration.sessions import planar_session, spatial_session
 
 SCHEMA = json.loads(

@@ -12,7 +12,7 @@ import adis_gonio
 from adis_gonio.base.errors import FitError
 from adis_gonio.fitting.estimation.terms import Basis, NamedTerm, NamelessTerm
 from adis_gonio.model.effects import effect
-from adis_gonio.tracing.outcome.result import Stopped
+from adis_gonio.tracing.trace_result import Stopped
 from calibration.sessions import planar_session, plane_axes, read_mg, turn
 
 PSI = np.linspace(-179.0, 179.0, 91)

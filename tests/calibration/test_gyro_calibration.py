@@ -17,7 +17,7 @@ from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.calibrate.gyro_calibration import kind_of
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
-from adis_gonio.tracing.loading import load_calibration
+from adis_gonio.tracing.trace_calibrations import load_calibration
 from handover.calibrations import PLANE, SPACE, calibration
 from handover.gyros import EVERY, FULL, ZERO, Estimated, estimates, gyros, with_gyros
 

@@ -18,14 +18,12 @@ from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
 from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
-from adis_gonio.fitting.gyros.calibrations import estimates_of_gyro_fit
-from adis_gonio.fitting.gyros.fit import gains_and_directions
+from adis_gonio.fitting.gyros.gyro_fit import estimates_of_gyro_fit, gains_and_directions
 from adis_gonio.handover.exporting import ExportSource
-from adis_gonio.record.export import write_csv
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.provenance import provenance_of
-from adis_gonio.tracing.calibrations import gyro_calibration_of, with_gyros
-from adis_gonio.tracing.loading import load_gyro_calibration
+from adis_gonio.record.samples_writer import write_csv
+from adis_gonio.tracing.trace_calibrations import gyro_calibration_of, load_gyro_calibration, with_gyros
 from recordings import recording
 from writeback.gyro_rig import FAULTS, gyro_numbers
 from writeback.rig import new_bus, record

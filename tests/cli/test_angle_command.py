@@ -12,8 +12,8 @@ import pytest
 
 from adis_gonio.faces.cli import main
 from adis_gonio.faces.cli.angle import angle_text
-from adis_gonio.live.angle import LiveAngle
-from adis_gonio.live.smoothed import Smoothed
+from adis_gonio.live.live_angle import LiveAngle
+from adis_gonio.live.smoothed_meter import Smoothed
 from programs import running
 
 URL = "sim:?seed=1"

@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio.base.errors import NotInstalledError
 from adis_gonio.bench.bringup import STEPS
-from adis_gonio.bench.bringup.result import QUESTIONS
+from adis_gonio.bench.bringup.bringup_step import QUESTIONS
 from adis_gonio.faces.cli import main
 from fakes.boards import FAULTY, SOUND
 
@@ -58,7 +58,7 @@ def test_without_the_plots_library_the_page_is_written_all_the_same(tmp_path, bo
     def missing(*what, **how):
         raise NotInstalledError("figures need a library")
 
-    monkeypatch.setattr("adis_gonio.bench.bringup.page.plot", missing)
+    monkeypatch.setattr("adis_gonio.bench.bringup.bringup_page.plot", missing)
     board(SOUND)
     assert main(["bringup", "board:", "-o", str(tmp_path / "a.html")]) == 0
     assert "figures need a library" in (tmp_path / "a.html").read_text()

@@ -15,7 +15,7 @@ import pytest
 
 from adis_gonio import Calibration, fit, load_session
 from adis_gonio.faces.cli import main, show
-from adis_gonio.tracing.loading import load_calibration
+from adis_gonio.tracing.trace_calibrations import load_calibration
 
 SCHEMA = json.loads(
     resources.files("adis_gonio.calibrate").joinpath("schema/calibration-1.json").read_text("utf-8")

@@ -17,8 +17,8 @@ from rich.console import Console
 from adis_gonio.base.budget import Budget, current, told, within
 from adis_gonio.faces.cli import main, show
 from adis_gonio.faces.cli.interrupt import Insistent
+from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.view import ArchiveView
 from adis_gonio.tracing.trace import trace
 
 TWO = (

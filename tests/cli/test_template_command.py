@@ -86,7 +86,7 @@ def test_keys_are_prefilled_and_those_left_empty_are_not_stated(tmp_path):
 
 
 def test_operator_serial_and_stage_come_back_and_are_written_again(tmp_path):
-    from adis_gonio.record.export import export_csv
+    from adis_gonio.record.samples_writer import export_csv
 
     path = made(tmp_path)
     keys, frame = parted(path)

@@ -1,8 +1,9 @@
-"""The recipes of CONTRIBUTING.md, word for word, as a package that is installed beside this one."""
+"""The recipes of CONTRIBUTING.md, as printed: in a package of their own, or added to a copy of this one."""
 
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -12,13 +13,15 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 ANY_BLOCK = re.compile(r"^```(?:python|toml)\n# (\S+)\n(.*?)^```$", re.M | re.S)
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+BLOCKS = dict(ANY_BLOCK.findall(CONTRIBUTING))
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """Runs a command where the recipes' package is installed, as pip leaves one on the path."""
     folder = tmp_path_factory.mktemp("site-packages")
-    files = dict(ANY_BLOCK.findall((ROOT / "CONTRIBUTING.md").read_text("utf-8")))
+    files = {name: text for name, text in BLOCKS.items() if "." in name and not name.startswith("src/")}
     for name, text in files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text, "utf-8")
@@ -89,3 +92,59 @@ def test_without_the_package_the_effect_is_unknown_in_one_line(tmp_path):
     )
     assert done.returncode == 2
     assert "no effect is called 'mount_drift'" in done.stderr
+
+
+@pytest.fixture(scope="module")
+def extended(tmp_path_factory):
+    """Runs a command of a copy of this package to which the recipes have added a method and an export."""
+    folder = tmp_path_factory.mktemp("copy")
+    shutil.copytree(ROOT / "src", folder / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    for name, text in BLOCKS.items():
+        if name.startswith("src/"):
+            (folder / name).write_text(text, "utf-8")
+    import_line = "from adis_gonio.fitting.cautious import fit_cautious"
+    for table, linked, line in (("_METHODS", "methods.py", import_line), ("FORMATS", "formats.py", "")):
+        (path,) = re.findall(rf"`{table}` in \[`\S*{linked}`\]\((\S+)\)", CONTRIBUTING)
+        text = (folder / path).read_text("utf-8")
+        start = re.search(rf"^{table} = \($", text, re.M).end()
+        text = f"{text[:start]}\n{BLOCKS[table]}{text[start:]}"
+        first_import = re.search(r"^from adis_gonio", text, re.M).start()
+        (folder / path).write_text(f"{text[:first_import]}{line}\n{text[first_import:]}", "utf-8")
+
+    def run(*arguments: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", "adis_gonio", *arguments],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(folder / "src")},
+            capture_output=True,
+            text=True,
+            timeout=600,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    run("simulate", "--plan", "tumble", "-o", "some.session")
+    return run
+
+
+def test_the_method_is_fitted_and_compared(extended):
+    document = json.loads(extended("fit", "some.session", "--method", "cautious", "--json"))
+    assert document["method"] == "cautious"
+    assert "cautious" in document["scores"]
+    assert "cautious" in json.loads(extended("fit", "some.session", "--json"))["scores"]
+
+
+def test_the_export_follows_from_the_file_name(extended):
+    extended("export", "some.session", "-o", "some.gains")
+    printed = extended("export", "some.session", "--format", "gains", "-o", "-")
+    values = {line.split()[0]: float(line.split()[1]) for line in printed.splitlines()}
+    parameters = json.loads(extended("fit", "some.session", "--json"))["parameters"]
+    assert values["scale_x"] == pytest.approx(parameters["scale_x"]["value"])
+
+
+def test_every_file_that_the_page_links_has_the_table_that_it_names():
+    rows = re.findall(r"a row of `(\w+)` in \[`[^`]+`\]\(([^)]+)\)", CONTRIBUTING)
+    assert len(rows) == 3
+    for table, path in rows:
+        assert re.search(rf"^{table} = ", (ROOT / path).read_text("utf-8"), re.M), path

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.record.samples.columns import COLUMNS, KEYS, recognised
+from adis_gonio.record.samples_columns import COLUMNS, KEYS, recognised
 
 PAGE = Path(__file__).parents[2] / "docs" / "samples.md"
 TEXT = PAGE.read_text(encoding="utf-8")

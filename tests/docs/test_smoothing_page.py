@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from adis_gonio.faces.cli.angle import NOTES
-from adis_gonio.live.smoothed import Smoothed
+from adis_gonio.live.smoothed_meter import Smoothed
 
 PAGE = (Path(__file__).parents[2] / "docs" / "smoothing.md").read_text("utf-8")
 

@@ -125,8 +125,9 @@ def test_uncertainties_of_words_that_have_lost_bits_hold() -> None:
 
 @pytest.mark.parametrize("noise", [1.0, 3.0, 10.0])
 def test_the_step_of_a_healthy_sensor_is_no_finding(noise: float) -> None:
-    from adis_gonio.tracing.within import correlation_reach, samples_of
-    from adis_gonio.tracing.within.codes import quantization, saturation
+    from adis_gonio.tracing.within.faults import quantization, saturation
+    from adis_gonio.tracing.within.samples import samples_of
+    from adis_gonio.tracing.within.second_pass import correlation_reach
 
     for seed in range(60):
         whole = session(turn(np.random.default_rng(200 + seed), noise=noise))
@@ -219,8 +220,9 @@ def test_the_step_of_other_numbers_is_the_smallest_difference_but_for_rounding()
 
 @pytest.mark.parametrize("coarse", [0, 1])
 def test_a_step_is_the_finding_of_the_axis_whose_noise_does_not_hide_it(coarse: int) -> None:
-    from adis_gonio.tracing.within import correlation_reach, samples_of
-    from adis_gonio.tracing.within.codes import quantization
+    from adis_gonio.tracing.within.faults import quantization
+    from adis_gonio.tracing.within.samples import samples_of
+    from adis_gonio.tracing.within.second_pass import correlation_reach
 
     for seed in range(5):
         rng = np.random.default_rng(300 + seed)

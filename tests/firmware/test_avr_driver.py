@@ -11,8 +11,8 @@ from adis_gonio.bench.events import Finished, Problem
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.fitting import fit
-from adis_gonio.record.archive import read_session
 from adis_gonio.record.plans import plan
+from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings
 from adis_gonio.sim import SimulatedChip, World, WorldSettings
 from adis_gonio.sim.testing.bus_contract import BusContract, WatchedChip

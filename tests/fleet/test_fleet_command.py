@@ -15,9 +15,10 @@ import pytest
 from adis_gonio import __version__
 from adis_gonio.faces.cli import main
 from adis_gonio.fleet.files import files_of, session_files
-from adis_gonio.fleet.work import Options, digest_of_file, work
-from adis_gonio.record.export import export_csv
+from adis_gonio.fleet.work import Options, work
 from adis_gonio.record.loading import load_session
+from adis_gonio.record.provenance import digest_of_file
+from adis_gonio.record.samples_writer import export_csv
 from fleet.sessions import kept_in, write_fleet
 from programs import running
 

@@ -14,7 +14,8 @@ from adis_gonio.base.errors import FleetError
 from adis_gonio.fleet import LocalPool, Options, Store, run_fleet, survey
 from adis_gonio.fleet.outputs import FleetResult
 from adis_gonio.fleet.store import IN_MEMORY
-from adis_gonio.fleet.work import digest_of_file, work
+from adis_gonio.fleet.work import work
+from adis_gonio.record.provenance import digest_of_file
 from fleet.sessions import write_fleet
 
 FITS = Options(trace=False)

@@ -12,11 +12,10 @@ from scipy.stats import binom, chi2, fisher_exact
 
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.uncertainty import OUTLYING, wilson
-from adis_gonio.fleet import read_parquet, row_of, summarise, write_parquet
+from adis_gonio.fleet import SessionRecord, read_parquet, summarise, write_parquet
 from adis_gonio.fleet.columns import COLUMNS
 from adis_gonio.fleet.outlying import by_share
 from adis_gonio.fleet.page import build_page
-from adis_gonio.fleet.record import SessionRecord
 from adis_gonio.fleet.statistics import beyond, repeats
 from fleet.sessions import quiet_rows, row
 
@@ -135,7 +134,7 @@ def test_the_order_of_rows_changes_nothing(rng):
 
 def test_failed_rows_are_counted_and_take_no_part(rng):
     rows = quiet_rows(rng, 20)
-    failed = {**row_of(SessionRecord("broken.csv", status="failed", reason="broken.csv, row 3: no number"))}
+    failed = SessionRecord("broken.csv", status="failed", reason="broken.csv, row 3: no number").row()
     document = summarise([*rows, failed]).as_dict()
     assert document["sessions"]["failed"] == 1
     assert document["failures"] == [{"path": "broken.csv", "reason": "broken.csv, row 3: no number"}]
@@ -180,7 +179,7 @@ def test_the_page_says_what_the_summary_says_and_escapes_what_files_say(rng):
     for one in rows:
         if one["stage"] == "stage 3":
             one |= {"stage": "<script>x</script>", "bias_x": one["bias_x"] + 5}
-    rows.append(row_of(SessionRecord("<b>.csv", status="failed", reason="<i>")))
+    rows.append(SessionRecord("<b>.csv", status="failed", reason="<i>").row())
     page = build_page(summarise(rows), population=["One effect is common to all."])
     assert page == build_page(summarise(list(reversed(rows))), population=["One effect is common to all."])
     assert "120 of 121" in page

@@ -8,17 +8,17 @@ from click.testing import CliRunner
 
 from adis_gonio.base.errors import DataError
 from adis_gonio.bench.events import Finished, Problem, TurnDone, TurnProgress
-from adis_gonio.bench.free_turn import free_turn_plan
 from adis_gonio.bench.guidance import turn_to_do
+from adis_gonio.bench.recorder import free_turn_plan
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.faces.cli import app
 from adis_gonio.fitting import fit
-from adis_gonio.record.export import export_csv
+from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import Plan
+from adis_gonio.record.samples_writer import export_csv
 from adis_gonio.record.settings import Settings
-from adis_gonio.record.view import ArchiveView
 
 URL = "sim:?seed=4&lever_x_mm=30&gyro_scale_z=1.01&hand_turn_s=30"
 

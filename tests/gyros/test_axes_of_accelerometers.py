@@ -15,13 +15,12 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.faces.cli import app
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.gyros import rate_intervals
-from adis_gonio.fitting.gyros.axes import NAMES, Axes, Prior
-from adis_gonio.fitting.gyros.fit import TIME_BASE_U, fit_gyro
-from adis_gonio.fitting.gyros.triad import UNKNOWN_BIAS_MG
+from adis_gonio.fitting.gyros.accelerometer_triad import NAMES, UNKNOWN_BIAS_MG, Axes, Prior
+from adis_gonio.fitting.gyros.gyro_fit import TIME_BASE_U, fit_gyro
+from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.tracing.loading import load_calibration
+from adis_gonio.tracing.trace_calibrations import load_calibration
 from gyros.simulated import Recorder
 
 LEANS = {"xy": 0.5, "xz": -0.3, "yx": 0.4, "yz": -0.6, "zx": 0.2, "zy": -0.4}
@@ -173,7 +172,7 @@ def test_a_clock_that_runs_fast_moves_all_gains_alike_and_their_covariance_says_
         assert wrong[name].value / right[name].value == pytest.approx(fast, abs=1e-6)
         assert right[name].u > TIME_BASE_U
     assert right.as_dict()["time_base_u"] == pytest.approx(29e-6, rel=0.01)
-    monkeypatch.setattr("adis_gonio.fitting.gyros.fit.TIME_BASE_U", 0.0)
+    monkeypatch.setattr("adis_gonio.fitting.gyros.gyro_fit.TIME_BASE_U", 0.0)
     exact = fit_gyro(replace(up_and_down))  # a session keeps its fit
     rows = [list(right.parameters).index(name) for name in names]
     values = np.array([right[name].value for name in names])

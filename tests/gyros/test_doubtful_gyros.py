@@ -12,11 +12,11 @@ from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import format_ranges, format_uncertain, format_unit
 from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.faces.cli import main
-from adis_gonio.fitting.gyros.calibrations import estimates_of_gyro_fit
+from adis_gonio.fitting.gyros.gyro_fit import estimates_of_gyro_fit
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.record.export import write_csv
-from adis_gonio.tracing import summary as words
-from adis_gonio.tracing.outcome.result import ErrorFigures, Step, TraceResult
+from adis_gonio.record.samples_writer import write_csv
+from adis_gonio.tracing import trace_summary as words
+from adis_gonio.tracing.trace_result import ErrorFigures, Step, TraceResult
 
 
 def session(zero=(0.4, -1.1, 0.2), noise=0.6, rows=60, unit="dps"):

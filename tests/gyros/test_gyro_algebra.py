@@ -12,8 +12,8 @@ from scipy.stats import f as fisher
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import Readings, from_means
-from adis_gonio.fitting.gyros import fit as module
-from adis_gonio.fitting.gyros.fit import fit_gyro_readings
+from adis_gonio.fitting.gyros import gyro_fit as module
+from adis_gonio.fitting.gyros.gyro_fit import fit_gyro_readings
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate
 

@@ -12,8 +12,8 @@ import adis_gonio
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.faces.cli import app
 from adis_gonio.fitting.estimation import Fit, from_means
-from adis_gonio.fitting.gyros.fit import fit_gyro
-from adis_gonio.fitting.gyros.readings import gyro_readings_of
+from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
+from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_of
 from adis_gonio.model import Dwell, Session
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.measurement import MeanRate
@@ -161,7 +161,7 @@ def rates(seed: int, turned: bool = True):
 
 
 def test_gains_directions_zero_rates_and_g_sensitivity_are_covered_by_their_intervals():
-    from adis_gonio.fitting.gyros.fit import fit_gyro_readings
+    from adis_gonio.fitting.gyros.gyro_fit import fit_gyro_readings
 
     off = []
     for seed in range(60):
@@ -176,7 +176,7 @@ def test_gains_directions_zero_rates_and_g_sensitivity_are_covered_by_their_inte
 
 
 def test_what_the_poses_do_not_determine_is_left_out_and_said():
-    from adis_gonio.fitting.gyros.fit import fit_gyro_readings
+    from adis_gonio.fitting.gyros.gyro_fit import fit_gyro_readings
 
     data, _ = rates(1, turned=False)
     force = data.conditions.force_g * [1.0, 1.0, 0.0]  # a turn in the plane

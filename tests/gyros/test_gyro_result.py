@@ -12,9 +12,8 @@ from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.parts import known_part
 from adis_gonio.fitting.estimation.readings import from_means
-from adis_gonio.fitting.gyros import fit as module
-from adis_gonio.fitting.gyros.fit import GyroFit, GyroScore, fit_gyro
-from adis_gonio.fitting.gyros.gains import gains_in, gains_of
+from adis_gonio.fitting.gyros import gyro_fit as module
+from adis_gonio.fitting.gyros.gyro_fit import GyroFit, GyroScore, fit_gyro, gains_in, gains_of
 from gyros.test_doubtful_gyros import session
 
 VALUES = {

@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.dialogue import KEPT_S
 from adis_gonio.bench.events import (
     ExtensionOffered,
@@ -25,17 +24,18 @@ from adis_gonio.bench.events import (
 from adis_gonio.bench.guidance import to_do
 from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import sample_period_s
 from adis_gonio.faces.cli import app, main
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.gyros import rate_intervals
-from adis_gonio.fitting.gyros.gains import gains_of
+from adis_gonio.fitting.gyros.gyro_fit import gains_of
+from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
+from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import Plan, Position
 from adis_gonio.record.plans import plan as plan_by_name
 from adis_gonio.record.settings import Settings
-from adis_gonio.record.view import ArchiveView
 from session.hand_bench import Hand, hand_sensor
 
 URL = (

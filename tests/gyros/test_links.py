@@ -23,9 +23,9 @@ from adis_gonio.fitting.determination import covariance, determine, names_of, na
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.links import Band, LinkRows, Links
 from adis_gonio.fitting.estimation.readings import Readings, from_means, readings_of
-from adis_gonio.fitting.gyros.attitude import PARAMETERS, AssumedGyros, attitude
-from adis_gonio.fitting.gyros.fit import fit_gyro
-from adis_gonio.fitting.gyros.prior import GyroPrior
+from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
+from adis_gonio.fitting.gyros.gyro_links import GyroPrior
+from adis_gonio.fitting.gyros.turn_integration import PARAMETERS, AssumedGyros, attitude
 from adis_gonio.fitting.linked import _gyros_of, _Judged, linked_readings
 from adis_gonio.fitting.methods import fit_of, fit_readings
 from adis_gonio.fitting.sources import by_rotation_of, response_of

@@ -14,13 +14,12 @@ from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.gyros import rate_intervals
-from adis_gonio.fitting.gyros.readings import readings_of_intervals
+from adis_gonio.fitting.gyros.gyro_readings import rate_intervals, readings_of_intervals
 from adis_gonio.model.effects import effect
+from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
-from adis_gonio.record.view import ArchiveView
 
 PER_C = {"x": 0.05, "y": -0.04, "z": 0.03}
 URL = (

@@ -10,12 +10,11 @@ RAW = re.compile(r"\{[^{}:]+\} (?:dwells|positions|samples|poses)\b")
 ALWAYS_MANY = {
     "tracing/validation.py",  # nine dwells or more
     "tracing/within/courses.py",  # a mean of several
-    "tracing/within/finding.py",  # asks for more than one itself
-    "tracing/within/sensitivity.py",  # limits of the program
+    "tracing/within/samples.py",  # asks for more than one itself
+    "tracing/within/second_pass.py",  # limits of the program
     "device/sensor/driver.py",
     "record/plans.py",
-    "record/samples_csv.py",
-    "tracing/one_pose/series.py",
+    "tracing/one_pose.py",
 }
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adis_gonio.base.errors import CannotOpenError
-from adis_gonio.bench.iio.channels import BufferLayout, IioChannel, SampleFormat, wanted
+from adis_gonio.bench.iio_devices import BufferLayout, IioChannel, SampleFormat, wanted
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import BusTimeoutError, CannotOpenError, ProtocolError, UsageError
-from adis_gonio.bench.iio.source import NO_FAULTS, find_devices
+from adis_gonio.bench.iio_source import NO_FAULTS, find_devices
 from adis_gonio.faces.cli import main
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.source import open_source
@@ -99,7 +99,7 @@ def test_what_does_not_work_is_one_typed_error_and_nothing_stays_changed(
 
 def test_a_device_that_is_silent_is_a_time_out(tree, monkeypatch):
     tree.stop()
-    monkeypatch.setattr("adis_gonio.bench.iio.source.PATIENCE_S", 0.2)
+    monkeypatch.setattr("adis_gonio.bench.iio_source.PATIENCE_S", 0.2)
     keep = os.open(tree.node, os.O_RDWR)  # a writer that says nothing
     try:
         with pytest.raises(BusTimeoutError, match="trigger"), open_source(url_of(tree)) as source:
@@ -111,7 +111,7 @@ def test_a_device_that_is_silent_is_a_time_out(tree, monkeypatch):
 def test_a_device_that_is_pulled_out_is_gone_and_not_only_silent(tree, monkeypatch):
     """A kernel keeps the open node, silent, and takes the attributes away."""
     tree.stop()
-    monkeypatch.setattr("adis_gonio.bench.iio.source.PATIENCE_S", 0.2)
+    monkeypatch.setattr("adis_gonio.bench.iio_source.PATIENCE_S", 0.2)
     keep = os.open(tree.node, os.O_RDWR)
     try:
         with open_source(url_of(tree)) as source, source.stream(5) as stream:

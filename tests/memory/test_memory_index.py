@@ -11,10 +11,10 @@ from made_up import made_up
 from recorded import recorded
 
 from adis_gonio.base.errors import DataError
-from adis_gonio.fleet import Store, record_of, row_of, run, scan, summarise
+from adis_gonio.fleet import Store, record_of, run, scan, summarise
 from adis_gonio.fleet.store import NAME
-from adis_gonio.record.export import export_csv
 from adis_gonio.record.loading import load_session
+from adis_gonio.record.samples_writer import export_csv
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +203,7 @@ def test_the_index_is_no_session_and_hidden_files_are_none(folder):
 def test_a_summary_counts_what_is_there(tmp_path):
     with Store(tmp_path / "index") as index:
         index.keep(*(made_up(f"20{10 + n}-01-01", serial=f"S{n % 3}", bias_x=float(n)) for n in range(9)))
-        found = summarise([row_of(record) for record in index.records()])
+        found = summarise([record.row() for record in index.records()])
     assert [found.sessions[name] for name in ("n", "failed", "traced", "units")] == [9, 0, 0, 3]
     (bias_x,) = (one.distribution for one in found.parameters if one.name == "bias_x")
     assert bias_x.mean == 4

@@ -6,7 +6,7 @@ import pytest
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.estimation.readings import from_means
 from adis_gonio.model.effects import BUILT_IN, Conditions, Enters, catalogue, effect, parse_effect
-from adis_gonio.tracing.candidates.named import named_terms
+from adis_gonio.tracing.named_candidates import named_terms
 
 PLUGIN = '''
 from typing import ClassVar

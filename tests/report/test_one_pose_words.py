@@ -3,7 +3,7 @@
 import numpy as np
 
 from adis_gonio import load_session
-from adis_gonio.tracing import summary as words
+from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.trace import trace
 
 HEADER = "# plane: none\n# accel_unit: mg\n# sensor: generic\n"

@@ -9,14 +9,13 @@ import pytest
 
 from adis_gonio import fit, trace
 from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, with_unit
-from adis_gonio.handover.report.page import build_page
-from adis_gonio.handover.report.views import views
+from adis_gonio.handover.report.page import build_page, views
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.page.document import Figure, Section, Table
 from adis_gonio.page.svg import Series, plot
-from adis_gonio.tracing.answer import answer_with_trace
-from adis_gonio.tracing.summary import confounded, headline, how_sure, sight
+from adis_gonio.tracing.trace_summary import confounded, headline, how_sure, sight
+from adis_gonio.tracing.traced_answer import answer_with_trace
 
 
 def planar(k2_x=0.0, bias=(8.0, -5.0), eccentric=0.0, seed=1, check=False, title=""):
@@ -276,7 +275,7 @@ def test_nothing_is_called_absent_that_cannot_be_told_from_others(curved):
 
 
 def test_nothing_is_called_absent_beside_an_inadequate_model(curved):
-    from adis_gonio.tracing.summary import absent
+    from adis_gonio.tracing.trace_summary import absent
 
     assert absent(curved[1]).startswith("not there")
     assert not absent(replace(curved[1], adequate=False)).startswith("not there")

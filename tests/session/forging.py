@@ -14,8 +14,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.record.rows import checksum
-from adis_gonio.record.tables import TABLES
+from adis_gonio.record.archive_tables import TABLES, checksum
 
 HUGE = 10**400
 DEEP = "[" * 50_000 + "]" * 50_000

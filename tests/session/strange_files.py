@@ -19,7 +19,7 @@ from pathlib import Path
 
 from forging import DEEP, HUGE, exchanged_in, forge, put
 
-from adis_gonio.record.tables import TABLES
+from adis_gonio.record.archive_tables import TABLES
 
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
 BOMB_BYTES = 1_500_000_000
@@ -106,7 +106,7 @@ _GUARDS = "SELECT sql FROM sqlite_master WHERE type = 'trigger' AND tbl_name = ?
 
 def crc_of(values: Sequence[object]) -> int:
     """Checksum of a row."""
-    from adis_gonio.record.rows import checksum
+    from adis_gonio.record.archive_tables import checksum
 
     return checksum(*values)
 

@@ -168,7 +168,7 @@ def test_a_data_line_stuck_at_ones_is_not_taken_for_a_self_test(tmp_path, monkey
 def mixed(tmp_path, monkeypatch):
     """An older program compared nothing; its archive holds the registers before and after."""
     path = tmp_path / "q.session"
-    monkeypatch.setattr("adis_gonio.bench.bench.SessionBench.settings_lost", lambda bench: "")
+    monkeypatch.setattr("adis_gonio.bench.session_bench.SessionBench.settings_lost", lambda bench: "")
     run(path, restart, DwellDone, 40)
     return path
 

@@ -6,7 +6,7 @@ from adis_gonio.bench.events import Configured
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.faces.cli.plain import configured
-from adis_gonio.handover.report.sections import data
+from adis_gonio.handover.report.sections import facts
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
@@ -32,6 +32,5 @@ def test_a_session_and_its_report_say_what_the_chip_compensates_and_nothing_wher
     assert {name: session.facts["configuration"][name] for name in SAID} == {
         name: name in bits for name in SAID
     }
-    (facts,) = data(session, None, "").tables
-    shown = dict(facts.rows).get("the chip compensates", "")
+    shown = dict(facts(session, None, "", None))["the chip compensates"]
     assert shown.splitlines() == [SAID[bit] for bit in bits]

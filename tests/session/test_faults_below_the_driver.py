@@ -48,8 +48,8 @@ def test_without_a_fault_the_result_is_right_and_holds_the_offsets(polled):
 @pytest.fixture
 def blind(monkeypatch):
     """Switch off both comparisons of registers: during the session and of its file."""
-    monkeypatch.setattr("adis_gonio.bench.bench.SessionBench.settings_lost", lambda bench: "")
-    monkeypatch.setattr("adis_gonio.record.reading._changed_registers", lambda view: [])
+    monkeypatch.setattr("adis_gonio.bench.session_bench.SessionBench.settings_lost", lambda bench: "")
+    monkeypatch.setattr("adis_gonio.record.session_reader._changed_registers", lambda view: [])
 
 
 @pytest.mark.usefixtures("blind")
@@ -76,7 +76,7 @@ def test_the_rig_finds_a_hung_session(monkeypatch):
 
 def test_the_rig_finds_an_exception_and_a_lost_dwell(monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("adis_gonio.bench.bench.SessionBench.settings_lost", lambda bench: 1 / 0)
+        patch.setattr("adis_gonio.bench.session_bench.SessionBench.settings_lost", lambda bench: 1 / 0)
         assert rig.session(task(rig.NO_FAULT)).outcome == "traceback"
     monkeypatch.setattr(rig, "kept_dwells", lambda path: 0)
     assert rig.session(task("range", seed=43, place="last", within=False)).outcome == "lost"

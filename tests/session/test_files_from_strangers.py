@@ -26,13 +26,13 @@ from adis_gonio.calibrate.document import calibration_from
 from adis_gonio.faces import cli
 from adis_gonio.fitting.estimation.flicker import covariance_of_means
 from adis_gonio.plan.document import document_of, read_plan
-from adis_gonio.record import database, samples_csv
+from adis_gonio.record import database, samples_reader
 from adis_gonio.record.archive import ArchiveView
-from adis_gonio.record.export import session_dict, write_csv
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
-from adis_gonio.record.samples_csv import read_samples_csv
-from adis_gonio.tracing.loading import load_calibration
+from adis_gonio.record.samples_reader import read_samples_csv
+from adis_gonio.record.samples_writer import session_dict, write_csv
+from adis_gonio.tracing.trace_calibrations import load_calibration
 
 LONGEST_S = 60
 MEMORY_BYTES = 1_500_000_000
@@ -380,7 +380,7 @@ def test_a_matrix_without_an_inverse_is_told_with_the_file(recorded, monkeypatch
 
 
 def test_more_positions_than_a_fit_can_hold_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(samples_csv, "MOST_DWELLS", 3)
+    monkeypatch.setattr(samples_reader, "MOST_DWELLS", 3)
     path = tmp_path / "many.csv"
     path.write_text("time_s,position,ax,ay\n" + "".join(f"{k},{k},1,2\n" for k in range(4)))
     assert "row 5: more than 3 positions" in refused(path)

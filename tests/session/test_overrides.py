@@ -9,8 +9,7 @@ import pytest
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.fitting import fit
 from adis_gonio.model.records import checked_gravity_mps2
-from adis_gonio.record.loading import load_session
-from adis_gonio.record.overrides import Overrides
+from adis_gonio.record.loading import Overrides, load_session
 from fakes import planar_session as planar
 
 

@@ -13,7 +13,8 @@ import pytest
 
 from adis_gonio.base.errors import DataError
 from adis_gonio.model.records import Session
-from adis_gonio.record.samples_csv import read_samples_csv, write_samples_csv
+from adis_gonio.record.samples_reader import read_samples_csv
+from adis_gonio.record.samples_writer import write_samples_csv
 
 RATE_HZ = 50
 DWELL_S, MOVE_S = 2, 1

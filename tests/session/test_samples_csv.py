@@ -8,7 +8,8 @@ import pytest
 from adis_gonio.base.errors import DataError
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.samples_csv import read_samples_csv, write_samples_csv
+from adis_gonio.record.samples_reader import read_samples_csv
+from adis_gonio.record.samples_writer import write_samples_csv
 
 HEADER = "time_s,position,angle_deg,ax,ay"
 ROWS = ["0,0,0,2000,100", "0.1,0,0,2001,101", "0.2,1,90,99,-2002", "0.3,1,90,98,-2001"]

@@ -12,8 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from adis_gonio.base.errors import DataError
-from adis_gonio.record.loading import load_session
-from adis_gonio.record.overrides import Overrides
+from adis_gonio.record.loading import Overrides, load_session
 
 FRAME = pd.DataFrame(
     {

@@ -15,9 +15,11 @@ import pytest
 from adis_gonio.base.errors import DataError, SessionError, UsageError
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
-from adis_gonio.record.archive import Archive, ArchiveView, Attempt, Header, Move, read_session, utc_now
+from adis_gonio.record.archive import Archive, ArchiveView
+from adis_gonio.record.archive_tables import Attempt, Header, Move, utc_now
 from adis_gonio.record.database import APPLICATION_ID, is_archive
 from adis_gonio.record.plans import plan
+from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings
 
 

@@ -14,8 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from adis_gonio.bench.bench import SessionBench
-from adis_gonio.bench.closing import AT_ONCE, Advice, TraceAdvisor
+from adis_gonio.bench.advisor import AT_ONCE, Advice, TraceAdvisor
 from adis_gonio.bench.events import (
     Advised,
     DwellDone,
@@ -26,12 +25,14 @@ from adis_gonio.bench.events import (
     Waiting,
 )
 from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.model.records import Session
-from adis_gonio.record.archive import ArchiveView, read_session
+from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.plans import Plan, Position, plan
+from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings
-from adis_gonio.tracing.outcome.result import NextDwell
+from adis_gonio.tracing.trace_result import NextDwell
 
 SHORT = Settings(dwell_s=1.0, settle_s=0.1)
 LONGER = Settings(dwell_s=2.0)

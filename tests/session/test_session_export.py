@@ -10,10 +10,9 @@ from adis_gonio.base.errors import SessionError, UsageError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.scanning import PolledScans
-from adis_gonio.record.export import export_csv, export_json
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
-from adis_gonio.record.samples_recorder import SamplesRecorder
+from adis_gonio.record.samples_writer import SamplesRecorder, export_csv, export_json
 from adis_gonio.record.settings import Settings
 
 

@@ -24,8 +24,9 @@ from adis_gonio.bench.guards import judge_pose
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
-from adis_gonio.record.archive import ArchiveView, read_session
+from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.plans import plan
+from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings
 from session.hand_bench import QUICK, Hand, by_hand, hand_sensor
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.bench.recording import Recording
+from adis_gonio.bench.dwell_recorder import Recording
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ACCEL_OUT
 from adis_gonio.record.plans import Position

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import BusTimeoutError, SessionError, UsageError
-from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.events import (
     Configured,
     DwellDone,
@@ -26,12 +25,14 @@ from adis_gonio.bench.events import (
     Watching,
 )
 from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor import Adis16354, open_sensor
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.registers import EA
 from adis_gonio.device.sensor.scanning import ScanStream
-from adis_gonio.record.archive import Archive, ArchiveView, read_session
+from adis_gonio.record.archive import Archive, ArchiveView
 from adis_gonio.record.plans import Plan, plan
+from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings
 from session.hand_bench import HandBus
 

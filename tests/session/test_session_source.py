@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import SessionError, UsageError
-from adis_gonio.bench.dwelling import problems
+from adis_gonio.bench.dwell_recorder import problems
 from adis_gonio.bench.events import DwellDone, Problem
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
-from adis_gonio.record.archive import Archive, Attempt, Header
+from adis_gonio.record.archive import Archive
+from adis_gonio.record.archive_tables import Attempt, Header
 from adis_gonio.record.blocks import ValueBlock, count_alarms, cut, join, session_columns
 from adis_gonio.record.plans import Position, plan
 from adis_gonio.record.settings import Settings

@@ -5,8 +5,7 @@ import pytest
 
 from adis_gonio.base.errors import SessionError
 from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
-from adis_gonio.record.stillness import StillnessLimits
-from adis_gonio.record.watch import NoiseMeter, StillnessWatch, window_samples
+from adis_gonio.record.stillness import NoiseMeter, StillnessLimits, StillnessWatch, window_samples
 
 WINDOW = 200
 LIMITS = StillnessLimits(WINDOW, np.full(3, 0.5), np.full(3, 6.0))

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import BusTimeoutError, CannotOpenError
-from adis_gonio.bench.judge import Judge, PriorKnowledge
-from adis_gonio.bench.knowledge import LiveView
+from adis_gonio.bench.guards import Judge, PriorKnowledge
 from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.bench.session_state import LiveView
 from adis_gonio.calibrate import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import Configuration
-from adis_gonio.live.angle import LiveBlocks, LiveSource, calibration_for, live_angles, open_live
-from adis_gonio.live.smoothed import SmoothedMeter, sensing_of
+from adis_gonio.live.live_angle import LiveBlocks, LiveSource, calibration_for, live_angles, open_live
+from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
-from adis_gonio.tracing.loading import load_calibration
+from adis_gonio.tracing.trace_calibrations import load_calibration
 
 RATE = Configuration(1, 2, 300, data_ready=True, linear_g=False, origin=False)
 HIDDEN = "sim:?seed=9&delta_k=0.02&delta_phi_deg=1.5&bias_x_mg=30&bias_y_mg=-20&fixture_sigma_deg=0"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.bench.guards import Guard
-from adis_gonio.bench.judge import GyroIntegral, Stand, diagnosed, with_three_angles
+from adis_gonio.bench.guards import Guard, GyroIntegral, Stand, diagnosed, with_three_angles
 from adis_gonio.record.expectation import PriorKnowledge
 
 SPREAD = PriorKnowledge(bias_mg=10.0, reading_mg=0.5, fixture_deg=0.05)

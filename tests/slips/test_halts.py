@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.fitting.gyros.integral import Path, Sampling
+from adis_gonio.fitting.gyros.turn_integration import Path, Sampling
 from adis_gonio.fitting.slips import diagnose
-from adis_gonio.fitting.slips.halts import Halts, halts_of
+from adis_gonio.fitting.slips.position_model import Halts, halts_of
 from slips.arrays import angles
 
 PERIOD_S = 0.01

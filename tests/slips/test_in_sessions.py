@@ -13,10 +13,10 @@ from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.fitting.slips.of_session import angles_of, in_context, positions_of
-from adis_gonio.record.overrides import AngleChange, Overrides
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.outcome.positions import as_the_angles_leave, as_the_part_stood
+from adis_gonio.fitting.slips.session_positions import angles_of, in_context, positions_of
+from adis_gonio.record.loading import AngleChange, Overrides
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.trace import as_the_angles_leave, as_the_part_stood
 from fakes import planar_session as planar
 from session.hand_bench import by_hand, hand_sensor
 from slip_oracle import answer

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting.slips import diagnose
-from adis_gonio.fitting.slips.finding import listed
-from adis_gonio.fitting.slips.meant import may_have_been_meant
+from adis_gonio.fitting.slips.position_diagnosis import listed
+from adis_gonio.fitting.slips.position_faults import may_have_been_meant
 from slips.arrays import angles
 
 AROUND = np.arange(12) * 30.0

@@ -8,7 +8,8 @@ import pytest
 from smoothing_hands import Turning, during, errors, sensing, told
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.live.smoothing import AngleSmoother, GyroKnowledge, Sensing, smooth
+from adis_gonio.live.angle_smoother import AngleSmoother, smooth
+from adis_gonio.live.gyro_steps import GyroKnowledge, Sensing
 
 SHAKEN = Turning(shake_mg=30.0, zero_dps=1.5, scale=1.005)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adis_gonio.live.smoothing.disturbance import START_MG, coloured, disturbance_of
+from adis_gonio.live.motion_model import START_MG, coloured, disturbance_of
 
 
 def white(rng: np.random.Generator, n: int, sigma: float) -> np.ndarray:

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from smoothing_hands import GYRO_NOISE_DPS, NOISE_MG
 
-from adis_gonio.live.smoothing import AngleSmoother, Sensing, drift
+from adis_gonio.live import motion_model as drift
+from adis_gonio.live.angle_smoother import AngleSmoother
+from adis_gonio.live.gyro_steps import Sensing
 
 RATE_HZ, COUNT = 50.0, 120
 FLOOR_MG = 0.1
@@ -38,8 +40,8 @@ def test_u_holds_of_each_octave_what_the_filter_lets_pass(lag_s):
 
 
 def test_the_states_are_the_fast_octaves_of_the_spectrum_and_the_rest_is_slow():
-    of_states = drift.COUNT * drift.process_mg2(FLOOR_MG)
-    total = of_states + drift.slow_mg(FLOOR_MG) ** 2
+    of_states = drift.DRIFT_STATES * drift.drift_process_mg2(FLOOR_MG)
+    total = of_states + drift.slow_drift_mg(FLOOR_MG) ** 2
     assert total == pytest.approx(len(OCTAVES_HZ) / 2 * FLOOR_MG**2)
     frequency = np.geomspace(0.2, 1.0, 20)
 
@@ -47,11 +49,11 @@ def test_the_states_are_the_fast_octaves_of_the_spectrum_and_the_rest_is_slow():
         return sum(variance * 2 / (np.pi * c) / (1 + (frequency / c) ** 2) for c in corners_hz)
 
     slow = [corner for corner in OCTAVES_HZ if corner < min(drift.CORNERS_HZ) / 1.5]
-    made = density(drift.CORNERS_HZ, drift.process_mg2(FLOOR_MG)) + density(slow, FLOOR_MG**2 / 2)
+    made = density(drift.CORNERS_HZ, drift.drift_process_mg2(FLOOR_MG)) + density(slow, FLOOR_MG**2 / 2)
     assert made == pytest.approx(density(OCTAVES_HZ, FLOOR_MG**2 / 2), rel=0.15)
 
 
 def test_the_noise_of_an_axis_goes_with_the_part():
-    kept = drift.memory(0.0, 90.0)
-    assert kept == pytest.approx(np.zeros(drift.COUNT), abs=1e-12)
-    assert drift.memory(0.1, 0.0) == pytest.approx(np.exp(-0.2 * np.pi * drift.CORNERS_HZ))
+    kept = drift.drift_memory(0.0, 90.0)
+    assert kept == pytest.approx(np.zeros(drift.DRIFT_STATES), abs=1e-12)
+    assert drift.drift_memory(0.1, 0.0) == pytest.approx(np.exp(-0.2 * np.pi * drift.CORNERS_HZ))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adis_gonio.live.smoothing.linear import StateEstimate, TimeStep, backward, forward, looked_back
+from adis_gonio.live.motion_model import StateEstimate, TimeStep, backward, forward, looked_back
 
 SIZE, COUNT = 4, 30
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.tracing.within import Samples
+from adis_gonio.tracing.within.samples import Samples
 
 Floats = NDArray[np.float64]
 Added = Callable[[int, Floats, np.random.Generator], Floats]

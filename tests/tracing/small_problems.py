@@ -13,11 +13,10 @@ import numpy as np
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term
 from adis_gonio.model.effects import Conditions, Enters
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.selection.design import LinearProblem
-from adis_gonio.tracing.selection.posterior import weigh
-from adis_gonio.tracing.selection.search import Model, Search
-from adis_gonio.tracing.selection.select import Selection, select
+from adis_gonio.tracing.linear_problem import LinearProblem
+from adis_gonio.tracing.model_search import Model, Search, weigh
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.selection import Selection, select
 
 G = 1000.0
 U = 0.1

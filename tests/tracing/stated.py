@@ -10,8 +10,10 @@ from collections.abc import Callable
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.tracing.within import Samples, density_of, look_within, search_within
 from adis_gonio.tracing.within.courses import grid
+from adis_gonio.tracing.within.samples import Samples
+from adis_gonio.tracing.within.second_pass import look_within, search_within
+from adis_gonio.tracing.within.tones import density_of
 from tracing.dwell_samples import Added, draw
 
 SORTS = {

@@ -10,9 +10,18 @@ import pytest
 from scipy import special, stats
 
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.tracing.candidates import shapes
-from adis_gonio.tracing.outcome.between import Mixture
-from adis_gonio.tracing.outcome.shares import shares
+from adis_gonio.tracing.findings import Mixture, shares
+from adis_gonio.tracing.grammar import (
+    approach_shape,
+    bump_shape,
+    growth_shape,
+    knee_shape,
+    legendre,
+    multiple,
+    power_shape,
+    ring_bump,
+    step_shape,
+)
 from adis_gonio.tracing.validation import Left, folds, less_unknown, rms, unexpected
 from tracing.small_problems import observations
 
@@ -22,45 +31,43 @@ U = np.linspace(-1, 1, 41)
 class TestShapes:
     @pytest.mark.parametrize("exponent", [1, 2, 3, 5])
     def test_powers(self, exponent: int) -> None:
-        np.testing.assert_allclose(shapes.power(exponent)(U), U**exponent, atol=1e-15)
+        np.testing.assert_allclose(power_shape(exponent)(U), U**exponent, atol=1e-15)
 
     def test_a_step_is_nothing_up_to_its_place_and_one_beyond(self) -> None:
         values = np.array([-1.0, 0.2, 0.2001, 1.0])
-        assert shapes.step(0.2)(values).tolist() == [0.0, 0.0, 1.0, 1.0]
+        assert step_shape(0.2)(values).tolist() == [0.0, 0.0, 1.0, 1.0]
 
     def test_a_knee_is_a_line_on_the_side_of_its_sign(self) -> None:
         values = np.array([-1.0, 0.25, 0.75])
-        assert shapes.knee(0.25, 1.0)(values).tolist() == [0.0, 0.0, 0.5]
-        assert shapes.knee(0.25, -1.0)(values).tolist() == [1.25, 0.0, 0.0]
+        assert knee_shape(0.25, 1.0)(values).tolist() == [0.0, 0.0, 0.5]
+        assert knee_shape(0.25, -1.0)(values).tolist() == [1.25, 0.0, 0.0]
 
     @pytest.mark.parametrize("rate", [2.5, -2.5])
     def test_growth_is_one_at_most_and_grows_at_its_rate(self, rate: float) -> None:
-        values = shapes.growth(rate)(U)
+        values = growth_shape(rate)(U)
         assert values.max() == pytest.approx(1.0)
         np.testing.assert_allclose(np.diff(np.log(values)), rate * np.diff(U), rtol=1e-9)
 
     def test_an_approach_falls_to_a_share_of_e_within_its_time_of_the_session(self) -> None:
         session = np.array([-1.0, 0.0, 1.0])  # its begin, middle and end
-        np.testing.assert_allclose(shapes.approach(0.5, -1.0)(session), [1, math.exp(-1), math.exp(-2)])
-        np.testing.assert_allclose(shapes.approach(0.5, 1.0)(session), [math.exp(-2), math.exp(-1), 1])
+        np.testing.assert_allclose(approach_shape(0.5, -1.0)(session), [1, math.exp(-1), math.exp(-2)])
+        np.testing.assert_allclose(approach_shape(0.5, 1.0)(session), [math.exp(-2), math.exp(-1), 1])
 
     def test_a_bump_is_the_normal_density_over_its_peak(self) -> None:
         known = stats.norm(0.3, 0.2)
-        np.testing.assert_allclose(shapes.bump(0.3, 0.2)(U), known.pdf(U) / known.pdf(0.3), rtol=1e-12)
+        np.testing.assert_allclose(bump_shape(0.3, 0.2)(U), known.pdf(U) / known.pdf(0.3), rtol=1e-12)
 
     def test_a_bump_on_the_circle_is_von_mises_density_over_its_peak(self) -> None:
         angle = np.linspace(-4, 9, 50)
         known = stats.vonmises(1 / 0.5**2, loc=2.0)
-        np.testing.assert_allclose(
-            shapes.ring_bump(2.0, 0.5)(angle), known.pdf(angle) / known.pdf(2.0), rtol=1e-9
-        )
+        np.testing.assert_allclose(ring_bump(2.0, 0.5)(angle), known.pdf(angle) / known.pdf(2.0), rtol=1e-9)
 
     @pytest.mark.parametrize("degree", [0, 1, 2, 6])
     def test_legendre_polynomials_are_scipys(self, degree: int) -> None:
-        np.testing.assert_allclose(shapes.legendre(degree)(U), special.eval_legendre(degree, U), atol=1e-13)
+        np.testing.assert_allclose(legendre(degree)(U), special.eval_legendre(degree, U), atol=1e-13)
 
     def test_a_multiple_of_a_turn_turns_so_many_times(self) -> None:
-        np.testing.assert_allclose(shapes.multiple(np.sin, 3)(U), np.sin(3 * U))
+        np.testing.assert_allclose(multiple(np.sin, 3)(U), np.sin(3 * U))
 
 
 class TestShares:

@@ -12,8 +12,7 @@ import adis_gonio
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import effect
-from adis_gonio.tracing.outcome.clock import bias_at_middle
-from adis_gonio.tracing.outcome.findings import finding_of, told_from_zero, zeros_of
+from adis_gonio.tracing.findings import bias_at_middle, finding_of, told_from_zero, zeros_of
 from calibration.sessions import planar_session
 from tracing.small_problems import U, chosen, noisy, turn
 

@@ -11,12 +11,12 @@ from adis_gonio import trace
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.outcome.between import effects
-from adis_gonio.tracing.outcome.naming import Names
-from adis_gonio.tracing.outcome.result import TraceResult
-from adis_gonio.tracing.selection.design import amplitudes
-from adis_gonio.tracing.selection.select import select
+from adis_gonio.tracing.credible_sets import Names
+from adis_gonio.tracing.findings import effects
+from adis_gonio.tracing.linear_problem import amplitudes
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.selection import select
+from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.validation import never_worse
 
 

@@ -11,10 +11,10 @@ import pytest
 from adis_gonio import load_session, trace
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm
-from adis_gonio.tracing.candidates.grammar import nameless_terms
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.selection.select import select
-from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
+from adis_gonio.tracing.averaging import AveragedTerm, average
+from adis_gonio.tracing.grammar import nameless_terms
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.selection import select
 from adis_gonio.tracing.validation import Left, counting, determined, folds, less_unknown
 from tracing.blind import draw, write
 from tracing.test_trace_gates import forth_and_back

@@ -23,18 +23,16 @@ from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate
-from adis_gonio.tracing.candidates.grammar import nameless_terms
-from adis_gonio.tracing.candidates.named import cycles_shown, named_terms
-from adis_gonio.tracing.candidates.processes import processes
-from adis_gonio.tracing.outcome.findings import told_from_zero
-from adis_gonio.tracing.outcome.naming import Names, judge
-from adis_gonio.tracing.outcome.openings import undecided
-from adis_gonio.tracing.outcome.result import Finding
-from adis_gonio.tracing.outcome.sets import set_of
-from adis_gonio.tracing.selection.design import linearise, span
-from adis_gonio.tracing.selection.scatter import with_scatter
-from adis_gonio.tracing.selection.select import select
-from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
+from adis_gonio.tracing.averaging import AveragedTerm, average
+from adis_gonio.tracing.credible_sets import Names, judge, set_of, undecided
+from adis_gonio.tracing.findings import told_from_zero
+from adis_gonio.tracing.grammar import nameless_terms
+from adis_gonio.tracing.linear_problem import linearise, span
+from adis_gonio.tracing.named_candidates import cycles_shown, named_terms
+from adis_gonio.tracing.scatter import with_scatter
+from adis_gonio.tracing.selection import select
+from adis_gonio.tracing.smooth_candidates import processes
+from adis_gonio.tracing.trace_result import Finding
 from adis_gonio.tracing.validation import (
     Fold,
     checkable,

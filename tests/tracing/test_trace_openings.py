@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.tracing.outcome.openings import undecided
+from adis_gonio.tracing.credible_sets import undecided
 from tracing.small_problems import single
 
 

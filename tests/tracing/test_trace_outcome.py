@@ -18,34 +18,36 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
-from adis_gonio.fitting.slips.finding import Named
+from adis_gonio.fitting.slips.position_diagnosis import Named
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.outcome.between import bases
-from adis_gonio.tracing.outcome.cycles import cycles_alike
-from adis_gonio.tracing.outcome.detect import detectable
-from adis_gonio.tracing.outcome.figures import Panel, _left_over, _uncertainty, views_of
-from adis_gonio.tracing.outcome.findings import (
+from adis_gonio.tracing.credible_sets import credible_sets, one_a_function, votes
+from adis_gonio.tracing.findings import (
     base_of,
+    bases,
+    cycles_alike,
+    detectable,
     dof_of,
+    excesses,
     finding_of,
     in_units_of_file,
     notes_of,
     rivals_of,
     scatter_finding,
     unnamed_of,
+    unnamed_with_share,
+    with_shares,
 )
-from adis_gonio.tracing.outcome.positions import (
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.scatter import Scatter
+from adis_gonio.tracing.trace import (
     as_the_angles_leave,
     as_the_part_stood,
+    likelier_functions,
     with_positions,
 )
-from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, TraceResult, Unnamed
-from adis_gonio.tracing.outcome.sets import credible_sets, one_a_function, votes
-from adis_gonio.tracing.outcome.shares import excesses, unnamed_with_share, with_shares
-from adis_gonio.tracing.selection.scatter import Scatter
-from adis_gonio.tracing.trace import likelier_functions
+from adis_gonio.tracing.trace_figures import Panel, _left_over, _uncertainty, views_of
+from adis_gonio.tracing.trace_result import ErrorFigures, Finding, TraceResult, Unnamed
 from tracing.small_problems import (
     G,
     U,

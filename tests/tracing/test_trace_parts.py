@@ -25,21 +25,19 @@ from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamelessTerm
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate
-from adis_gonio.tracing.advice.proposals import _columns, _hypothesis, _prior
-from adis_gonio.tracing.candidates.grammar import nameless_terms
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.candidates.processes import RING, Process, evidence, processes
-from adis_gonio.tracing.outcome.naming import Names
-from adis_gonio.tracing.outcome.result import ErrorFigures, Finding
-from adis_gonio.tracing.outcome.sets import CredibleSet
-from adis_gonio.tracing.selection import select as choice
-from adis_gonio.tracing.selection.design import LinearProblem, _beside, orthonormal
-from adis_gonio.tracing.selection.posterior import ModelPosterior, _present, weigh
-from adis_gonio.tracing.selection.search import Model, Search, _Beam, search
-from adis_gonio.tracing.selection.select import select
+from adis_gonio.tracing import averaging
+from adis_gonio.tracing import selection as choice
+from adis_gonio.tracing.averaging import AveragedTerm, average
+from adis_gonio.tracing.credible_sets import CredibleSet, Names
+from adis_gonio.tracing.grammar import nameless_terms
+from adis_gonio.tracing.linear_problem import LinearProblem, _beside, orthonormal
+from adis_gonio.tracing.model_search import Model, ModelPosterior, Search, _Beam, _present, search, weigh
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.proposals import _columns, _hypothesis, _prior
+from adis_gonio.tracing.selection import select
+from adis_gonio.tracing.smooth_candidates import RING, Process, evidence, processes
 from adis_gonio.tracing.trace import disagreement_of, refuse_too_few, weak_names
-from adis_gonio.tracing.unnamed import averaging
-from adis_gonio.tracing.unnamed.averaging import AveragedTerm, average
+from adis_gonio.tracing.trace_result import ErrorFigures, Finding
 from adis_gonio.tracing.validation import (
     Fold,
     checkable,

@@ -10,10 +10,10 @@ import pytest
 
 from adis_gonio.base.numbers import format_duration
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing.advice.proposals import _apart, _information, _Predicted
-from adis_gonio.tracing.advice.words import place, sentences
-from adis_gonio.tracing.outcome.result import NextDwell
+from adis_gonio.tracing.advice import place, sentences
+from adis_gonio.tracing.proposals import _apart, _information, _Predicted
 from adis_gonio.tracing.trace import trace
+from adis_gonio.tracing.trace_result import NextDwell
 
 RNG = np.random.default_rng(11)
 

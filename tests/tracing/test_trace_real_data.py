@@ -7,7 +7,7 @@ import pytest
 
 from adis_gonio import load_session, trace
 from adis_gonio.faces.cli import main
-from adis_gonio.tracing.one_pose import series
+from adis_gonio.tracing import one_pose as series
 from recordings import recording
 
 

@@ -17,9 +17,9 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import Conditions
-from adis_gonio.tracing.selection import scatter
-from adis_gonio.tracing.selection.scatter import Scatter, with_scatter
-from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.tracing import scatter
+from adis_gonio.tracing.scatter import Scatter, with_scatter
+from adis_gonio.tracing.selection import Selection
 from tracing.small_problems import (
     G,
     U,

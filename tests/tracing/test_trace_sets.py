@@ -13,13 +13,12 @@ import pytest
 from adis_gonio import load_session, trace
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.tracing.candidates.grammar import nameless_terms
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.outcome.naming import judge
-from adis_gonio.tracing.outcome.sets import CredibleSet, one_a_function, set_of, votes
-from adis_gonio.tracing.selection.posterior import weigh
-from adis_gonio.tracing.selection.select import Selection, select
-from adis_gonio.tracing.unnamed.averaging import Averaged, AveragedFit, average
+from adis_gonio.tracing.averaging import Averaged, AveragedFit, average
+from adis_gonio.tracing.credible_sets import CredibleSet, judge, one_a_function, set_of, votes
+from adis_gonio.tracing.grammar import nameless_terms
+from adis_gonio.tracing.model_search import weigh
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.selection import Selection, select
 from tracing.blind import draw, write
 from tracing.test_trace_gates import forth_and_back
 

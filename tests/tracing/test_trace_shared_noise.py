@@ -8,9 +8,9 @@ import pytest
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.flicker import covariance_of_means, modes
 from adis_gonio.fitting.estimation.readings import Readings, from_means
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.selection.design import linearise, span
-from adis_gonio.tracing.selection.search import search
+from adis_gonio.tracing.linear_problem import linearise, span
+from adis_gonio.tracing.model_search import search
+from adis_gonio.tracing.named_candidates import named_terms
 from tracing.small_problems import observations
 
 ALLAN_MG = np.array([0.3, 0.1])

@@ -23,12 +23,11 @@ from adis_gonio.fitting.estimation.readings import Readings, Unit, in_mg
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.fitting.slips import Diagnosis
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing.outcome.naming import Names
-from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, Stopped, TraceResult
-from adis_gonio.tracing.outcome.sets import CredibleSet
-from adis_gonio.tracing.selection.scatter import Scatter
-from adis_gonio.tracing.selection.select import Selection
+from adis_gonio.tracing.credible_sets import CredibleSet, Names
+from adis_gonio.tracing.scatter import Scatter
+from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.trace import UNCHECKED, trace, trace_readings
+from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Stopped, TraceResult
 from tracing.small_problems import biased, chosen, function, labelled, noisy, turn
 from tracing.test_trace_outcome import accused
 
@@ -84,7 +83,7 @@ class Told:
             "undecided": lambda _: could,
         }.items():
             self.monkeypatch.setattr(stages, name, stage)
-        self.monkeypatch.setattr("adis_gonio.tracing.advice.words.advise", advise)
+        self.monkeypatch.setattr("adis_gonio.tracing.advice.advise", advise)
         return trace_readings(data, 2)
 
 
@@ -443,7 +442,7 @@ class TestSessions:
             lambda session, data, result: saying("samples", result),
         )
         monkeypatch.setattr(
-            "adis_gonio.tracing.one_pose.series.trace_series",
+            "adis_gonio.tracing.one_pose.trace_series",
             lambda session, most: saying("series", given()),
         )
         return trace(session, part=part, **others), asked

@@ -14,9 +14,9 @@ from adis_gonio.base.budget import Budget, attempt, check, current, spent, withi
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing import summary as words
-from adis_gonio.tracing.outcome.result import TraceResult
+from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.trace import UNCHECKED
+from adis_gonio.tracing.trace_result import TraceResult
 
 NEVER = 10**9
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.tracing.within import Samples, WithinFinding, correlation_reach, density_of, search_within
 from adis_gonio.tracing.within.faults import spikes
-from adis_gonio.tracing.within.samples import scatter
-from adis_gonio.tracing.within.second_pass import probability, stands
+from adis_gonio.tracing.within.samples import Samples, WithinFinding, scatter
+from adis_gonio.tracing.within.second_pass import correlation_reach, probability, search_within, stands
+from adis_gonio.tracing.within.tones import density_of
 from tracing.dwell_samples import bartlett, draw
 
 SEEDS = 12

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from adis_gonio.tracing.within import look_within
+from adis_gonio.tracing.within.second_pass import look_within
 from tracing.dwell_samples import draw
 from tracing.stated import EFFECTS, SORTS, finder
 

@@ -17,7 +17,8 @@ from adis_gonio.faces.cli.trace import print_trace
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.handover.report.page import build_page
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing.within import WithinFinding, samples_of, search_within
+from adis_gonio.tracing.within.samples import WithinFinding, samples_of
+from adis_gonio.tracing.within.second_pass import search_within
 from tracing.dwell_samples import bartlett
 from tracing.recorded import record
 

@@ -12,8 +12,8 @@ import pytest
 
 pytest.importorskip("textual", reason="the extra 'bench' is not installed")
 
+from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.view import ArchiveView
 from tui.terminal import PATIENCE_S, Terminal, tmux
 
 pytestmark = pytest.mark.skipif(tmux() is None, reason="tmux is not installed (scripts/install_rigs.sh)")

@@ -16,7 +16,7 @@ from adis_gonio.model.effects import effect
 from adis_gonio.record.loading import load_session
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
-from adis_gonio.tracing.calibrations import gyros_as_recorded
+from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 from handover.gyros import FULL, estimates
 from writeback.gyro_rig import FAULTS
 from writeback.rig import new_bus, record

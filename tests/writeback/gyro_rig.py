@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.fitting.gyros.calibrations import GyroEstimates
+from adis_gonio.fitting.gyros.gyro_fit import GyroEstimates
 from handover.gyros import Estimated
 
 GYROS = ("XGYRO_OFF", "YGYRO_OFF", "ZGYRO_OFF")

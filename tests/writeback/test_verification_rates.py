@@ -7,7 +7,7 @@ import numpy as np
 
 from adis_gonio import fit, load_session
 from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
-from adis_gonio.bench.writeback.checks import SIGMAS, against_session, effect_of
+from adis_gonio.bench.writeback.offset_checks import SIGMAS, against_session, effect_of
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.record.archive import ArchiveView
 from writeback.rig import new_bus, numbers, record
@@ -53,7 +53,7 @@ def test_a_write_that_did_nothing_or_went_the_wrong_way_never_passes(tmp_path):
         plan = made.plan()
         if max(abs(axis.effect) for axis in plan.axes) < 2.0:
             continue
-        from adis_gonio.bench.writeback.rest import measure
+        from adis_gonio.bench.writeback.offset_checks import measure
 
         nothing = measure(made.sensor, 0.5, 60.0)
         missed += effect_of(plan, made._before, nothing).agrees

@@ -24,7 +24,7 @@ from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import GYRO_OFF
 from adis_gonio.faces.cli import main
 from adis_gonio.record.write_journal import operations, remarks_on
-from adis_gonio.tracing.calibrations import gyro_calibration_of
+from adis_gonio.tracing.trace_calibrations import gyro_calibration_of
 from writeback.gyro_rig import FAULTS, GYROS, LSB, gyro_flash, gyro_numbers, known_gyros
 from writeback.rig import OFFSETS, flash, new_bus, numbers, record
 
@@ -53,7 +53,7 @@ def path(recorded, tmp_path):
 def known(monkeypatch):
     """What the session knows of its gyros; a test may put other estimates there."""
     held = {"estimates": known_gyros(part())}
-    for module in ("tracing.calibrations", "bench.writeback.parts"):
+    for module in ("tracing.calibrations", "bench.writeback.offset_checks"):
         monkeypatch.setattr(
             f"adis_gonio.{module}.gyro_estimates_of", lambda session, traced=False: held["estimates"]
         )

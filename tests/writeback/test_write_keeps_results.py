@@ -19,8 +19,7 @@ from adis_gonio.bench.writeback import (
 from adis_gonio.device.sensor.registers import GYRO_OFF
 from adis_gonio.faces.cli import main
 from adis_gonio.record.write_journal import operations_of
-from adis_gonio.tracing.calibrations import gyro_calibration_of
-from adis_gonio.tracing.loading import load_calibration
+from adis_gonio.tracing.trace_calibrations import gyro_calibration_of, load_calibration
 
 URL = "sim:?seed=1"
 PLANS = ("two-position", "four-position", "mmpm", "tumble", "poses", "free-turn", "gyro-turns")

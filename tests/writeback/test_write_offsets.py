@@ -303,7 +303,7 @@ def test_a_part_whose_register_has_another_lsb_is_set_back(path):
     made = OffsetWriter(Adis16354(bus), path, WriteSettings(dwell_s=0.5, save=True))
     made._angle_deg = made._part._angle_deg = None  # a board of this fake has no stage that moves it
     plan = made._part.plan(dict.fromkeys(("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF"), 0))
-    from adis_gonio.bench.writeback.rest import measure
+    from adis_gonio.bench.writeback.offset_checks import measure
 
     made._plan, made._before = plan, measure(made.sensor, 0.5, 60.0)
     with pytest.raises(VerifyError, match=r"not what was planned.*holds the old offsets") as caught:

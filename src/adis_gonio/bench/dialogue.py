@@ -12,13 +12,12 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.events import Event, GuardRaised, Noted, Paused, Unpaused, Waiting, Watching
 from adis_gonio.bench.guards import Guard
-from adis_gonio.bench.knowledge import Knowledge
-from adis_gonio.bench.ledger import Ledger
+from adis_gonio.bench.session_bench import SessionBench
+from adis_gonio.bench.session_state import Knowledge, Ledger
+from adis_gonio.record.archive_tables import utc_now
 from adis_gonio.record.blocks import Block, join
-from adis_gonio.record.rows import utc_now
 
 PAUSE_STEP_S = 0.1
 """Between two looks for remarks during a pause, on the wall clock."""

@@ -18,17 +18,17 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.bench import SessionBench
 from adis_gonio.bench.dialogue import Reply
-from adis_gonio.bench.dwelling import DwellRecorder
+from adis_gonio.bench.dwell_recorder import DwellRecorder
 from adis_gonio.bench.events import DwellInterrupted, Event, GuardKind, Problem
 from adis_gonio.bench.guards import Guard, angle_between_deg
 from adis_gonio.bench.recorder import FollowedTurn
+from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
-from adis_gonio.fitting.gyros.integral import Integral, Path, Sampling, integrate
+from adis_gonio.fitting.gyros.turn_integration import Integral, Path, Sampling, integrate
 from adis_gonio.record.blocks import Block, join, session_columns
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
-from adis_gonio.record.turns import TURNED
+from adis_gonio.record.session_reader import TURNED
 
 ALL_THERMOMETERS = (*DEFAULT_SCAN, "YTEMP_OUT", "ZTEMP_OUT")
 """What a scan holds so that each gyro has the temperature of its own die."""

@@ -1,7 +1,13 @@
-"""The base of the recorders of a session, and a turn that is followed while its scans come in.
+"""The base of the recorders of a session, turns that are followed, and the recorder of a free turn.
 
-A plan chooses its recorder (`recorder_of`): dwells at positions, one free turn, or dwells between the whole
-turns of gyros. The session around it is the same.
+A plan chooses its recorder (`runner.RECORDERS`): dwells at positions, one free turn, or dwells between the
+whole turns of gyros. The session around it is the same.
+
+A free turn is one continuous recording, from a rest through turns to a rest. Its plan has one place, whose
+dwell is the whole recording. Every few seconds what was recorded goes into the archive as a piece: attempts
+whose reason is `GOES_ON`, ended by one that is complete or says what broke it off. A kill or a power cut
+loses one piece at most, a session that is resumed asks for a new turn, and
+`record.session_reader.recording_of` gives the best that there is.
 """
 
 from __future__ import annotations
@@ -9,16 +15,19 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator
-from typing import ClassVar
+from typing import ClassVar, Protocol, runtime_checkable
 
-from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.bench.bench import SessionBench
+from adis_gonio.base.arrays import wrap_degrees
+from adis_gonio.base.errors import AdisGonioError, SessionError, UsageError
+from adis_gonio.base.numbers import counted
 from adis_gonio.bench.dialogue import Questions
-from adis_gonio.bench.events import Event, StageMoved, TurnDone, TurnProgress
+from adis_gonio.bench.events import Event, Problem, StageMoved, TurnDone, TurnProgress
+from adis_gonio.bench.session_bench import SessionBench
+from adis_gonio.model.records import Sweeps
+from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase, utc_now
 from adis_gonio.record.blocks import Block
-from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
-from adis_gonio.record.rows import Attempt, Move, Outcome, Phase, utc_now
-from adis_gonio.record.turns import FREE_TURN, GOES_ON
+from adis_gonio.record.plans import Plan, Position
+from adis_gonio.record.session_reader import FREE_TURN, GOES_ON
 
 BROKEN_STREAM = "the stream of scans ended"
 
@@ -192,16 +201,147 @@ def why_broken_off(error: BaseException) -> str:
     return str(error) if isinstance(error, AdisGonioError) else "the program ended"
 
 
-def recorder_of(plan: Plan) -> type[Recorder]:
-    """The recorder that a plan takes."""
-    if plan.name == GYRO_TURNS:
-        from adis_gonio.bench.gyro_turns import GyroTurnsRecorder
+DURATION_S = 60.0
+TURNS = 2
+"""Each angle is then seen twice, and drift told from calibration."""
+FASTEST_DPS = 45.0
+"""Mean rate that may be asked for: a hand that takes new grips goes at twice its mean."""
+REST_S = 3.0
+"""Rest before the turns and after them."""
+PIECE_S = 5.0
+"""What a kill loses at most."""
+RESTING_DEG = 0.5
+"""Less than this in `REST_S` is rest."""
 
-        return GyroTurnsRecorder
-    if plan.name == FREE_TURN:
-        from adis_gonio.bench.free_turn import FreeTurnRecorder
+PLACE = Position(None, 0)
 
-        return FreeTurnRecorder
-    from adis_gonio.bench.dwelling import DwellRecorder
 
-    return DwellRecorder
+def free_turn_plan(turns: int = TURNS, duration_s: float = DURATION_S) -> Plan:
+    """The plan of a free turn: `turns` full ones within one recording of at most `duration_s`.
+
+    Raises
+    ------
+    UsageError
+        No turn, or more than a hand can make slowly in the time.
+    """
+    if turns < 1:
+        raise UsageError(f"turns is {turns}: take 1 or more")
+    rate_dps = 360.0 * turns / (duration_s - 2 * REST_S)
+    if not 0 < rate_dps <= FASTEST_DPS:
+        least_s = 360.0 * turns / FASTEST_DPS + 2 * REST_S
+        raise UsageError(
+            f"{counted(turns, 'turn')} in {duration_s:g} s, rests included, cannot be slow: take"
+            f" {least_s:.0f} s or more (--duration), or fewer turns"
+        )
+    return Plan(FREE_TURN, (PLACE,), turns=turns)
+
+
+@runtime_checkable
+class TurningStage(Protocol):
+    """A stage that a program can turn all around as a hand would, one time or several."""
+
+    def turn_freely(self, turns: int = 1) -> float:
+        """Begin, and return the time at which it ends."""
+
+
+class FreeTurn(FollowedTurn):
+    """A free turn by the angle of gravity.
+
+    Attributes
+    ----------
+    sweeps : Sweeps
+    """
+
+    rest_before_s = REST_S
+    piece_s = PIECE_S
+
+    def __init__(self, place: int, turns: int, limit_s: float, now_s: float) -> None:
+        super().__init__(place, PLACE, turns, limit_s, now_s)
+        self.sweeps = Sweeps()
+        self._before: float | None = None
+        self._course: list[tuple[float, float]] = []
+
+    def see(self, block: Block) -> None:
+        """Follow the turn through scans."""
+        x, y, _ = block.accel_mg.mean(axis=0)
+        # Gravity goes backwards through the part: positive is counter-clockwise, as the stage counts.
+        angle = -math.degrees(math.atan2(y, x))
+        if self._before is not None:
+            self.sweeps.see(self.sweeps.angle_deg + wrap_degrees(angle - self._before))
+        self._before = angle
+        self.turned_deg, self.travelled_deg = self.sweeps.angle_deg, self.sweeps.travelled_deg
+        self.turns_made = self.sweeps.full
+        now = float(block.time_s[-1])
+        self._course = [(t, a) for t, a in self._course if t > now - REST_S] + [(now, self.turned_deg)]
+        (t0, a0), (t1, a1) = self._course[0], self._course[-1]
+        self.rate_dps = (a1 - a0) / (t1 - t0) if t1 > t0 else 0.0
+
+    def begin(self, bench: SessionBench) -> bool:
+        """Let the stage begin to turn."""
+        if not isinstance(bench.stage, TurningStage):
+            return False
+        bench.stage.turn_freely(self.turns)
+        return True
+
+    @property
+    def full(self) -> bool:
+        """True once as many full turns were made as were wanted."""
+        return self.turns_made >= self.turns
+
+    @property
+    def resting(self) -> bool:
+        """True where nothing has turned for `REST_S`."""
+        angles = [angle for _, angle in self._course]
+        long_enough = bool(angles) and self._course[-1][0] - self._course[0][0] > 0.9 * REST_S
+        return long_enough and max(angles) - min(angles) < RESTING_DEG
+
+    @property
+    def ended(self) -> str | None:
+        """The longest time is over, or the turns were made and the part rests after them."""
+        return "" if self.length_s >= self.limit_s or (self.full and self.resting) else None
+
+
+class FreeTurnRecorder(Recorder):
+    """Records the whole turn as the dwell of the one place.
+
+    `Settings.dwell_s` is the longest time of the recording; it ends earlier once the turns were made
+    and the part has rested after them.
+    """
+
+    one_recording = True
+    judges_places = False
+
+    def take(self, place: int) -> Iterator[Event]:
+        """Record a turn."""
+        bench, ledger = self._bench, self._ledger
+        turn = FreeTurn(place, max(ledger.plan.turns, 1), bench.settings.dwell_s, bench.now_s)
+        why = yield from self._record_turn(turn)
+        bench.close_stream()
+        ledger.scanning(bench.scanning)
+        if why:
+            self._write(turn, "interrupted", why)
+            yield ledger.problem(Problem("stillness", f"the turn was broken off: {why}", place))
+            return
+        status = bench.source.status()
+        settings = bench.settings_lost()
+        if settings:
+            self._write(turn, "interrupted", settings)
+            raise SessionError(settings)
+        number = self._write(turn, "complete", "", None if status is None else status.word)
+        ledger.count(place, number)
+        ledger.recorded_s = turn.length_s  # it ends with the turns
+        yield turn.done(number)
+        if not turn.full:
+            yield ledger.problem(Problem("stillness", _too_few(turn), place))
+        if turn.lost:
+            yield ledger.problem(Problem("lost", f"{turn.lost} scans lost during the turn", place))
+
+
+def _too_few(turn: FreeTurn) -> str:
+    """What is said where fewer full turns were seen than were asked for."""
+    if not turn.sweeps.full:
+        return f"it went {turn.sweeps.span_deg:.0f}°, no full turn: undo it and turn all around"
+    return (
+        f"{turn.sweeps.full} of {counted(turn.turns, 'turn')} seen: used with the uncertainty that gives;"
+        " undo it and turn again, or ask for --turns 1"
+    )

@@ -29,9 +29,9 @@ from pathlib import Path
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, SessionError, UsageError
-from adis_gonio.bench.bench import SessionBench
-from adis_gonio.bench.closing import Advisor
+from adis_gonio.bench.advisor import Advisor
 from adis_gonio.bench.dialogue import Operator, Questions, Reply
+from adis_gonio.bench.dwell_recorder import DwellRecorder
 from adis_gonio.bench.events import (
     Advised,
     Advising,
@@ -44,16 +44,22 @@ from adis_gonio.bench.events import (
     RepetitionOffered,
     Started,
 )
-from adis_gonio.bench.knowledge import Knowledge
-from adis_gonio.bench.ledger import Ledger
-from adis_gonio.bench.recorder import Recorder, recorder_of
+from adis_gonio.bench.gyro_turns import GyroTurnsRecorder
+from adis_gonio.bench.recorder import FreeTurnRecorder, Recorder
+from adis_gonio.bench.session_bench import SessionBench
+from adis_gonio.bench.session_state import Knowledge, Ledger
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, checked_gravity_mps2
-from adis_gonio.record.archive import Archive, Header, read_session
+from adis_gonio.record.archive import Archive
+from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position, blindness, extended, extension
+from adis_gonio.record.session_reader import FREE_TURN, read_session
 from adis_gonio.record.settings import Settings, expected_each_s
 from adis_gonio.record.source import SampleSource
-from adis_gonio.record.watch import NoiseMeter
+from adis_gonio.record.stillness import NoiseMeter
+
+RECORDERS: dict[str, type[Recorder]] = {GYRO_TURNS: GyroTurnsRecorder, FREE_TURN: FreeTurnRecorder}
+"""Recorder by the name of the plan; other plans take a `DwellRecorder`."""
 
 SHARE_OF_RANGE = 0.6
 """Of the gyros' range: a hand that takes new grips is much faster than its mean in between."""
@@ -248,7 +254,7 @@ class SessionRunner(Operator):
         self._resumed = resumed
         self._ran = False
         self._ledger = Ledger(archive, lambda: bench.now_s)
-        self._recorder_type = recorder_of(self._ledger.plan)
+        self._recorder_type = RECORDERS.get(self._ledger.plan.name, DwellRecorder)
         self._knowledge = Knowledge(bench, self._ledger, judging=self.judges_places)
         self._questions = Questions(self._inbox, bench, self._ledger, self._knowledge, auto=auto)
         recorder = self._recorder_type(self._questions)

@@ -67,7 +67,7 @@ class Coefficients(ParameterTable):
     parameters: tuple[Coefficient, ...]
     covariance: Floats | None
     of_session: ClassVar[Callable[[str | Path], Any] | None] = None
-    """Reads a file that may be a session; set by `adis_gonio.tracing.loading`."""
+    """Reads a file that may be a session; set by `adis_gonio.tracing.trace_calibrations`."""
 
     def __getitem__(self, name: str) -> Coefficient:
         """Parameter by name; `KeyError` without it."""

@@ -10,12 +10,12 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting import fit as _fit
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO, known_part
-from adis_gonio.fitting.gyros.fit import METHOD as GYRO_METHOD
-from adis_gonio.fitting.gyros.fit import GyroFit, fit_gyro
+from adis_gonio.fitting.gyros.gyro_fit import METHOD as GYRO_METHOD
+from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro
 from adis_gonio.model import Session
 from adis_gonio.record.loading import load_session
-from adis_gonio.tracing import TraceResult
 from adis_gonio.tracing.trace import trace as _trace
+from adis_gonio.tracing.trace_result import TraceResult
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
@@ -118,7 +118,7 @@ def _gyros_beside(
     if not isinstance(given, str | PathLike):
         return given
     from adis_gonio.record.provenance import provenance_of
-    from adis_gonio.tracing.loading import load_gyro_calibration
+    from adis_gonio.tracing.trace_calibrations import load_gyro_calibration
 
     if session.source and Path(given).resolve() == Path(session.source).resolve():
         raise UsageError(

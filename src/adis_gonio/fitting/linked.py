@@ -35,8 +35,7 @@ from adis_gonio.model.records import Session
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-    from adis_gonio.fitting.gyros.links import GyroLinks
-    from adis_gonio.fitting.gyros.prior import GyroPrior
+    from adis_gonio.fitting.gyros.gyro_links import GyroLinks, GyroPrior
 
 Refused = tuple[int, int, str]
 LEAST_POSES = 3
@@ -143,8 +142,7 @@ def _linked(
         if gyros is not None:
             raise UsageError("a calibration of gyros serves poses in space; this session has a plane")
         return readings, None
-    from adis_gonio.fitting.gyros.links import gyro_links
-    from adis_gonio.fitting.gyros.prior import GyroPrior
+    from adis_gonio.fitting.gyros.gyro_links import GyroPrior, gyro_links
 
     prior = GyroPrior.of_sheet(session.sensor)
     found = gyro_links(session, prior if gyros is None else prior.calibrated(gyros))

@@ -25,7 +25,7 @@ from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.likelihood import fit_ml
 from adis_gonio.fitting.linked import linked_readings
 from adis_gonio.fitting.result import FitResult
-from adis_gonio.fitting.slips.of_session import in_context, positions_of
+from adis_gonio.fitting.slips.session_positions import in_context, positions_of
 from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of

@@ -14,7 +14,7 @@ from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import Value, factor_over
-from adis_gonio.fitting.slips.finding import listed
+from adis_gonio.fitting.slips.position_diagnosis import listed
 from adis_gonio.fitting.solvable import unsolvable
 from adis_gonio.record.provenance import Provenance
 

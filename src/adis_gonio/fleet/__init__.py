@@ -21,7 +21,6 @@ _HOMES = {
     "files_of": "files",
     "read_parquet": "parquet",
     "record_of": "work",
-    "row_of": "columns",
     "run_fleet": "run",
     "scan": "run",
     "summarise": "summary",
@@ -41,7 +40,6 @@ __all__ = [
     "files_of",
     "read_parquet",
     "record_of",
-    "row_of",
     "run_fleet",
     "scan",
     "summarise",
@@ -51,7 +49,6 @@ __all__ = [
 
 if TYPE_CHECKING:
     from adis_gonio.fleet.cluster import Cluster as Cluster
-    from adis_gonio.fleet.columns import row_of as row_of
     from adis_gonio.fleet.files import files_of as files_of
     from adis_gonio.fleet.parquet import read_parquet as read_parquet
     from adis_gonio.fleet.parquet import write_parquet as write_parquet

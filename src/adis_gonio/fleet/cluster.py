@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import FleetError, NotInstalledError, UsageError
-from adis_gonio.base.numbers import counted
 from adis_gonio.fleet.record import SessionRecord
 from adis_gonio.fleet.work import Job, Options, lost, work
 
@@ -44,11 +43,6 @@ class Cluster:
     connect_s, alone_s : float
         Limits in s: for the scheduler's answer, for a cluster without a worker.
 
-    Attributes
-    ----------
-    where : str
-        In words.
-
     Raises
     ------
     NotInstalledError
@@ -70,8 +64,6 @@ class Cluster:
         self._client = _connected(address, connect_s)
         try:
             self._check(connect_s)
-            threads = self._asked_threads()
-            self.where = f"by {counted(len(threads), 'worker')} of {address}"
         except BaseException:
             self._client.close(timeout=connect_s)
             raise

@@ -1,7 +1,4 @@
-"""The table of a fleet: one row a session, in columns that are documented here and nowhere else.
-
-Most come from `SessionRecord.row`; `effects` and `model_effects` are lists of names here.
-"""
+"""The table of many sessions: the columns of `SessionRecord.row`, documented here and nowhere else."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.fleet.record import PARTS, QUANTITIES, SessionRecord
+from adis_gonio.fleet.record import QUANTITIES
 
 Kind = Literal["text", "number", "integer", "flag", "names"]
 Row = Mapping[str, Any]
@@ -64,16 +61,6 @@ def _of_quantities() -> dict[str, tuple[Kind, str, str]]:
 
 COLUMNS: dict[str, tuple[Kind, str, str]] = {**_FACTS, **_of_quantities()}
 """Kind, unit and meaning of each column, in order."""
-
-
-def row_of(record: SessionRecord) -> dict[str, Any]:
-    """One row; a value in another unit than its column's (counts of unknown scale) is left out."""
-    row: dict[str, Any] = record.row()
-    for name, value in record.values.items():
-        if value.unit != QUANTITIES[name]:
-            row |= dict.fromkeys(f"{name}{end}" for end in PARTS)
-    row |= {name: str(row[name]).split() for name in ("effects", "model_effects")}
-    return {name: row[name] for name in COLUMNS}
 
 
 _FACTS_USED = (

@@ -11,7 +11,7 @@ from adis_gonio.base.output import ends_in
 from adis_gonio.record.database import is_archive
 
 ENDINGS = (".session", ".csv", ".csv.gz")
-"""Names that are taken for sessions whatever is in them; an archive is known by its content as well."""
+"""Endings of session files; an archive is known by its content as well."""
 
 
 def files_of(given: Iterable[str | Path]) -> list[str]:

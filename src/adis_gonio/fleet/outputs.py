@@ -13,7 +13,6 @@ from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.base.jsonable import finite, json_object
 from adis_gonio.base.output import check_output, replacing, write_utf8
-from adis_gonio.fleet.columns import row_of
 from adis_gonio.fleet.run import Fleet
 from adis_gonio.fleet.summary import Summary, summarise
 from adis_gonio.fleet.work import Options
@@ -34,7 +33,7 @@ class FleetResult:
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
         """One row a session (`adis_gonio.fleet.columns.COLUMNS`)."""
-        return [row_of(record) for record in self.fleet.records]
+        return [record.row() for record in self.fleet.records]
 
     @cached_property
     def summary(self) -> Summary:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
 from adis_gonio.fleet import words
@@ -54,9 +53,6 @@ def build_page(
         "Fleet",
         title or counted(summary.sessions["n"], "session"),
         shape=words.headline(summary).rstrip("."),
-        simulated=False,
-        begun="",
-        software=f"adis-gonio {__version__}",
         sections=sections,
         closing="This page is made from the sessions' files alone and can be made again from them.",
     )

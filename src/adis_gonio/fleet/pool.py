@@ -24,7 +24,6 @@ from typing import IO, Any
 
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import FleetError
-from adis_gonio.base.numbers import counted
 from adis_gonio.fleet.record import SessionRecord
 from adis_gonio.fleet.work import Job, Options, lost
 
@@ -54,13 +53,10 @@ class LocalPool:
     ----------
     workers : int
         Processes at most.
-    where : str
-        In words.
     """
 
     def __init__(self, workers: int | None = None, command: Sequence[str] = COMMAND) -> None:
         self.workers = workers or cores()
-        self.where = f"by {counted(self.workers, 'process', 'processes')}"
         self._command = tuple(command)
         self._hands: list[_Hand] = []
 

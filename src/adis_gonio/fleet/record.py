@@ -1,12 +1,12 @@
 """One session's result: the record that the store keeps, and its flat row.
 
-The numbers are those of the one answer (`adis_gonio.tracing.answer`), as `fit` and the report show them.
+The numbers are those of the answer (`adis_gonio.tracing.traced_answer`), as in `fit` and the report.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -24,7 +24,7 @@ QUANTITIES = {
     ANGLE: "deg",
 }
 """Unit of each quantity that a record can hold, named as in the document of `fit`; in space the
-skews stand in the place of `delta_phi`."""
+skews replace `delta_phi`."""
 PARTS = {"": "value", "_u": "u", "_u95": "U", "_k": "k", "_dof": "dof"}
 """Columns of a quantity in a row, by ending, with their keys in the document of a value."""
 
@@ -49,18 +49,18 @@ class FoundEffect(JsonRecord):
 
 @dataclass(frozen=True)
 class SessionRecord(JsonRecord):
-    """What is remembered of one session's file; text that nobody gave, and what is not known, is None.
+    """Facts and results of one session's file; text that is not stated and unknown values are None.
 
     Attributes
     ----------
     path : str
-        Where the file was read.
+        Path of the file as it was read.
     sha256 : str or None
-        Of the file; None where it could not be read.
+        Digest of the file; None if it could not be read.
     data_sha256 : str or None
         Of the dwells' data: the same for an archive and for the CSV exported from it.
     serial, operator, stage : str or None
-        What the operator wrote down.
+        Text of the operator.
     sensor : str or None
         Variant.
     plan : str or None
@@ -75,20 +75,20 @@ class SessionRecord(JsonRecord):
         Mean over all samples.
     gravity_mps2 : float or None
     method : str or None
-        Recommended method, whose numbers these are.
+        Recommended method, which gave these numbers.
     model_effects : tuple of str
-        Effects of the traced model, where that is the answer.
+        Effects of the traced model, if that is the answer.
     values : mapping of str to Value
         `QUANTITIES` that the session determines.
     angle_max_deg : float or None
         Largest error of the angle over the dwells, each left out of the fit.
     traced : bool
-        True where a trace ran; else nothing is known of effects.
+        True if a trace ran; otherwise nothing is known of effects.
     effects : tuple of FoundEffect
     adequate : bool or None
         Whether the traced model explains the readings; None without a trace.
     doubts : tuple of str
-        Why the result cannot be right: what was kept against a guard.
+        Reasons why the result cannot be right: readings that were kept against a guard.
     status : {"ok", "failed"}
     reason : str
         Why it failed, one line.
@@ -138,21 +138,46 @@ class SessionRecord(JsonRecord):
             }
         )
 
-    def row(self) -> dict[str, str | float | int | bool | None]:
-        """One flat row, the same columns for every record: a table's (SQLite, Parquet).
+    def row(self) -> dict[str, Any]:
+        """One row with the columns of `adis_gonio.fleet.columns.COLUMNS`; unknown values are None.
 
-        Each of `QUANTITIES` takes five (`PARTS`): `delta_k`, `delta_k_u`, `delta_k_u95` (U: names of
-        columns do not tell capitals apart), `delta_k_k`, `delta_k_dof`. `effects` are names,
-        separated by a space.
+        Each of `QUANTITIES` takes five columns (`PARTS`): `delta_k`, `delta_k_u`, `delta_k_u95` (U, since
+        names of columns do not tell capitals apart), `delta_k_k`, `delta_k_dof`. A value in another unit
+        than that of its column (counts of unknown scale) is left out. `effects` and `model_effects` are
+        lists of names.
         """
-        facts = {k: v for k, v in vars(self).items() if k not in ("values", "evidence")}
-        facts["model_effects"] = " ".join(self.model_effects)
-        facts["effects"] = " ".join(dict.fromkeys(found.effect for found in self.effects))
-        facts["doubts"] = "; ".join(self.doubts)
-        for name in QUANTITIES:
-            value = self.values[name].as_dict() if name in self.values else {}
-            facts |= {f"{name}{end}": value.get(key) for end, key in PARTS.items()}
-        return facts
+        row = {name: value for name, value in vars(self).items() if name not in ("values", "evidence")}
+        row["model_effects"] = list(self.model_effects)
+        row["effects"] = list(dict.fromkeys(found.effect for found in self.effects))
+        row["doubts"] = "; ".join(self.doubts)
+        for name, unit in QUANTITIES.items():
+            known = name in self.values and self.values[name].unit == unit
+            value = self.values[name].as_dict() if known else {}
+            row |= {f"{name}{end}": value.get(key) for end, key in PARTS.items()}
+        return row
+
+
+def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], dict[str, str]]:
+    """Records by path, each data once, and the paths left out with the path of the same data.
+
+    Of an archive and the CSV exported from it that one is kept that states more.
+    """
+    kept, copies, names = [], {}, dict[str, str]()
+    for record in sorted(records, key=_unstated):
+        data = record.data_sha256 if record.status == "ok" else None
+        if data in names:
+            copies[record.path] = names[data]
+            continue
+        if data:
+            names[data] = record.path
+        kept.append(record)
+    return sorted(kept, key=lambda record: record.path), copies
+
+
+def _unstated(record: SessionRecord) -> tuple[int, str]:
+    """Number of facts that a file does not state, then its path."""
+    names = ("when", "serial", "operator", "stage", "plan")
+    return sum(getattr(record, name) is None for name in names), record.path
 
 
 def value_from(entry: Mapping[str, Any]) -> Value:

@@ -12,11 +12,10 @@ from adis_gonio.base.budget import told
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted, format_duration
 from adis_gonio.fleet.files import session_files
-from adis_gonio.fleet.record import SessionRecord
+from adis_gonio.fleet.record import SessionRecord, once
 from adis_gonio.fleet.store import Store
-from adis_gonio.fleet.work import Job, Options, digest_of_file, lost, record_of
-
-_WRITTEN = ("when", "serial", "operator", "stage", "plan")
+from adis_gonio.fleet.work import Job, Options, lost, record_of
+from adis_gonio.record.provenance import digest_of_file
 
 
 class Workers(Protocol):
@@ -45,7 +44,7 @@ class Repeated(JsonRecord):
 
 @dataclass(frozen=True)
 class Survey:
-    """What the files are, before work.
+    """The files before any session is computed.
 
     Attributes
     ----------
@@ -68,10 +67,10 @@ class Fleet:
     Attributes
     ----------
     records : tuple of SessionRecord
-        One a session, by path: whoever worked on it, and in whatever order.
+        One a session, in the order of their paths.
     repeated : tuple of Repeated
     again : int
-        Sessions whose record was in the store already.
+        Sessions with a record in the store before the run.
     """
 
     records: tuple[SessionRecord, ...]
@@ -124,14 +123,14 @@ def run_fleet(
     store: Store,
     tell: Callable[[FleetProgress], None] | None = None,
 ) -> Fleet:
-    """Have every session worked on whose record the store lacks.
+    """Compute every session that has no record in the store.
 
     Raises
     ------
     OutputError
         The store cannot be written; its records stay.
     FleetError
-        Nobody is there to work.
+        There are no workers.
     """
     known = ((job.path, store.found(job, options)) for job in found.jobs)
     records = {path: record for path, record in known if record is not None}
@@ -143,19 +142,19 @@ def run_fleet(
         progress.arrived(record)
         if tell is not None:
             tell(progress)
-    kept, copies = _once([*records.values(), *found.unreadable])
-    repeated = sorted([*found.repeated, *copies], key=lambda one: one.path)
-    return Fleet(tuple(kept), tuple(repeated), progress.again)
+    kept, copies = once([*records.values(), *found.unreadable])
+    repeated = [*found.repeated, *(Repeated(path, same_as) for path, same_as in copies.items())]
+    return Fleet(tuple(kept), tuple(sorted(repeated, key=lambda one: one.path)), progress.again)
 
 
 @dataclass(frozen=True)
 class Scan:
-    """What looking through folders came to.
+    """Result of looking through folders.
 
     Attributes
     ----------
     computed, known : int
-        Files whose results were computed now, and those that were in the store already.
+        Files that were computed now, and files with a record in the store before.
     unreadable : tuple of SessionRecord
         Files that could not even be read; they are not in the store.
     """
@@ -180,25 +179,6 @@ def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> 
     unreadable = tuple(record for record in fleet.records if record.sha256 is None)
     computed = len(found.jobs) - fleet.again
     return Scan(computed, len(paths) - len(found.unreadable) - computed, unreadable)
-
-
-def _once(records: Sequence[SessionRecord]) -> tuple[list[SessionRecord], list[Repeated]]:
-    """Without files of other bytes but the same data, such as the CSV exported from an archive."""
-    kept, copies, names = [], [], dict[str, str]()
-    for record in sorted(records, key=_lacking):
-        data = record.data_sha256 if record.status == "ok" else None
-        if data in names:
-            copies.append(Repeated(record.path, names[data]))
-            continue
-        if data:
-            names[data] = record.path
-        kept.append(record)
-    return sorted(kept, key=lambda record: record.path), copies
-
-
-def _lacking(record: SessionRecord) -> tuple[int, str]:
-    """How much of what an operator writes down a file does not say, then its name."""
-    return sum(getattr(record, name) is None for name in _WRITTEN), record.path
 
 
 class FleetProgress:

@@ -111,7 +111,7 @@ def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
         return float((as_normal((x - centre) / np.sqrt(variance), nu) ** 2).sum())
 
     expected = (n - 1.0, float(chi2.ppf(0.975, n - 1)), float(chi2.ppf(0.025, n - 1)))
-    tau, low, high = (_tau_of(q_at, goal, x) for goal in expected)
+    tau, low, high = (tau_of(q_at, goal, x) for goal in expected)
     q = q_at(0.0)
     return Beyond(n, float(np.median(s)), q, n - 1, float(chi2.sf(q, n - 1)), tau, (low, high))
 
@@ -128,8 +128,8 @@ def as_normal(t: Floats, dof: Floats) -> Floats:
     return out
 
 
-def _tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
-    """The τ at which Q is as large as expected; 0 where it is smaller without any."""
+def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
+    """Paule's and Mandel's τ: Q there is as large as expected; 0 if Q is smaller without any τ."""
     from scipy.optimize import brentq
 
     if q_at(0.0) <= goal:

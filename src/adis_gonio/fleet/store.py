@@ -26,8 +26,9 @@ from typing import Any
 from adis_gonio.base.errors import DataError, OutputError
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.numbers import counted
-from adis_gonio.fleet.record import SessionRecord
-from adis_gonio.fleet.work import Job, Options, digest_of_file
+from adis_gonio.fleet.record import SessionRecord, once
+from adis_gonio.fleet.work import Job, Options
+from adis_gonio.record.provenance import digest_of_file
 
 NAME = "adis-gonio.index"
 """Of the store in the first folder, if no other file is named."""
@@ -70,7 +71,7 @@ class Store:
     Attributes
     ----------
     problems : list of str
-        What went wrong with the file, one line each.
+        Problems of the file, one line each.
 
     Raises
     ------
@@ -167,7 +168,7 @@ class Store:
             raise sqlite3.DatabaseError(" ".join(str(found).split())[:80])
 
     def _ours(self) -> bool:
-        """True if the file was a store once: its head says so, or its name where the head is lost."""
+        """True if the file was a store once: its head says so, or, if the head is damaged, its name."""
         with self.path.open("rb") as file:
             head = file.read(72)
         return int.from_bytes(head[68:72], "big") == APPLICATION_ID or self.path.name == NAME
@@ -236,9 +237,9 @@ class Store:
     # -- filling it --------------------------------------------------------------------------------
 
     def digest_of(self, path: str | Path) -> str:
-        """Digest of a file, which is read only if its length or times have changed; notes where it stands.
+        """Digest of a file, which is read only if its length or times have changed; records its path.
 
-        The record of the bytes that stood there before goes, unless they stand in another file too.
+        The record of the file's former content is deleted unless another file has that content.
 
         Raises
         ------
@@ -327,11 +328,7 @@ class Store:
 
     def records(self, serial: str | None = None) -> list[SessionRecord]:
         """Records of one serial number or all, in the order of time; the same data counted once."""
-        kept: dict[str, SessionRecord] = {}
-        # Data by preference with their time: an archive before the CSV exported from it.
-        for record in sorted(self._records(serial), key=lambda record: record.when is None):
-            kept.setdefault(record.data_sha256 or f"file {record.sha256}", record)
-        return sorted(kept.values(), key=lambda record: (record.when or "", record.path))
+        return sorted(once(self._records(serial))[0], key=lambda record: record.when or "")
 
     def _records(self, serial: str | None) -> list[SessionRecord]:
         where, values = ("1", ()) if serial is None else ("serial = ?", (serial,))

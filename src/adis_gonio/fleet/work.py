@@ -1,8 +1,7 @@
-"""One session of many: the job, and the record that a worker makes of it, wherever it works."""
+"""One session of many: the job, and the record that a worker makes of it."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from dataclasses import dataclass
@@ -15,23 +14,24 @@ from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.uncertainty import Value, finite_or_none
 from adis_gonio.fleet.record import QUANTITIES, FoundEffect, SessionRecord
+from adis_gonio.record.provenance import digest_of_file, provenance_of
 
 if TYPE_CHECKING:
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.model.records import Session
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.tracing.trace_result import TraceResult
 
 
 @dataclass(frozen=True)
 class Options(JsonRecord):
-    """What is asked of every session.
+    """Computations that every session gets.
 
     Attributes
     ----------
     trace : bool
-        Trace the residual too: seconds to half a minute a session, where a fit takes tenths.
+        Trace the residual too: seconds to half a minute a session; a fit takes tenths.
     evidence : bool
-        Compute what `adis_gonio.fleet.population` needs of it.
+        Compute the session's evidence for `adis_gonio.fleet.population`.
     """
 
     trace: bool = True
@@ -39,7 +39,7 @@ class Options(JsonRecord):
 
     @property
     def key(self) -> str:
-        """Text that differs where the same file may give another result: options and version."""
+        """Options and version: if this text changes, a file may give another result."""
         return json.dumps([self.as_dict(), __version__])
 
 
@@ -51,25 +51,13 @@ class Job:
     digest: str
 
 
-def digest_of_file(path: str | Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal.
-
-    Raises
-    ------
-    OSError
-        It cannot be read.
-    """
-    with Path(path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def lost(path: str, reason: str) -> SessionRecord:
-    """Record of a session that nobody could work on; it has no digest, and the next run tries it again."""
+    """Record of a session that was not computed; without a digest, so that the next run tries again."""
     return SessionRecord(path, status="failed", reason=f"{path}: {reason}")
 
 
 def work(path: str, digest: str, options: dict[str, bool], version: str) -> SessionRecord:
-    """Record of a job, made by a worker that may stand on another machine.
+    """Compute the record of a job, perhaps on another machine.
 
     Parameters
     ----------
@@ -78,7 +66,7 @@ def work(path: str, digest: str, options: dict[str, bool], version: str) -> Sess
     options : mapping
         `Options.as_dict()`.
     version : str
-        Of adis-gonio, where the fleet is run from.
+        Version of adis-gonio that runs the fleet.
     """
     if version != __version__:
         return lost(path, f"the worker has adis-gonio {__version__}, the fleet is run by {version}")
@@ -99,8 +87,7 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
     trace, evidence : bool
         As in `Options`.
     """
-    from adis_gonio.record.loading import load_session
-    from adis_gonio.record.overrides import as_it_is
+    from adis_gonio.record.loading import as_it_is, load_session
 
     path = Path(path)
     known: dict[str, Any] = {"path": str(path), "software": f"adis-gonio {__version__}"}
@@ -113,15 +100,13 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
         return SessionRecord(**known, **found, evidence=_evidence(session) if evidence else None)
     except (AdisGonioError, OSError) as error:
         reason = as_it_is(str(error))
-    except Exception as error:  # among thousands of files one may find what nobody thought of
+    except Exception as error:  # among thousands of files there may be an unforeseen one
         reason = f"{path}: {type(error).__name__}: {error}"
     return SessionRecord(**known, status="failed", reason=" ".join(reason.split()))
 
 
 def _facts(session: Session) -> dict[str, Any]:
-    """What the file says, whatever a fit makes of it."""
-    from adis_gonio.record.provenance import provenance_of
-
+    """Facts of the file, which hold whether a fit succeeds or not."""
     origin = provenance_of(session)
     return {
         "data_sha256": origin.sha256,
@@ -154,8 +139,8 @@ def _utc(text: str) -> str | None:
 
 def _results(session: Session, *, trace: bool) -> dict[str, Any]:
     from adis_gonio.fitting import fit
-    from adis_gonio.tracing.answer import answer_with_trace
     from adis_gonio.tracing.trace import trace as traced_by
+    from adis_gonio.tracing.traced_answer import answer_with_trace
 
     found = traced_by(session) if trace else None
     answer = answer_with_trace(fit(session), found, own=False)

@@ -16,12 +16,15 @@ from adis_gonio.calibrate.files import calibration_in
 from adis_gonio.handover.c_header import DEFAULT_NAME
 from adis_gonio.handover.formats import BY_NAME
 from adis_gonio.model.records import Session
-from adis_gonio.record.export import session_dict
-from adis_gonio.record.loading import load_session
-from adis_gonio.record.overrides import Overrides
+from adis_gonio.record.loading import Overrides, load_session
 from adis_gonio.record.provenance import changed_registers
-from adis_gonio.tracing.calibrations import gyro_calibration_of, gyros_alone, with_gyros
-from adis_gonio.tracing.loading import load_gyro_calibration
+from adis_gonio.record.samples_writer import session_dict
+from adis_gonio.tracing.trace_calibrations import (
+    gyro_calibration_of,
+    gyros_alone,
+    load_gyro_calibration,
+    with_gyros,
+)
 
 
 @dataclass(frozen=True)

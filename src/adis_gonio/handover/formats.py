@@ -47,7 +47,7 @@ class Format:
 FORMATS = (
     Format("c-header", (".h", ".hpp"), "coefficients", "handover.c_header:c_header", named=True),
     Format("json", (".json",), "document"),
-    Format("csv", (".csv", ".csv.gz"), "samples", "record.export:write_csv"),
+    Format("csv", (".csv", ".csv.gz"), "samples", "record.samples_writer:write_csv"),
     Format("parquet", (".parquet",), "samples", "handover.parquet:write_parquet"),
     Format("dcc", (".xml",), "coefficients", "handover.certificate:certificate_text"),
     Format("registers", (".txt",), "coefficients", "handover.offsets:registers_text"),

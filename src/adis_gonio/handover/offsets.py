@@ -12,7 +12,7 @@ from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibrati
 from adis_gonio.device.sensor.registers import register
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES
-from adis_gonio.tracing.loading import load_calibration, load_gyro_calibration
+from adis_gonio.tracing.trace_calibrations import load_calibration, load_gyro_calibration
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from adis_gonio.base.errors import DataError, NotInstalledError
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.record.export import session_dict
+from adis_gonio.record.samples_writer import session_dict
 
 ROWS = 100_000
 """Least rows of a group, so that many short dwells make no file of many small ones."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from adis_gonio.base import __version__
 from adis_gonio.base.numbers import NO_BREAK
 
 
@@ -111,11 +112,11 @@ def render(
     title: str,
     *,
     shape: str,
-    simulated: bool,
-    begun: str,
-    software: str,
     sections: Sequence[Section],
     closing: str,
+    simulated: bool = False,
+    begun: str = "",
+    software: str = f"adis-gonio {__version__}",
 ) -> str:
     """A page of a kind (`Calibration report`) that loads nothing; every text is escaped and printable.
 

@@ -20,7 +20,7 @@ from adis_gonio.plan.criteria import Best, Criterion
 from adis_gonio.plan.imagined import Bench, imagined, perfect_mg
 from adis_gonio.plan.sight import plain_terms
 from adis_gonio.record.plans import Approach, Plan, Position
-from adis_gonio.tracing.advice.proposals import TYPICALS
+from adis_gonio.tracing.proposals import TYPICALS
 
 _LOOSE = 1.0
 """Prior standard deviation of a base parameter in natural units: nothing beside any session."""

@@ -1,6 +1,6 @@
 """What a plan will see, and what it will not tell apart: by the trace's own linear problem.
 
-Detectable is what `trace` says of a session (`tracing.outcome.detect`), at its own error level, beside the
+The detectable amplitudes are those of `trace` (`tracing.findings.detectable`), at its level, beside the
 start angle, gains, Δφ and biases. Two effects are not told apart where one of them, just as large as is
 detected, leaves less than `LEAST_SEPARATION` standard uncertainties beside the best imitation by the other:
 the limit at which `advice` holds a measurement for worth while.
@@ -23,11 +23,11 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import catalogue
-from adis_gonio.tracing.advice.proposals import LEAST_SEPARATION, widest_terms
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.outcome.detect import detectable
-from adis_gonio.tracing.selection.design import LinearProblem, linearise, span
-from adis_gonio.tracing.selection.search import Search, price
+from adis_gonio.tracing.findings import detectable
+from adis_gonio.tracing.linear_problem import LinearProblem, linearise, span
+from adis_gonio.tracing.model_search import Search, price
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.proposals import LEAST_SEPARATION, widest_terms
 
 
 @dataclass(frozen=True)

@@ -11,17 +11,340 @@ import math
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.base import __version__
+import numpy as np
+
+from adis_gonio.base import Closing, __version__
 from adis_gonio.base.errors import SessionError
+from adis_gonio.base.shapes import ShapeError, anything
+from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.record import database
-from adis_gonio.record.blocks import to_bytes
-from adis_gonio.record.reading import read_session
-from adis_gonio.record.rows import Attempt, Header, Move, Record, StoredAttempt, checksum, to_json, utc_now
-from adis_gonio.record.tables import statements
-from adis_gonio.record.view import ArchiveView
+from adis_gonio.record.archive_tables import (
+    LARGEST_S,
+    LARGEST_VALUE,
+    META,
+    RECORDS,
+    Attempt,
+    Header,
+    JsonDict,
+    Move,
+    Phase,
+    Record,
+    StoredAttempt,
+    checked_row,
+    checked_value,
+    checksum,
+    statements,
+    to_json,
+    utc_now,
+)
+from adis_gonio.record.blocks import GENERIC, UNITS, Block, count_alarms, from_bytes, to_bytes
+from adis_gonio.record.plans import Plan, Position
+
+
+class ArchiveView(Closing):
+    """Read access to a session file; `Archive` adds writing. Use it as a context manager.
+
+    Raises
+    ------
+    DataError
+        The file is missing, of another kind, damaged, truncated or newer than this program.
+    SessionError
+        It cannot be read here, or holds no session yet.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._connection = database.connect(self.path, write=False)
+        self._header: Header | None = None
+
+    @contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """Let all reads inside see the same state, whatever another program writes meanwhile."""
+        with database.explained(self.path):
+            self._connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            self._connection.rollback()
+
+    def header(self) -> Header:
+        """What stands from the beginning; read once, since no row of it ever changes."""
+        if self._header is None:
+            self._header = self._read_header()
+        return self._header
+
+    def _read_header(self) -> Header:
+        try:
+            values = checked_value(
+                "table meta", META, {row["key"]: row["value"] for row in self._rows("meta", "key")}
+            )
+        except ShapeError as error:
+            raise database.damaged(self.path, str(error)) from None
+        values["plan"] = Plan.from_dict(values["plan"])
+        if values["fixture_sigma_deg"] == "free":
+            values["fixture_sigma_deg"] = math.inf
+        return Header(**values)
+
+    def records(self, kind: str | None = None) -> list[Record]:
+        """Records of one kind, or all, in order."""
+        return [self._checked_record(**row) for row in self._rows("records", "record", kind=kind)]
+
+    def _checked_record(self, record: int, kind: str, value: Any, **row: Any) -> Record:
+        try:
+            checked_value(kind, RECORDS.get(kind, anything), value)
+        except ShapeError as error:
+            raise database.damaged(self.path, f"record {record}: {error}") from None
+        return Record(kind=kind, value=value, **row)
+
+    def last(self, kind: str) -> Any:
+        """Value of the last record of a kind; None where there is none."""
+        records = self.records(kind)
+        return records[-1].value if records else None
+
+    def runs(self) -> list[JsonDict]:
+        """Openings of the session, in order."""
+        return self._rows("runs", "run")
+
+    def plan(self) -> Plan:
+        """Plan in force: the first one, or its last extension."""
+        extended = self.last("plan")
+        return self.header().plan if extended is None else Plan.from_dict(extended)
+
+    def attempts(self) -> list[StoredAttempt]:
+        """All attempts, in order."""
+        offsets = {run["run"]: run["clock_offset_s"] for run in self.runs()}
+        stored = []
+        for row in self._rows("attempts", "attempt"):
+            position = Position(row.pop("angle_deg"), row.pop("approach"), row.pop("use"))
+            row |= {"number": row.pop("attempt"), "registers": tuple(row["registers"])}
+            offset_s = offsets.get(row["run"], math.nan)
+            stored.append(StoredAttempt(position=position, offset_s=offset_s, **row))
+        self._refuse_strangers(stored)
+        return stored
+
+    def _refuse_strangers(self, stored: list[StoredAttempt]) -> None:
+        """Refuse attempts that do not go with the other tables: each row alone may be right."""
+        header, places = self.header(), len(self.plan())
+        runs = {run["run"]: run["continues"] for run in self.runs()}
+        of_number = {attempt.number: attempt.run for attempt in stored}
+        for attempt in stored:
+            wrong = ""
+            if attempt.run not in runs:
+                wrong = f"run {attempt.run}, which is not there"
+            elif attempt.place >= places:
+                wrong = f"place {attempt.place} of a plan with {places}"
+            elif attempt.blocks and attempt.variant != header.variant:
+                wrong = f"samples of '{attempt.variant}', the session is of '{header.variant}'"
+            elif attempt.blocks and not _can_be_scanned(attempt):
+                wrong = "registers that cannot be scanned together"
+            if wrong:
+                raise database.damaged(self.path, f"attempt {attempt.number} has {wrong}")
+        for run, after in runs.items():
+            # A run that goes on after itself or a later one would have no beginning.
+            if after and not of_number.get(after, run) < run:
+                raise database.damaged(self.path, f"run {run} goes on after attempt {after}")
+
+    def dwells(self) -> list[StoredAttempt]:
+        """Complete dwells in the order in which they were recorded; of a repeated one the last.
+
+        A place whose last dwell was withdrawn has none: it is to be done again.
+        """
+        attempts = self.attempts()
+        latest = {a.place: a.number for a in attempts if a.outcome == "complete"}
+        counted = set(latest.values()) - self.withdrawn()
+        return [a for a in attempts if a.number in counted]
+
+    def doubts(self) -> list[JsonDict]:
+        """Why a result cannot be right.
+
+        What a guard stopped at in dwells that count, and that was kept; and what contradicted dwells that
+        all count still, at a place that was then skipped: one of them may be what is wrong.
+        """
+        dwells = self.dwells()
+        counted, places = {attempt.number for attempt in dwells}, {attempt.place for attempt in dwells}
+        kept = [record.value for record in self.records("doubt") if record.value["attempt"] in counted]
+        skipped = {
+            record.value["place"]: record.value
+            for record in self.records("contradiction")
+            if record.value["place"] not in places and counted.issuperset(record.value["dwells"])
+        }
+        for place in skipped:
+            self._require_place(place)
+        return kept + [{"attempt": None, **doubt} for doubt in skipped.values()]
+
+    def _require_place(self, place: int) -> int:
+        """Place of a record, if the plan has it."""
+        if place >= len(self.plan()):
+            raise database.damaged(self.path, f"a record names place {place}, which the plan does not have")
+        return place
+
+    def offset_writes(self) -> list[JsonDict]:
+        """Steps of writes to the sensor's offset registers, in order; `writeback.journal` reads them.
+
+        Raises
+        ------
+        DataError
+            The first step of a write lacks the registers, or a step is about others.
+        """
+        steps = [record.value | {"utc": record.utc} for record in self.records("offsets")]
+        written: dict[int, set[str]] = {}
+        for step in steps:
+            number = step["number"]
+            if number not in written and not {"op", "old", "found", "save"} <= step.keys():
+                raise database.damaged(self.path, f"the first step of write {number} is missing")
+            names = written.setdefault(number, set(step.get("old", ())))
+            if any(set(step.get(part, names)) != names for part in ("old", "new", "found")):
+                raise database.damaged(self.path, f"the steps of write {number} are about other registers")
+        return steps
+
+    def withdrawn(self) -> set[int]:
+        """Numbers of the complete attempts that the operator took back."""
+        return {record.value for record in self.records("withdrawn")}
+
+    def faulty(self) -> list[StoredAttempt]:
+        """Dwells with a fault or alarm (STATUS after them, EA within) that nobody chose to keep."""
+        kept = {number for record in self.records("kept") for number in record.value}
+        return [
+            attempt
+            for attempt in self.dwells()
+            if attempt.number not in kept
+            and (attempt.status or any(count_alarms(block) for block in self.blocks(attempt, "dwell")))
+        ]
+
+    def skipped(self) -> set[int]:
+        """Places that the operator skipped and that have no dwell."""
+        skipped = {self._require_place(place) for place in {r.value for r in self.records("skipped")}}
+        return skipped - {a.place for a in self.dwells()}
+
+    def pending(self) -> list[int]:
+        """Places of the plan that have neither a dwell nor were skipped, in order."""
+        settled = {a.place for a in self.dwells()} | self.skipped()
+        return [place for place in range(len(self.plan())) if place not in settled]
+
+    def blocks(self, attempt: StoredAttempt, phase: Phase | None = None) -> list[Block]:
+        """Scans of an attempt, of one phase or all, block by block, as they were read.
+
+        Raises
+        ------
+        DataError
+            A block is missing or its checksum does not fit; the message says which.
+        """
+        rows = self._rows("blocks", "sequence", "attempt", attempt.number)
+        if len(rows) != attempt.blocks:
+            raise database.damaged(
+                self.path, f"{len(rows)} of {attempt.blocks} blocks of attempt {attempt.number}"
+            )
+        return [self._block(attempt, row) for row in rows if phase in (None, row["phase"])]
+
+    def _block(self, attempt: StoredAttempt, row: JsonDict) -> Block:
+        where = f"block {row['sequence']} of attempt {attempt.number}"
+        scans, words, time_s = row["scans"], row["words"], row["time_s"]
+        width = len(attempt.registers) * (8 if attempt.variant == GENERIC else 2)
+        if len(time_s) != 8 * scans or len(words) != width * scans:
+            raise database.damaged(self.path, f"{where} does not hold {scans} scans")
+        times = np.frombuffer(time_s, "<f8").astype(np.float64)
+        # Written so that NaN, which compares with nothing, is refused.
+        if not (np.abs(times) <= LARGEST_S).all() or (np.diff(times) < 0).any():
+            raise database.damaged(self.path, f"the times of {where} are no numbers that increase")
+        block = from_bytes(
+            words,
+            times,
+            row["lost"],
+            registers=attempt.registers,
+            variant=attempt.variant,
+            gyro_range_dps=attempt.gyro_range_dps,
+        )
+        if attempt.variant == GENERIC and not (np.abs(block.values()) <= LARGEST_VALUE).all():
+            raise database.damaged(self.path, f"the samples of {where} are no numbers of a sensor")
+        return block
+
+    def _line(self, attempt: int) -> list[StoredAttempt]:
+        """Last attempt of each run on the line that leads up to an attempt's end, in order.
+
+        Where a run went back to an earlier attempt, what came after that one in the run before is not
+        part of the line that leads here.
+        """
+        continues = {run["run"]: run["continues"] for run in self.runs()}
+        of_number = {stored.number: stored for stored in self.attempts()}
+        line: list[StoredAttempt] = []
+        while attempt:
+            line.insert(0, of_number[attempt])
+            attempt = continues[line[0].run]
+        return line
+
+    def moves_before(self, attempt: int) -> list[Move]:
+        """Moves of the stage that led up to an attempt's end, in order."""
+        of_run = {stored.number: stored.run for stored in self.attempts()}
+        rows = self._rows("moves", "move")
+        return [
+            _move(row)
+            for last in self._line(attempt)
+            for row in rows
+            if of_run.get(row["attempt"]) == last.run and row["attempt"] <= last.number
+        ]
+
+    def conditions_before(self, attempt: int) -> list[Record]:
+        """Temperatures and supplies that the program set on the line that leads up to an attempt's end."""
+        records = self.records("conditions")
+        return [
+            record
+            for last in self._line(attempt)
+            for record in records
+            if record.run == last.run and record.bus_s <= last.ended_bus_s
+        ]
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        self._connection.close()
+
+    def _rows(
+        self, table: str, order: str, column: str = "1", value: int = 1, kind: str | None = None
+    ) -> list[JsonDict]:
+        """Rows of a table by column, without their checksums, all or those that have a value in a column.
+
+        This is the door: every value has the type and range that `tables` declares, and JSON is a value.
+        Records of another kind than `kind` are left out once their checksum was checked.
+        """
+        checked, characters = [], 0
+        with database.explained(self.path):
+            rows = self._connection.execute(
+                f"SELECT * FROM {table} WHERE {column} = ? ORDER BY {order}", (value,)
+            )
+            # One row at a time: a wrong one is refused before the next one is in memory.
+            for number, row in enumerate(rows, start=1):
+                if checksum(*row[:-1]) != row[-1]:
+                    raise database.damaged(self.path, f"checksum of row {number} of table {table}")
+                if kind is not None and kind != row[-3]:
+                    continue
+                characters += sum(len(part) for part in row if isinstance(part, str))
+                if characters > database.MOST_TEXT:
+                    raise database.damaged(
+                        self.path, f"table {table} holds more than {database.MOST_TEXT} characters"
+                    )
+                try:
+                    checked.append(checked_row(table, row[:-1]))
+                except ShapeError as error:
+                    raise database.damaged(self.path, f"row {number} of table {table}: {error}") from None
+        return checked
+
+
+def _can_be_scanned(attempt: StoredAttempt) -> bool:
+    """True if the columns belong to the sensor, appear once and hold the accelerations."""
+    names, generic = attempt.registers, attempt.variant == GENERIC
+    known = UNITS if generic else BY_NAME
+    least = ("ax", "ay", "az") if generic else ACCEL_OUT
+    return len(set(names)) == len(names) and set(least) <= set(names) <= set(known)
+
+
+def _move(row: JsonDict) -> Move:
+    aim, move = row["direction"], Move(row["bus_s"], row["angle_deg"], row["approach"])
+    if isinstance(aim, dict):
+        return replace(move, turned_deg=aim["turned_deg"])
+    return move if aim is None else replace(move, direction=(aim[0], aim[1], aim[2]))
 
 
 class Archive(ArchiveView):
@@ -181,16 +504,3 @@ class Archive(ArchiveView):
         (latest,) = self._connection.execute("SELECT max(run) FROM runs").fetchone()
         if not self._run or latest != self._run:
             raise SessionError(f"{self.path}: another program has resumed this session; this one stops")
-
-
-__all__ = [
-    "Archive",
-    "ArchiveView",
-    "Attempt",
-    "Header",
-    "Move",
-    "Record",
-    "StoredAttempt",
-    "read_session",
-    "utc_now",
-]

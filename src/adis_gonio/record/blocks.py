@@ -1,9 +1,12 @@
-"""Samples one after another, of the chip as words or of any other sensor as values.
+"""Samples one after another, of the chip as words or of any other sensor as values, and alarms in them.
 
-A session takes either: both have `time_s`, `lost`, `dropped`, `alarm` (None where the sensor tells of
-none), `registers` (names of the columns), `units`, `values()`, `accel_mg`, `first`, and this module's
-functions. The chip's are `ScanBlock`; `ValueBlock` is what a source gives that knows its values in units
-and nothing of the chip.
+A session takes either kind: both have `time_s`, `lost`, `dropped`, `alarm` (None if the sensor reports
+no alarms), `registers` (names of the columns), `units`, `values()`, `accel_mg`, `first`, and this module's
+functions. The chip's kind is `ScanBlock`; a source that knows its values in units gives `ValueBlock`.
+
+The supply and over-range bits of STATUS clear when their condition ends (DS p. 20), so STATUS after a dwell
+does not show what happened within it. EA, bit 14 of every output word, does: it is set while any bit of
+STATUS is set. The archive keeps the words, so that old sessions are judged by the same rule.
 """
 
 from __future__ import annotations
@@ -16,6 +19,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor import decoding
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
@@ -186,3 +191,55 @@ def session_series(columns: dict[str, Floats]) -> dict[str, Any]:
         "temperature_c": columns.get("temp_c"),
         "supply_v": columns.get("supply_v"),
     }
+
+
+SUPPLY_LIMITS_V = (4.75, 5.25)
+"""Specified supply (DS, B)."""
+
+WITHOUT_NEWS = "they held no new data (ND), so their data-ready edge was not the sensor's"
+
+
+@dataclass(frozen=True)
+class Alarms(JsonRecord):
+    """When an error or alarm stood within a dwell (EA).
+
+    Attributes
+    ----------
+    scans : int
+        Scans with EA.
+    times : int
+        Runs of such scans.
+    first_s : float
+        From the dwell's first scan to the first with EA.
+    longest_s : float
+        Longest run, from its first scan to the one after it.
+    """
+
+    scans: int
+    times: int
+    first_s: float
+    longest_s: float
+
+    def __str__(self) -> str:
+        times = "once" if self.times == 1 else f"{self.times} times"
+        return (
+            f"an error or alarm stood in {counted(self.scans, 'scan')} ({times}, at most"
+            f" {self.longest_s:.3g} s, first {self.first_s:.3g} s into the dwell)"
+        )
+
+
+def alarms_of(scans: Block) -> Alarms | None:
+    """When EA stood in the scans of a dwell; None where it never did, or the sensor has no such bit."""
+    alarm = scans.alarm
+    if alarm is None or not alarm.any():
+        return None
+    edges = np.flatnonzero(np.diff(alarm.astype(np.int8), prepend=0, append=0))
+    starts, ends = edges[::2], edges[1::2]
+    period_s = float(np.median(np.diff(scans.time_s))) if len(scans) > 1 else 0.0
+    after_s = np.append(scans.time_s, scans.time_s[-1] + period_s)
+    return Alarms(
+        int(alarm.sum()),
+        len(starts),
+        float(scans.time_s[starts[0]] - scans.time_s[0]),
+        float((after_s[ends] - scans.time_s[starts]).max()),
+    )

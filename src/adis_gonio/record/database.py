@@ -33,7 +33,7 @@ from urllib.parse import quote
 
 from adis_gonio.base.errors import DataError, SessionError, one_line
 from adis_gonio.base.output import exists_error
-from adis_gonio.record.tables import APPLICATION_ID, SCHEMA_VERSION, TABLES, statements
+from adis_gonio.record.archive_tables import APPLICATION_ID, SCHEMA_VERSION, TABLES, statements
 
 MOST_STEPS = 100_000_000
 """Instructions of SQLite's machine after which a statement is stopped; a session of a day takes 10⁶."""

@@ -1,12 +1,230 @@
-"""A session from a file, whatever wrote it: `load_session`."""
+"""A session from a file (`load_session`), and corrections of the file's metadata (`Overrides`)."""
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.model.records import Session
-from adis_gonio.record.overrides import Overrides
+from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Session, checked_gravity_mps2
+
+_OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
+
+REVERSE = "reverse"
+"""Stands for the degrees of positions to which the stage turned the other way."""
+
+
+def as_it_is(reason: str) -> str:
+    """Why a file was refused, for commands that take no overrides: what its advice comes to there."""
+    if not _OPTIONS.search(reason):
+        return reason
+    return f"{reason} (an option of fit, trace and report; here the file itself has to say it)"
+
+
+@dataclass(frozen=True)
+class AngleChange:
+    """Another declared angle for one position, or for several in a row.
+
+    Attributes
+    ----------
+    first, last : int
+        Numbers of the dwells.
+    degrees : float or None
+        The angle, or what is added to the declared ones; None: the stage turned the other way from the
+        position before the first on, so that each stands as far on the other side of that.
+    added : bool
+    """
+
+    first: int
+    last: int
+    degrees: float | None
+    added: bool = False
+
+    def __str__(self) -> str:
+        where = str(self.first) if self.first == self.last else f"{self.first}-{self.last}"
+        if self.degrees is None:
+            return f"{where}={REVERSE}"
+        return f"{where}{'+=' if self.added else '='}{self.degrees:g}"
+
+    def applied(self, dwells: tuple[Dwell, ...]) -> tuple[Dwell, ...]:
+        """All dwells of a session after it.
+
+        Raises
+        ------
+        UsageError
+            There is no such position, or no declared angle before it from which to turn the other way.
+        """
+        numbers = [dwell.position for dwell in dwells]
+        if not any(self.first <= number <= self.last for number in numbers):
+            raise UsageError(
+                f"--angles {self}: there is no such position;"
+                f" numbers go from {min(numbers)} to {max(numbers)}"
+            )
+        before = [dwell for dwell in dwells if dwell.position < self.first]
+        pivot = max(before, key=lambda dwell: dwell.position).angle_deg if before else None
+        if self.degrees is None and pivot is None:
+            raise UsageError(
+                f"--angles {self}: before position {self.first} no angle is declared to turn back from;"
+                " give the angles themselves"
+            )
+        return tuple(
+            self._changed(dwell, pivot) if self.first <= dwell.position <= self.last else dwell
+            for dwell in dwells
+        )
+
+    def _changed(self, dwell: Dwell, pivot: float | None) -> Dwell:
+        old = dwell.angle_deg
+        if self.degrees is None:
+            turned = None if old is None or pivot is None else 2 * pivot - old
+            return replace(dwell, angle_deg=turned, approach=-dwell.approach)
+        if not self.added:
+            return replace(dwell, angle_deg=self.degrees)
+        return dwell if old is None else replace(dwell, angle_deg=old + self.degrees)
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """Corrections to what a session's file states; None, False or empty leaves it as it is.
+
+    The samples stay as they are: `accel_unit` says in which unit they always were. What was changed, old
+    and new, stands in `Session.facts["overrides"]` and, in words, in `Session.notes`.
+
+    Attributes
+    ----------
+    gravity_mps2 : float or None
+        Local gravity; anywhere above zero (`adis_gonio.model.records.checked_gravity_mps2` says whether it
+        is on Earth).
+    fixture_sigma_deg : float or None
+        Standard uncertainty of a declared angle in degrees; `inf` where attitudes are free.
+    reverse : bool
+        The stage turned the other way than declared: angles change their sign, and with them the
+        directions from which they were reached.
+    angles : tuple of AngleChange
+        Declared angles that were mistyped or where the part has slipped, as the session has them (before
+        `reverse`).
+    accel_unit : str or None
+        Unit of the accelerations; goes before a unit in the file's header.
+    sensor : str or None
+    columns : mapping of str to str
+        Column of the format → column of the file's header, where a CSV calls them otherwise.
+
+    Raises
+    ------
+    UsageError
+        A value that no session can have.
+    """
+
+    gravity_mps2: float | None = None
+    fixture_sigma_deg: float | None = None
+    reverse: bool = False
+    accel_unit: AccelUnit | None = None
+    sensor: str | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    angles: tuple[AngleChange, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.gravity_mps2 is not None and not 0 < self.gravity_mps2 < math.inf:
+            checked_gravity_mps2(self.gravity_mps2)
+        if self.fixture_sigma_deg is not None and not self.fixture_sigma_deg >= 0:
+            raise UsageError(f"fixture is {self.fixture_sigma_deg:g}: give degrees, 0 or more, or free")
+        for name, value, known in (
+            ("unit", self.accel_unit, ACCEL_UNITS),
+            ("sensor", self.sensor, SENSORS),
+        ):
+            if value is not None and value not in known:
+                raise UsageError(f"{name} is '{value}': known are {', '.join(known)}")
+
+    def apply(self, session: Session) -> Session:
+        """The session as its file should have stated it.
+
+        Raises
+        ------
+        UsageError
+            An angle is to be reversed where none is declared; a position is changed that is not there.
+        """
+        changes: dict[str, dict[str, Any]] = {}
+        for name in ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor"):
+            new, old = getattr(self, name), getattr(session, name)
+            if new is not None and new != old:
+                changes[name] = {"old": old, "new": new}
+        settings = {name: change["new"] for name, change in changes.items()}
+        if self.angles:
+            dwells = self._changed_angles(session)
+            old = {str(d.position): d.angle_deg for d in session.dwells}
+            new = {str(d.position): d.angle_deg for d in dwells if d.angle_deg != old[str(d.position)]}
+            if new:
+                changes["angles"] = {"old": {k: old[k] for k in new}, "new": new}
+            settings["dwells"] = dwells
+        if self.reverse:
+            if all(dwell.angle_deg is None for dwell in session.dwells):
+                raise UsageError(f"{session.source}: no angle is declared, there is nothing to reverse")
+            changes["reverse"] = {"old": False, "new": True}
+            settings["dwells"] = tuple(map(_reversed, settings.get("dwells", session.dwells)))
+        if self.columns:
+            changes["columns"] = {"old": {}, "new": dict(self.columns)}
+        if not changes:
+            return session
+        document = {
+            name: {k: "free" if v == math.inf else v for k, v in change.items()}
+            for name, change in changes.items()
+        }
+        words = "; ".join(_words(name, **change) for name, change in changes.items())
+        return replace(
+            session,
+            notes=(*session.notes, f"overridden: {words}"),
+            facts={**session.facts, "overrides": document},
+            **settings,
+        )
+
+    def _changed_angles(self, session: Session) -> tuple[Dwell, ...]:
+        source = session.source or "session"
+        if session.plane != "xy" or not session.dwells:
+            raise UsageError(f"{source}: has no declared angles of a plane, --angles changes nothing")
+        dwells = session.dwells
+        for change in self.angles:
+            try:
+                dwells = change.applied(dwells)
+            except UsageError as error:
+                raise UsageError(f"{source}: {error}") from None
+        return dwells
+
+
+def _reversed(dwell: Dwell) -> Dwell:
+    # Adding zero makes no minus of it.
+    angle = None if dwell.angle_deg is None else -dwell.angle_deg + 0.0
+    return replace(dwell, angle_deg=angle, approach=-dwell.approach)
+
+
+def _words(name: str, old: Any, new: Any) -> str:
+    match name:
+        case "gravity_mps2":
+            return f"gravity {new:g} m/s² instead of {old:g}"
+        case "fixture_sigma_deg":
+            return f"uncertainty of a declared angle {_degrees(new)} instead of {_degrees(old)}"
+        case "accel_unit":
+            return f"accelerations are in {new}, not in {old}"
+        case "sensor":
+            return f"sensor {new} instead of {old}"
+        case "reverse":
+            return "the stage turned the other way: declared angles and approaches with the opposite sign"
+        case "angles":
+            return "declared angles: " + ", ".join(_angle_words(k, old[k], new[k]) for k in new)
+    return "columns " + ", ".join(f"{mine} = '{theirs}'" for mine, theirs in new.items())
+
+
+def _angle_words(position: str, old: float | None, new: float) -> str:
+    return f"position {position} {new:g}° instead of {'none' if old is None else f'{old:g}°'}"
+
+
+def _degrees(sigma: float | None) -> str:
+    if sigma is None:
+        return "not stated"
+    return "free" if math.isinf(sigma) else f"{sigma:g}°"
+
 
 _SQLITE_MAGIC = b"SQLite format 3\x00"
 
@@ -41,11 +259,11 @@ def load_session(path: str | Path, overrides: Overrides | None = None) -> Sessio
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
     if head == _SQLITE_MAGIC:
-        from adis_gonio.record.archive import read_session
+        from adis_gonio.record.session_reader import read_session
 
         if overrides.columns:
             raise UsageError(f"{path}: columns are named for a CSV; this is a session of calibrate")
         return overrides.apply(read_session(path))
-    from adis_gonio.record.samples_csv import read_samples_csv
+    from adis_gonio.record.samples_reader import read_samples_csv
 
     return read_samples_csv(path, overrides)

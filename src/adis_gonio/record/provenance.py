@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,18 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.sensor.registers import ACCEL_OFF, GYRO_OFF
 from adis_gonio.model.records import METADATA, Plane, Session
+
+
+def digest_of_file(path: str | Path) -> str:
+    """SHA-256 of a file's bytes, hexadecimal.
+
+    Raises
+    ------
+    OSError
+        It cannot be read.
+    """
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @dataclass(frozen=True)

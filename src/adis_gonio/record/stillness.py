@@ -1,18 +1,24 @@
-"""When a sensor counts as still: limits of the standard deviation within a window of samples.
+"""When a sensor counts as still: limits from its own noise, and the live watch by these limits.
 
-Both limits come from the sensor's own noise, not from a table. The upper limit is four times that:
-rotation by hand exceeds it a hundredfold, the window's own scatter and a building's hum do not. The lower
-limit catches data that only look still because they are stuck: a working converter shows its noise. Where
-the noise is below half a step a constant word is normal and there is no lower limit.
+The upper limit of the standard deviation within a window is four times the noise: rotation by hand exceeds
+it a hundredfold, the window's own scatter and a building's hum do not. The lower limit catches an axis
+that is stuck. If the noise is below half a step of the converter, a constant word is normal and there is no
+lower limit. Windows of the live watch overlap by half, so that no short motion falls between two of them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import SessionError
+from adis_gonio.model.effects.base import AXES
+
+if TYPE_CHECKING:
+    from adis_gonio.record.source import Measuring
 
 UPPER = 4.0
 """Upper limit in units of the noise."""
@@ -54,3 +60,197 @@ def limits_from_noise(noise_sd: Floats, window_samples: int, quantum: Floats | f
     upper = UPPER * np.maximum(noise, step / np.sqrt(12))
     lower = np.where(noise > 0.5 * step, _LOWER * noise, 0.0)
     return StillnessLimits(window_samples, lower, upper)
+
+
+WINDOW_S = 0.25
+LEAST_WINDOW = 32
+SETTLINGS_PER_WINDOW = 8
+"""A window spans so many settling times of the filter, else its spread says little: neighbours agree."""
+
+SHIFT_MG = 5.0
+"""A dwell whose mean goes so far from its beginning has moved (0.3° at the horizontal); slower and smaller
+changes are left in, they are effects to be found, not motion."""
+
+BEGIN_RATIO = 1.5
+"""Multiple of the noise below which a dwell may begin; it is broken off only by the limits' upper one. What
+rings out after a move shall not reach into the dwell."""
+
+METER_WINDOWS = 8
+METER_RATIO = 1.6
+EXPECTED_RATIO = 10.0
+STUCK_LOOKS = 3
+
+
+def window_samples(measuring: Measuring) -> int:
+    """Length of a window of the watch in samples, for a rate and a filter's settling time."""
+    return max(
+        LEAST_WINDOW,
+        round(WINDOW_S * measuring.sample_rate_hz),
+        SETTLINGS_PER_WINDOW * round(measuring.settling_s * measuring.sample_rate_hz),
+    )
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one window shows.
+
+    Attributes
+    ----------
+    end : int
+        Number of samples that had been fed at the window's end; it begins `window_samples` before.
+    state : {"still", "moving", "stuck"}
+    why : str
+        What moves or is stuck, with numbers; empty where it is still.
+    mean_mg, spread_mg : (3,) float
+        Mean and standard deviation of the window.
+    shifted : bool
+        True where the window itself is quiet, but its mean is not where the dwell began.
+    """
+
+    end: int
+    state: Literal["still", "moving", "stuck"]
+    why: str
+    mean_mg: Floats
+    spread_mg: Floats
+    shifted: bool = False
+
+
+class _Windows:
+    """Half-overlapping windows over samples that come in pieces."""
+
+    def __init__(self, length: int) -> None:
+        self._length = length
+        self._step = max(1, length // 2)
+        self._kept = np.empty((0, len(AXES)))
+        self.fed = 0
+
+    def feed(self, samples: Floats) -> list[tuple[int, Floats]]:
+        """Windows (length, 3) that these samples complete, each with the count of samples at its end."""
+        self._kept = np.concatenate([self._kept, samples])
+        self.fed += len(samples)
+        first = self.fed - len(self._kept)
+        windows, start = [], 0
+        while start + self._length <= len(self._kept):
+            windows.append((first + start + self._length, self._kept[start : start + self._length]))
+            start += self._step
+        self._kept = self._kept[start:]
+        return windows
+
+
+class NoiseMeter:
+    """Finds the noise of a sample at rest: waits until eight windows in a row agree.
+
+    Parameters
+    ----------
+    window : int
+        Length of a window in samples.
+    expected_mg : float
+        What the variant's estimated noise would be behind the filter; ten times that is motion.
+    """
+
+    def __init__(self, window: int, expected_mg: float) -> None:
+        self._windows = _Windows(window)
+        self._expected_mg = expected_mg
+        self.least_samples = window * (METER_WINDOWS + 1) // 2
+        self._spreads: list[Floats] = []
+        self._means: list[Floats] = []
+
+    @property
+    def mean_mg(self) -> Floats:
+        """Mean (3,) of the newest window."""
+        return self._means[-1] if self._means else np.zeros(len(AXES))
+
+    @property
+    def spread_mg(self) -> Floats:
+        """Standard deviation (3,) of the newest window."""
+        return self._spreads[-1] if self._spreads else np.zeros(len(AXES))
+
+    def feed(self, accel_mg: Floats) -> Floats | None:
+        """Take samples (n, 3); return the noise (3,) in mg once it is known.
+
+        Raises
+        ------
+        SessionError
+            An axis does not change at all: it is stuck.
+        """
+        for _, window in self._windows.feed(accel_mg):
+            self._spreads = [*self._spreads, window.std(axis=0, ddof=1)][-METER_WINDOWS:]
+            self._means = [*self._means, window.mean(axis=0)][-METER_WINDOWS:]
+        spreads = np.array(self._spreads)
+        if len(spreads) >= STUCK_LOOKS:  # below rounding of float64, so not one LSB of change
+            stuck = np.flatnonzero((spreads[-STUCK_LOOKS:] < 1e-6).all(axis=0))
+            if stuck.size:
+                raise stuck_error(AXES[int(stuck[0])], float(self.mean_mg[stuck[0]]))
+        if len(spreads) < METER_WINDOWS:
+            return None
+        noise: Floats = np.median(spreads, axis=0)
+        steady = (spreads <= METER_RATIO * noise).all() and (np.ptp(self._means, axis=0) <= 2 * noise).all()
+        return noise if steady and (noise <= EXPECTED_RATIO * self._expected_mg).all() else None
+
+
+class StillnessWatch:
+    """Says of every window whether the part is still, moves, or an axis is stuck.
+
+    Parameters
+    ----------
+    limits : StillnessLimits
+        In mg, from the noise of `NoiseMeter`.
+    noise_mg : (3,) float
+        That noise, or what quantization alone gives where this is more.
+    """
+
+    def __init__(self, limits: StillnessLimits, noise_mg: Floats) -> None:
+        self._upper = np.asarray(limits.upper, dtype=float)
+        self._begin = np.minimum(BEGIN_RATIO * np.asarray(noise_mg, dtype=float), self._upper)
+        self._lower = np.asarray(limits.lower, dtype=float)
+        self._length = limits.window_samples
+        self._windows = _Windows(limits.window_samples)
+        self._anchor_from: int | None = None
+        self._anchor: Floats | None = None
+        self._stuck = np.zeros(len(AXES), dtype=int)
+
+    @property
+    def fed(self) -> int:
+        """Samples that were fed so far."""
+        return self._windows.fed
+
+    def anchor(self, sample: int | None) -> None:
+        """From this sample on the mean must stay where it is (a dwell begins); None lets it go."""
+        self._anchor_from, self._anchor = sample, None
+
+    def feed(self, accel_mg: Floats) -> list[Look]:
+        """Take samples (n, 3) in mg; return a look for every window that they complete."""
+        return [self._look(end, window) for end, window in self._windows.feed(accel_mg)]
+
+    def _look(self, end: int, window: Floats) -> Look:
+        mean, spread = window.mean(axis=0), window.std(axis=0, ddof=1)
+        flat = spread < self._lower
+        # One flat window can be chance; a stuck axis stays flat.
+        self._stuck = np.where(flat, self._stuck + 1, 0)
+        if (self._stuck >= STUCK_LOOKS).any():
+            k = int(np.argmax(self._stuck))
+            return Look(end, "stuck", str(stuck_error(AXES[k], float(mean[k]))), mean, spread)
+        limit = self._upper if self._anchor_from is not None else self._begin
+        over = spread / limit
+        if (over > 1).any():
+            k = int(np.argmax(over))
+            why = f"{AXES[k]} varies by {spread[k]:.3g} mg, at rest at most {limit[k]:.3g} mg"
+            return Look(end, "moving", why, mean, spread)
+        if self._anchor_from is not None and end - self._length >= self._anchor_from:
+            if self._anchor is None:
+                self._anchor = mean
+            shift = np.abs(mean - self._anchor)
+            allowed = np.maximum(self._upper, SHIFT_MG)
+            if (shift > allowed).any():
+                k = int(np.argmax(shift / allowed))
+                why = f"{AXES[k]} has shifted by {shift[k]:.3g} mg since the dwell began"
+                return Look(end, "moving", why, mean, spread, shifted=True)
+        return Look(end, "still", "", mean, spread)
+
+
+def stuck_error(axis: str, value_mg: float) -> SessionError:
+    """Error of an axis that does not change."""
+    return SessionError(
+        f"accelerometer {axis} is stuck at {value_mg:.1f} mg: a live sensor shows its noise;"
+        " check the sensor, its wiring and its supply, then resume the session"
+    )

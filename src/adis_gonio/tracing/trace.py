@@ -2,13 +2,24 @@
 
 Session ─ readings ─▶ candidates ─▶ selection ─▶ validation ─▶ outcome
 └─ unnamed ─┘
+
+A trace and what declared, gravity's and the gyro's angles say of the positions: one story.
+
+An effect of one dwell (`position_slip`, `outlier_dwell`) that the three angles rule out is no candidate. A
+`position_slip` that they show, and that no linear problem reaches, begins at its size. A part that slipped
+for all that followed has no name among the effects. A slip that is gross is taken out before the search,
+and the trace says so; a smaller one competes as a step of the true angle with whatever else may have turned
+the part by and by.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from adis_gonio.base.budget import attempt, current, spent, within
 from adis_gonio.base.errors import FitError, UsageError
@@ -16,38 +27,38 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.parts import ACCELEROMETER, known_part, readings_of_part
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.estimation.terms import Term
+from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.noise import state_noise
-from adis_gonio.fitting.slips import Diagnosis
-from adis_gonio.fitting.slips.of_session import in_context, positions_of
+from adis_gonio.fitting.slips import Diagnosis, PositionFinding
+from adis_gonio.fitting.slips.session_positions import in_context, positions_of
 from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
-from adis_gonio.tracing.candidates.grammar import nameless_terms
-from adis_gonio.tracing.candidates.named import named_terms
-from adis_gonio.tracing.outcome.clock import bias_at_middle
-from adis_gonio.tracing.outcome.detect import detectable
-from adis_gonio.tracing.outcome.findings import (
+from adis_gonio.tracing.averaging import average
+from adis_gonio.tracing.credible_sets import CredibleSet, credible_sets, judge, one_a_function, undecided
+from adis_gonio.tracing.findings import (
     base_of,
+    bias_at_middle,
+    detectable,
+    excesses,
     finding_of,
     in_units_of_file,
     notes_of,
     rivals_of,
     scatter_finding,
+    shares,
     told_from_zero,
     unnamed_of,
+    unnamed_with_share,
+    with_shares,
     zeros_of,
 )
-from adis_gonio.tracing.outcome.naming import judge
-from adis_gonio.tracing.outcome.openings import undecided
-from adis_gonio.tracing.outcome.positions import as_the_angles_leave, as_the_part_stood, with_positions
-from adis_gonio.tracing.outcome.result import ErrorFigures, Finding, NextDwell, Step, Stopped, TraceResult
-from adis_gonio.tracing.outcome.sets import CredibleSet, credible_sets, one_a_function
-from adis_gonio.tracing.outcome.shares import excesses, shares, unnamed_with_share, with_shares
-from adis_gonio.tracing.selection.scatter import Scatter, with_scatter
-from adis_gonio.tracing.selection.select import Selection, select
+from adis_gonio.tracing.grammar import nameless_terms
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.scatter import Scatter, with_scatter
+from adis_gonio.tracing.selection import Selection, select
 from adis_gonio.tracing.thresholds import limits
-from adis_gonio.tracing.unnamed.averaging import average
+from adis_gonio.tracing.trace_result import ErrorFigures, Finding, NextDwell, Step, Stopped, TraceResult
 from adis_gonio.tracing.validation import (
     Fold,
     checkable,
@@ -118,7 +129,7 @@ def trace(
 def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
     own = part == ACCELEROMETER  # samples within dwells are looked at for these alone
     if own and len([dwell for dwell in session.dwells if len(dwell)]) == 1:
-        from adis_gonio.tracing.one_pose.series import trace_series
+        from adis_gonio.tracing.one_pose import trace_series
 
         return with_time_left_out(trace_series(session, max_effects), checked=True)
     from adis_gonio.tracing.within.second_pass import with_second_pass
@@ -285,7 +296,7 @@ class TraceRun:
 
     def finished(self) -> TraceResult:
         """The result, with advice."""
-        from adis_gonio.tracing.advice.words import advise  # next door, and it looks in here
+        from adis_gonio.tracing.advice import advise
 
         selection, final = self.selection, self.final
         of_step = shares(self.steps, excesses(self.fits, self.figures))
@@ -426,3 +437,97 @@ def refuse_too_few(data: Readings) -> None:
         )
     if len(data) < 2:
         raise FitError("one reading alone has nothing to be compared with; measure more positions")
+
+
+_MOVED = frozenset({"mistyped", "misset", "swapped"})
+
+
+def as_the_part_stood(data: Readings, positions: Diagnosis) -> Readings:
+    """The readings with gross slips that last taken out; the same where there is none.
+
+    The stage's dial, and with it its errors, stays where it was: `Conditions.angle_rad` is not moved.
+    """
+    moved_deg = np.zeros(len(data))
+    for found in _gross(data, positions):
+        moved_deg[np.isin(data.position, [found.position, *found.others])] += found.error_deg[0]
+    return replace(data, angle_rad=data.angle_rad + np.radians(moved_deg)) if moved_deg.any() else data
+
+
+def _gross(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
+    """Slips that last and that no linear problem reaches."""
+    return [f for f in positions.findings if f.finding == "slipped" and _out_of_reach(data, f)]
+
+
+def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
+    """Whether the linear problem does not reach an error of a position.
+
+    Off by δ, a reading is G (1 − cos δ) shorter along its old direction than a slip says (2 mg at 4°): out
+    of reach is what shortens it by more than its uncertainty.
+    """
+    shorter = data.gravity_mg * (1 - math.cos(math.radians(found.error_deg[0])))
+    return shorter > math.sqrt(float(np.median(data.variance_of_mean)))
+
+
+def as_the_angles_leave(
+    terms: Sequence[NamedTerm], data: Readings, positions: Diagnosis
+) -> list[NamedTerm]:
+    """Candidates without effects of one dwell that cannot be, and with the sizes of slips that are gross.
+
+    A reading that is right has no `outlier_dwell`; what stood where it was declared has no `position_slip`.
+    """
+    order = data.conditions.order
+    if order is None:
+        return list(terms)
+    of_position = dict(zip(data.position.tolist(), order.tolist(), strict=True))
+    gone: set[tuple[str | None, int | None]] = set()
+    begins: dict[tuple[str | None, int | None], float] = {}
+    for found in positions.findings:
+        if found.position not in of_position:
+            continue  # a check dwell
+        names = {named.name for named in found.names}
+        number = int(of_position[found.position])
+        if found.finding in _MOVED and "gravity_wrong" not in names:
+            gone.add(("outlier_dwell", number))
+        if names == {"gravity_wrong"}:
+            gone.add(("position_slip", number))
+        if found.finding in _MOVED and _out_of_reach(data, found):
+            # ψ = α − θ: what stands further on by e has a slip of −e.
+            begins["position_slip", number] = -found.error_deg[0]
+    kept = [term for term in terms if (term.name, term.dwell) not in gone]
+    return [
+        replace(term, begins=begins[key]) if (key := (term.name, term.dwell)) in begins else term
+        for term in kept
+    ]
+
+
+def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) -> TraceResult:
+    """The trace with what is said of positions, and how they are put right before anything else."""
+    if not positions.findings:
+        return result
+    said = list(positions.sentences)
+    said += [_traced_without(found) for found in _gross(data, positions)]
+    return replace(
+        result,
+        position_findings=positions.findings,
+        notes=(*result.notes, *said),
+        advice=(*_first(positions), *result.advice),
+    )
+
+
+def _traced_without(found: PositionFinding) -> str:
+    return (
+        f"traced as the part stood: {found.error_deg[0]:+.2f}° from position {found.position} on, whose"
+        " uncertainty is not in these figures"
+    )
+
+
+def _first(positions: Diagnosis) -> tuple[str, ...]:
+    mended = [found.correction for found in positions.findings if found.correction is not None]
+    repeated = [str(found.position) for found in positions.findings if found.correction is None]
+    said = []
+    if mended:
+        each = dict.fromkeys(part for text in mended for part in text.split(","))
+        said.append(f"look at what was written down; then trace again with --angles {','.join(each)}")
+    if repeated:
+        said.append(f"repeat position {', '.join(repeated)}")
+    return tuple(said)

@@ -20,12 +20,12 @@ from adis_gonio.fitting.estimation.fit import Fit, adequacy, foreseen
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES
-from adis_gonio.tracing.outcome.naming import Names
-from adis_gonio.tracing.outcome.result import ErrorFigures
-from adis_gonio.tracing.selection.design import span
-from adis_gonio.tracing.selection.select import Selection, select
+from adis_gonio.tracing.averaging import Averaged, average
+from adis_gonio.tracing.credible_sets import Names
+from adis_gonio.tracing.linear_problem import span
+from adis_gonio.tracing.selection import Selection, select
 from adis_gonio.tracing.thresholds import limits
-from adis_gonio.tracing.unnamed.averaging import Averaged, average
+from adis_gonio.tracing.trace_result import ErrorFigures
 
 BY_AXIS = "body axes"
 BLOCKS_OF_TIME = "blocks of time"

@@ -4,8 +4,8 @@ The part adds an offset register to its output (DS, A), so the register takes th
 new = the number at which the session was recorded − bias / LSB.
 """
 
-from adis_gonio.bench.writeback.checks import AutonullFound
-from adis_gonio.bench.writeback.plan import (
+from adis_gonio.bench.writeback.offset_checks import AutonullFound
+from adis_gonio.bench.writeback.offset_plan import (
     WritePlan,
     bias_left_mg,
     offsets_in_force,
@@ -13,7 +13,7 @@ from adis_gonio.bench.writeback.plan import (
     plan_gyro_offsets,
     plan_offsets,
 )
-from adis_gonio.bench.writeback.writer import OffsetWriter, WriteSettings
+from adis_gonio.bench.writeback.offset_writer import OffsetWriter, WriteSettings
 
 __all__ = [
     "AutonullFound",

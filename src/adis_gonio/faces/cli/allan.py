@@ -12,8 +12,8 @@ from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import check_page, console, print_json, working, write_page
 
 if TYPE_CHECKING:
-    from adis_gonio.fitting.allan.rests import Part
-    from adis_gonio.record.overrides import Overrides
+    from adis_gonio.fitting.allan.allan_fit import Part
+    from adis_gonio.record.loading import Overrides
 
 _ENDINGS = (".html", ".htm", ".svg")
 

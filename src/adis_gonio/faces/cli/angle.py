@@ -16,8 +16,8 @@ import click
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.interrupt import Interrupt
-from adis_gonio.live.angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
-from adis_gonio.live.smoothing import LAG_S
+from adis_gonio.live.angle_smoother import LAG_S
+from adis_gonio.live.live_angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
 
 INTERRUPTED = 130
 NOTES = {
@@ -91,7 +91,7 @@ def command(
         raise UsageError(f"--reconnect is {patience_s:g}: take 0 or more")
     calibration = None
     if calibration_path is not None:  # before the sensor is opened: a fit takes a moment
-        from adis_gonio.tracing.loading import load_calibration
+        from adis_gonio.tracing.trace_calibrations import load_calibration
 
         calibration = load_calibration(calibration_path)
 

@@ -44,6 +44,8 @@ def command(
         if not (serial or operator or stage):
             broken += [record.row() | {"copies": [], "gone": False} for record in scan.unreadable]
         good = [row for row in rows if row["status"] == "ok"]
+        for row in (*good, *broken):
+            row |= {name: " ".join(row[name]) for name in ("effects", "model_effects")}
         document = {
             "index": str(store.path),
             "computed": scan.computed,

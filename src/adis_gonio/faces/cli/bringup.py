@@ -86,7 +86,7 @@ def _files(output: Path) -> tuple[Path, Path]:
 
 def _write(found: Bringup, page: Path, document: Path) -> None:
     from adis_gonio.base.output import replacing
-    from adis_gonio.bench.bringup.page import build_page
+    from adis_gonio.bench.bringup.bringup_page import build_page
 
     for path, text in ((document, json_text(found.as_dict()) + "\n"), (page, build_page(found))):
         with replacing(path) as beside:

@@ -16,12 +16,12 @@ from adis_gonio.faces.cli.plain import choose_face
 from adis_gonio.faces.cli.show import print_json
 
 if TYPE_CHECKING:
-    from adis_gonio.bench.closing import TraceAdvisor
+    from adis_gonio.bench.advisor import TraceAdvisor
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.model.records import Session
     from adis_gonio.record.plans import Plan
     from adis_gonio.record.source import SampleSource
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.tracing.trace_result import TraceResult
 
 _METADATA = {
     "operator": "operator, who measures",
@@ -125,7 +125,7 @@ def command(
     With --trace the session then says which further positions would decide what is still open, and goes on
     with them until the model is adequate or no position is expected to show more.
     """
-    from adis_gonio.bench.closing import MOST_EXTRA, TraceAdvisor
+    from adis_gonio.bench.advisor import MOST_EXTRA, TraceAdvisor
     from adis_gonio.record.loading import load_session
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.source import open_source, refuse_chip_options
@@ -167,8 +167,8 @@ def _show(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_
     """What a session of positions gives, its gyros in a line."""
     from adis_gonio.faces.cli.fit import print_answer, print_gains
     from adis_gonio.fitting import fit
-    from adis_gonio.fitting.gyros.gains import gains_of
-    from adis_gonio.tracing.answer import answer_with_trace
+    from adis_gonio.fitting.gyros.gyro_fit import gains_of
+    from adis_gonio.tracing.traced_answer import answer_with_trace
 
     truth = session.facts.get("truth")
     traced = _traced(session, advisor) if advisor is not None else None
@@ -270,13 +270,13 @@ def _runner(
     turns: int | None,
     **options: Any,
 ) -> SessionRunner:
-    from adis_gonio.bench.free_turn import FREE_TURN
     from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
     from adis_gonio.faces.cli.plain import on_terminal
     from adis_gonio.model.records import normal_gravity_mps2
     from adis_gonio.record.plans import GYRO_TURNS
+    from adis_gonio.record.session_reader import FREE_TURN
 
     if resume:
         if plan_name is not None or positions is not None or turns is not None:
@@ -340,15 +340,15 @@ def _chosen(
     name: str | None, positions: int | None, check: int, duration_s: float | None, turns: int | None
 ) -> tuple[Plan, float | None]:
     """Return the plan by its options, and the longest recording of a free turn."""
-    from adis_gonio.bench import free_turn, gyro_turns
+    from adis_gonio.bench import gyro_turns, recorder
     from adis_gonio.plan.document import plan_by
     from adis_gonio.record.plans import DEFAULT_PLAN
 
     if name == "free-turn":
         if positions is not None:
             raise UsageError(f"{_TURNED[name]}: leave --positions, --check, --extend and --trace out")
-        length_s = free_turn.DURATION_S if duration_s is None else duration_s
-        return free_turn.free_turn_plan(free_turn.TURNS if turns is None else turns, length_s), length_s
+        length_s = recorder.DURATION_S if duration_s is None else duration_s
+        return recorder.free_turn_plan(recorder.TURNS if turns is None else turns, length_s), length_s
     if duration_s is not None:
         dwell = "" if name == "gyro-turns" else ", or --dwell"
         raise UsageError(f"--duration is that of a free turn: give --plan free-turn{dwell}")

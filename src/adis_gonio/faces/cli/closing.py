@@ -10,7 +10,7 @@ from adis_gonio.faces.cli.show import WIDTH, console
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.tracing.trace_result import TraceResult
 
 _MOST_GROUPS = 3
 _ERRORS = {
@@ -40,7 +40,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
     from rich.text import Text
 
     from adis_gonio.base.numbers import format_number
-    from adis_gonio.bench.closing import where_it_stands
+    from adis_gonio.bench.advisor import where_it_stands
 
     rounds = session.facts.get("advised", [])
     if not rounds or not rounds[0]["summary"]:

@@ -18,7 +18,7 @@ from adis_gonio.handover.formats import BY_NAME, format_of
 
 if TYPE_CHECKING:
     from adis_gonio.handover.exporting import ExportSource
-    from adis_gonio.record.overrides import Overrides
+    from adis_gonio.record.loading import Overrides
 
 STANDARD_OUTPUT = "-"
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.fitting.monte_carlo import MonteCarlo
     from adis_gonio.model.records import Session
-    from adis_gonio.record.overrides import Overrides
+    from adis_gonio.record.loading import Overrides
 
 
 @click.command("fit")
@@ -157,7 +157,7 @@ def print_answer(
 
 def print_gains(session: Session) -> None:
     """Say what the moves between the dwells give of the gyros' gains; nothing where they give none."""
-    from adis_gonio.fitting.gyros.gains import gains_of
+    from adis_gonio.fitting.gyros.gyro_fit import gains_of
 
     gains = gains_of(session)
     if gains is not None:
@@ -238,7 +238,7 @@ def show_gyro_fit(
 
     accelerometers = None
     if calibration is not None:
-        from adis_gonio.tracing.loading import load_calibration
+        from adis_gonio.tracing.trace_calibrations import load_calibration
 
         accelerometers = load_calibration(calibration)
     with working("fitting the gyros"):

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.base.numbers import label_quantity
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.remembering import remembered, sessions_of
 from adis_gonio.faces.cli.show import check_page, console, print_json, write_page
@@ -69,7 +68,7 @@ def _show(found: History) -> None:
     screen.print(f"Sensor {found.serial}: {words.headline(found)}", style="bold")
     for track in found.tracks.values():
         screen.print()
-        screen.print(label_quantity(track.name, track.unit), style="bold cyan")
+        screen.print(track.label, style="bold cyan")
         for line in words.chart_lines(track, min(screen.width, _WIDTH)):
             screen.print(line)
         for text in (*words.of_drift(track), *words.of_chart(track, found)):

@@ -16,7 +16,7 @@ from adis_gonio.model.records import ACCEL_UNITS, SENSORS, checked_gravity_mps2
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session
-    from adis_gonio.record.overrides import AngleChange, Overrides
+    from adis_gonio.record.loading import AngleChange, Overrides
     from adis_gonio.record.settings import Settings
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -79,7 +79,7 @@ _ANGLE = re.compile(r"(\d+)(?:-(\d+))?\s*(\+?=)\s*(\S+)")
 
 def _angles(text: str) -> tuple[AngleChange, ...]:
     """Changes from `position=degrees,…`; `first-last+=degrees` adds, `first-last=reverse` turns back."""
-    from adis_gonio.record.overrides import REVERSE, AngleChange
+    from adis_gonio.record.loading import REVERSE, AngleChange
 
     changes = []
     for part in text.split(","):
@@ -231,7 +231,7 @@ def overrides(function: F) -> F:
 
     @wraps(function)
     def with_overrides(**arguments: Any) -> Any:
-        from adis_gonio.record.overrides import Overrides
+        from adis_gonio.record.loading import Overrides
 
         taken = {name: arguments.pop(name) for name in _OVERRIDDEN}
         taken["columns"] = taken["columns"] or {}

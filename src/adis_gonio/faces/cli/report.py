@@ -14,8 +14,8 @@ from adis_gonio.faces.cli.show import check_page, working, write_page
 if TYPE_CHECKING:
     from adis_gonio.model import Session
     from adis_gonio.page.document import Section
-    from adis_gonio.record.overrides import Overrides
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.record.loading import Overrides
+    from adis_gonio.tracing.trace_result import TraceResult
 
 
 @click.command("report")
@@ -49,8 +49,7 @@ def _page(session: Session, time_limit: float | None) -> str:
     from adis_gonio.fitting import applicable_methods, fit
     from adis_gonio.handover.report.allan import noise_section
     from adis_gonio.handover.report.gyros import gyro_section
-    from adis_gonio.handover.report.page import build_page
-    from adis_gonio.handover.report.views import views
+    from adis_gonio.handover.report.page import build_page, views
     from adis_gonio.tracing.trace import trace
 
     tell = current().tell

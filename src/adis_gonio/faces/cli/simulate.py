@@ -89,9 +89,9 @@ def command(*, output: Path, **options: Any) -> None:
     from adis_gonio.device.sensor import open_sensor
     from adis_gonio.faces.cli.plain import PlainBench
     from adis_gonio.plan.document import plan_by
-    from adis_gonio.record.export import export_csv
+    from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.loading import load_session
-    from adis_gonio.record.view import ArchiveView
+    from adis_gonio.record.samples_writer import export_csv
 
     check_output(output, cure="choose another name")
     if options["like"] is not None:
@@ -134,9 +134,8 @@ def _twin(path: Path, output: Path, seed: int) -> None:
     """Write the twin of a session."""
     from adis_gonio.base.budget import current
     from adis_gonio.handover.twin import simulate_like
-    from adis_gonio.record.export import export_csv
-    from adis_gonio.record.loading import load_session
-    from adis_gonio.record.overrides import as_it_is
+    from adis_gonio.record.loading import as_it_is, load_session
+    from adis_gonio.record.samples_writer import export_csv
     from adis_gonio.tracing.trace import trace
 
     if not ends_in(output, ".csv", ".csv.gz"):

@@ -26,7 +26,7 @@ from adis_gonio.record.settings import Settings
 from adis_gonio.record.source import SampleStream, has_frames, open_source, refuse_chip_options
 
 if TYPE_CHECKING:
-    from adis_gonio.record.samples_recorder import SamplesRecorder
+    from adis_gonio.record.samples_writer import SamplesRecorder
 
 
 @click.command("stream")
@@ -84,7 +84,7 @@ def command(
         opened = _opened(stack, url, options)
         recorder = None
         if output is not None:
-            from adis_gonio.record.samples_recorder import SamplesRecorder
+            from adis_gonio.record.samples_writer import SamplesRecorder
 
             recorder = stack.enter_context(
                 SamplesRecorder(output, opened.part, gravity_mps2=gravity_mps2, title=f"stream {url}")

@@ -44,7 +44,7 @@ def command(*, plan_name: str, positions: int | None, check: int, output: Path, 
     Fill in times and readings, in an editor or a spreadsheet; `adis-gonio fit` reads what is saved.
     """
     from adis_gonio.plan.document import plan_by
-    from adis_gonio.record.samples_csv import template_text, write_template
+    from adis_gonio.record.samples_writer import template_text, write_template
 
     if ends_in(output, ".gz"):
         raise UsageError(f"{output}: a template is filled in by hand: name it .csv")

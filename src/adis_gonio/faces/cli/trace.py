@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from adis_gonio.model.records import Session
-    from adis_gonio.record.overrides import Overrides
-    from adis_gonio.tracing import TraceResult
+    from adis_gonio.record.loading import Overrides
+    from adis_gonio.tracing.trace_result import TraceResult
 
 
 @click.command("trace")
@@ -59,7 +59,7 @@ def command(
 
 def print_trace(session: Session, result: TraceResult) -> None:
     """Show a trace on the terminal."""
-    from adis_gonio.tracing import summary as words
+    from adis_gonio.tracing import trace_summary as words
 
     screen = console(most=WIDTH)
     screen.print(f"{words.title(session)}: {words.shape(session)}", markup=False)
@@ -101,7 +101,7 @@ def _found(screen: Console, result: TraceResult) -> None:
     from rich.table import Table
 
     from adis_gonio.base.numbers import format_percent
-    from adis_gonio.tracing import summary as words
+    from adis_gonio.tracing import trace_summary as words
 
     if not result.found:
         return
@@ -132,7 +132,7 @@ def _errors(screen: Console, result: TraceResult) -> None:
     from rich.padding import Padding
     from rich.table import Table
 
-    from adis_gonio.tracing import summary as words
+    from adis_gonio.tracing import trace_summary as words
 
     _heading(screen, "Error before and after")
     head, rows = words.error_rows(result)
@@ -150,7 +150,7 @@ def _errors(screen: Console, result: TraceResult) -> None:
 
 
 def _sight(screen: Console, result: TraceResult) -> None:
-    from adis_gonio.tracing import summary as words
+    from adis_gonio.tracing import trace_summary as words
 
     seen = words.sight(result)
     items = []

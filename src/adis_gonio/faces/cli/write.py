@@ -77,7 +77,7 @@ def command(
             "write asks before it writes, and nobody is there to answer: add --yes or --dry-run"
         )
     from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
-    from adis_gonio.bench.writeback.writer import load
+    from adis_gonio.bench.writeback.offset_writer import load
     from adis_gonio.device.sensor import open_sensor
     from adis_gonio.record.source import refuse_chip_options
 
@@ -177,7 +177,7 @@ def _prompt(question: str) -> str:
 
 def print_plan(plan: WritePlan) -> None:
     """Show a plan: a row an axis."""
-    from adis_gonio.bench.writeback.plan import UNITS
+    from adis_gonio.bench.writeback.offset_plan import UNITS
 
     head = ("register", "now", "new", "moves the output", "bias now", "u", "bias after")
     rows = []

@@ -8,7 +8,7 @@ from adis_gonio.base.errors import SessionError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.faces.tui.bench import BenchApp
 from adis_gonio.faces.tui.state import BenchState
-from adis_gonio.record.view import ArchiveView
+from adis_gonio.record.archive import ArchiveView
 
 
 class ScreenFace:

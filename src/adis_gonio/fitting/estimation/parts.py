@@ -12,7 +12,7 @@ from adis_gonio.model.records import Session
 ACCELEROMETER, GYRO = "accelerometer", "gyro"
 _READERS = {
     ACCELEROMETER: ("adis_gonio.fitting.estimation.readings", "readings_of"),
-    GYRO: ("adis_gonio.fitting.gyros.readings", "gyro_readings_of"),
+    GYRO: ("adis_gonio.fitting.gyros.gyro_readings", "gyro_readings_of"),
 }
 PARTS: tuple[str, ...] = tuple(_READERS)
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from adis_gonio.fitting.slips.angles import Angles, Increments
-from adis_gonio.fitting.slips.diagnosis import Diagnosis, diagnose
-from adis_gonio.fitting.slips.finding import PositionFinding
+from adis_gonio.fitting.slips.position_diagnosis import Diagnosis, PositionFinding, diagnose
+from adis_gonio.fitting.slips.position_model import Angles, Increments
 
 __all__ = ["Angles", "Diagnosis", "Increments", "PositionFinding", "diagnose"]

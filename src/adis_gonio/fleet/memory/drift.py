@@ -64,9 +64,11 @@ def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
         return None
     from scipy.special import gammaincc, stdtr
 
+    from adis_gonio.fleet.statistics import tau_of
+
     dof = len(day) - 2
     stated = _line(day, value, u**2)
-    between = math.sqrt(_between(day, value, u**2))
+    between = tau_of(lambda tau: _line(day, value, u**2 + tau**2)[-1], dof, value)
     middle, level, slope, variances, chi2 = _line(day, value, u**2 + between**2)
     scale = max(1.0, chi2 / dof)
     u_level, u_slope = (math.sqrt(scale * v) for v in variances)
@@ -93,20 +95,3 @@ def _line(
     level, slope = float((weight * value).sum()) / total, float((weight * t * value).sum()) / spread
     chi2 = float((weight * (value - level - slope * t) ** 2).sum())
     return middle, level, slope, (1 / total, 1 / spread), chi2
-
-
-def _between(day: Floats, value: Floats, variance: Floats) -> float:
-    """τ² at which χ² about the line equals its degrees of freedom; 0 where it is smaller without."""
-    from scipy.optimize import brentq
-
-    dof = len(day) - 2
-
-    def excess(tau2: float) -> float:
-        return _line(day, value, variance + tau2)[-1] - dof
-
-    if excess(0.0) <= 0:
-        return 0.0
-    high = float(np.ptp(value)) ** 2 + float(variance.max())
-    while excess(high) > 0:
-        high *= 4
-    return float(brentq(excess, 0.0, high))

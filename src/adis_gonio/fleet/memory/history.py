@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import JsonRecord, json_object
+from adis_gonio.base.numbers import label_quantity
 from adis_gonio.base.uncertainty import DRIFTING, Value
 from adis_gonio.fleet.memory.control_chart import CUSUM_H, CUSUM_K, ControlChart, control_chart
 from adis_gonio.fleet.memory.drift import Drift, drift_of
@@ -58,6 +59,11 @@ class Track(JsonRecord):
     drift: Drift | None = None
     chart: ControlChart | None = None
     drifts: bool = False
+
+    @property
+    def label(self) -> str:
+        """Name and unit, such as `Δφ / °`."""
+        return label_quantity(self.name, self.unit)
 
     @property
     def value(self) -> Floats:
@@ -200,14 +206,10 @@ def _track(name: str, records: Sequence[SessionRecord], k: float, h: float) -> T
     track = Track(name, unit, tuple(n for n, _, _ in held), day, values)
     if name == ANGLE or len(values) < 2:
         return track
-    return Track(
-        name,
-        unit,
-        track.sessions,
-        day,
-        values,
-        drift_of(day, track.value, track.u, unit),
-        control_chart(track.value, track.u, k, h),
+    return replace(
+        track,
+        drift=drift_of(day, track.value, track.u, unit),
+        chart=control_chart(track.value, track.u, k, h),
     )
 
 
@@ -216,7 +218,5 @@ def _stated(value: Value | None) -> bool:
 
 
 def _judged(track: Track, tested: int) -> Track:
-    from dataclasses import replace
-
     found = track.drift is not None and track.drift.p_value * tested <= DRIFTING
     return replace(track, drifts=found)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.base import __version__
-from adis_gonio.base.numbers import label_quantity
 from adis_gonio.fleet.memory import words
 from adis_gonio.fleet.memory.history import History, Track
 from adis_gonio.page.document import Figure, Section, Table, render
@@ -33,8 +31,6 @@ def history_page(history: History) -> str:
         f"sensor {history.serial}",
         shape=words.headline(history),
         simulated=any(record.simulated for record in history.sessions),
-        begun="",
-        software=f"adis-gonio {__version__}",
         sections=sections,
         closing="This page is made from the sessions' files and can be made again from them.",
     )
@@ -48,7 +44,7 @@ def _section(track: Track, history: History) -> Section:
         f"{text[:1].upper()}{text[1:]}."
         for text in (*words.of_drift(track), *words.of_chart(track, history))
     ]
-    return Section(label_quantity(track.name, track.unit), words=said, figures=figures)
+    return Section(track.label, words=said, figures=figures)
 
 
 def _years(track: Track) -> np.ndarray:
@@ -68,7 +64,7 @@ def _over_time(track: Track) -> Figure:
     if track.chart is not None:
         for limit, label in ((track.chart.low, "3σ limits"), (track.chart.high, "")):
             series.append(Series(x, limit, label, role="model", style="line"))
-    name = label_quantity(track.name, track.unit)
+    name = track.label
     drawn = plot(series, "year", name, title=f"{name} over time")
     caption = "Value of each session with U" + ("; limits from all before it." if track.chart else ".")
     return Figure(drawn, caption)
@@ -88,7 +84,7 @@ def _cusum(track: Track) -> Figure:
         series,
         "session",
         "CUSUM / σ",
-        title=f"CUSUM of {label_quantity(track.name, track.unit)}",
+        title=f"CUSUM of {track.label}",
         zero=True,
     )
     return Figure(

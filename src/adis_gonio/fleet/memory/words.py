@@ -13,7 +13,6 @@ from adis_gonio.base.numbers import (
     format_p,
     format_uncertain,
     format_unit,
-    label_quantity,
     use_minus,
 )
 from adis_gonio.base.uncertainty import DRIFTING, Value
@@ -134,4 +133,4 @@ def value_rows(history: History) -> tuple[list[str], Sequence[list[str]]]:
     for n, record in enumerate(history.sessions):
         held = [t.values[t.sessions.index(n)] if n in t.sessions else None for t in tracks]
         rows.append([_date(record), *(DASH if v is None else format_expanded(v) for v in held)])
-    return ["date", *(label_quantity(track.name, track.unit) for track in tracks)], rows
+    return ["date", *(track.label for track in tracks)], rows

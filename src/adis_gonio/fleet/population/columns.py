@@ -20,7 +20,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Basis, NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue
-from adis_gonio.tracing.candidates.named import cycles_shown
+from adis_gonio.tracing.named_candidates import cycles_shown
 
 TAUS_S = tuple(float(f"{tau:.3g}") for tau in np.geomspace(10.0, 3160.0, 11))
 """Time constants, a quarter of a decade apart: between two a course loses less than 1 % of its square."""

@@ -27,9 +27,9 @@ from adis_gonio.model.effects import AXES, effect
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
-from adis_gonio.tracing.outcome.result import TraceResult
-from adis_gonio.tracing.selection.design import orthonormal
+from adis_gonio.tracing.linear_problem import orthonormal
 from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.trace_result import TraceResult
 
 FORMAT = "adis-gonio population evidence 1"
 _STEP = 2.0**-15
@@ -64,11 +64,8 @@ class SessionEvidence:
         False where nothing states the uncertainty, so that the residual alone does.
     missing : mapping of str to str
         Effects that cannot be asked for, with the reason.
-    digest, source, serial, operator, stage, sensor, recorded_utc : str
+    digest, source, serial, operator, stage, sensor : str
         Of the session, as in `Provenance`.
-    temperature_c : float or None
-        Mean over the session.
-    positions : int
     """
 
     keys: tuple[str, ...]
@@ -84,9 +81,6 @@ class SessionEvidence:
     operator: str = ""
     stage: str = ""
     sensor: str = ""
-    recorded_utc: str = ""
-    temperature_c: float | None = None
-    positions: int = 0
 
     def estimate(self, key: str) -> tuple[float, float]:
         """Amplitude by least squares with this column alone, and its standard uncertainty, in its unit.
@@ -111,7 +105,7 @@ class SessionEvidence:
             "scatter": [[float(f"{s.chi2:.6g}"), float(f"{s.dof:.6g}")] for s in self.scatter],
             "noise_known": self.noise_known,
             "missing": dict(self.missing),
-            **{name: getattr(self, name) for name in (*_TEXTS, "temperature_c", "positions")},
+            **{name: getattr(self, name) for name in _TEXTS},
         }
 
     @classmethod
@@ -136,8 +130,6 @@ class SessionEvidence:
                 scatter=tuple(ResidualChi2(float(chi2), float(dof)) for chi2, dof in document["scatter"]),
                 noise_known=bool(document["noise_known"]),
                 missing=dict(document["missing"]),
-                temperature_c=document["temperature_c"],
-                positions=int(document["positions"]),
                 **{name: str(document[name]) for name in _TEXTS},
             )
         except (KeyError, ValueError, TypeError) as error:
@@ -151,7 +143,7 @@ class SessionEvidence:
         return made
 
 
-_TEXTS = ("digest", "source", "serial", "operator", "stage", "sensor", "recorded_utc")
+_TEXTS = ("digest", "source", "serial", "operator", "stage", "sensor")
 
 
 def evidence_of(session: Session, result: TraceResult | None = None) -> SessionEvidence:
@@ -179,8 +171,6 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
         operator=origin.operator,
         stage=origin.stage,
         sensor=origin.sensor,
-        recorded_utc=origin.recorded_utc,
-        temperature_c=None if origin.temperature_c is None else origin.temperature_c.mean,
     )
 
 
@@ -231,7 +221,6 @@ def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
         scatter=_scatter(fit, rest, base),
         noise_known=data.noise_known,
         missing=missing,
-        positions=len(data),
         **origin,
     )
 

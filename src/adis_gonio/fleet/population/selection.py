@@ -124,8 +124,6 @@ class SelectionStep:
         Given that there is any cause; sums to 1.
     places : mapping of (by, value) to float
         The same of the group, given the cause.
-    axes : mapping of str to float
-        The same of the axes.
     heldout : float
         Log score of the units of each fold by the cause that the other folds choose.
     """
@@ -134,7 +132,6 @@ class SelectionStep:
     log_evidence: float
     posterior: Mapping[Kind, float]
     places: Mapping[tuple[str, str], float]
-    axes: Mapping[str, float]
     heldout: float
 
 
@@ -241,9 +238,6 @@ class Population:
         chosen = own[flat]
         candidate, group = self.candidates[chosen], self.groups[g]
         places = share[own].sum(axis=0) / share[own].sum()
-        axes: dict[str, float] = defaultdict(float)
-        for j in own:
-            axes[self.candidates[j].axes] += float(share[j].sum() / share[own].sum())
         grid = grid_of(len(candidate.index))
         start = grid.group(int(scores.best[chosen, g]))
         return SelectionStep(
@@ -251,7 +245,6 @@ class Population:
             log_evidence=any_,
             posterior=dict(posterior),
             places={(one.by, one.value): float(p) for one, p in zip(self.groups, places, strict=True)},
-            axes=dict(axes),
             heldout=_heldout(scores, prior),
         )
 

@@ -17,8 +17,8 @@ from adis_gonio.handover.paper.truth import TABLE, Axis, TableRow, truth_of
 
 BIAS_MG = 10.0
 """Standard deviation of an axis's bias in the sessions that ask what a bias does."""
-COLUMNS = {"paper": "paper", "mmpm": "mmpm"}
-"""Methods that the table has, with the field of `TableRow` that holds what it prints."""
+COLUMNS = ("paper", "mmpm")
+"""Methods of the table, which are fields of `TableRow` with the printed values."""
 
 
 @dataclass(frozen=True)

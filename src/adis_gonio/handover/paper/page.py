@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from adis_gonio.base import __version__
 from adis_gonio.base.numbers import (
     DASH,
     NO_BREAK,
@@ -44,8 +41,6 @@ def build_page(done: Study) -> str:
         "two positions against nine",
         shape=f"{counted(done.sessions, 'simulated part')} of each kind, adis16354, seed {done.seed}",
         simulated=True,
-        begun="",
-        software=f"adis-gonio {__version__}",
         sections=sections(done),
         closing=f"This page is made by {done.command} -o PAGE.html and can be made again by it.",
     )
@@ -154,10 +149,10 @@ def _table(done: Study) -> Section:
 def _row(cell: Cell) -> list[str]:
     row = cell.row
     texts = [row.label, format_fixed(row.measured, 4)]
-    for method, field in COLUMNS.items():
+    for method in COLUMNS:
         spread = cell.ours[method]
         texts += [
-            format_fixed(getattr(row, field), 4),
+            format_fixed(getattr(row, method), 4),
             _cell(spread),
             "–" if spread.u is None else format_fixed(spread.u, 4),
         ]
@@ -183,9 +178,25 @@ def figures_3(done: Study) -> dict[str, tuple[str, str]]:
     for key, (printed, unit) in _GRAPHS.items():
         cells = [cell for cell in done.table.cells if cell.row.key == key]
         label = f"difference of {printed}" + (f" / {unit}" if unit != "1" else "")
+        at = [
+            (2.5 * k + place, cell.row.measured, getattr(cell.row, method), cell.ours[method])
+            for k, cell in enumerate(cells)
+            for place, method in enumerate(COLUMNS)
+        ]
         series = [
-            Series(*_printed(cells), "printed", role="before"),
-            _ours(cells),
+            Series(
+                [x - 0.12 for x, *_ in at],
+                [value - measured for _, measured, value, _ in at],
+                "printed",
+                role="before",
+            ),
+            Series(
+                [x + 0.12 for x, *_ in at],
+                [(ours.mean or 0.0) - measured for _, measured, _, ours in at],
+                "our sessions",
+                error=[ours.spread or 0.0 for *_, ours in at],
+                role="after",
+            ),
         ]
         ticks = {0.0: "X, paper", 1.0: "X, MMPM", 2.5: "Y, paper", 3.5: "Y, MMPM"}
         svg = plot(
@@ -200,38 +211,6 @@ def figures_3(done: Study) -> dict[str, tuple[str, str]]:
         )
         made[key] = (svg, f"{printed}: by the paper's method and by MMPM.")
     return made
-
-
-def _places(cells: Sequence[Cell]) -> list[tuple[float, Cell, str]]:
-    return [
-        (2.5 * k + place, cell, method)
-        for k, cell in enumerate(cells)
-        for place, method in enumerate(COLUMNS)
-    ]
-
-
-def _printed(cells: Sequence[Cell]) -> tuple[list[float], list[float]]:
-    at = _places(cells)
-    return (
-        [x - 0.12 for x, *_ in at],
-        [getattr(cell.row, COLUMNS[method]) - cell.row.measured for _, cell, method in at],
-    )
-
-
-def _ours(cells: Sequence[Cell]) -> Series:
-    at = _places(cells)
-    spreads = [cell.ours[method] for _, cell, method in at]
-    values = [
-        (0.0 if spread.mean is None else spread.mean) - cell.row.measured
-        for spread, (_, cell, _) in zip(spreads, at, strict=True)
-    ]
-    return Series(
-        [x + 0.12 for x, *_ in at],
-        values,
-        "our sessions",
-        error=[s.spread or 0.0 for s in spreads],
-        role="after",
-    )
 
 
 def _others(done: Study) -> Section:

@@ -9,15 +9,14 @@ from __future__ import annotations
 import shlex
 import signal
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from itertools import starmap
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.base.budget import current
+from adis_gonio.base.budget import told
 from adis_gonio.base.errors import FitError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
@@ -28,8 +27,8 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
-from adis_gonio.tracing import TraceResult
 from adis_gonio.tracing.trace import trace
+from adis_gonio.tracing.trace_result import TraceResult
 
 DWELL_S = 1.0
 PLANS = ("four-position", "mmpm")
@@ -190,19 +189,13 @@ def results_of(part: Part, traced: bool = False) -> Results:
 def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Results]:
     """Results of many parts in their order; each with whether it is traced too."""
     if jobs <= 1:
-        return list(_told(starmap(results_of, parts), len(parts)))
+        return [results_of(*one) for one in told(parts)]
     # Ctrl-C is the parent's to answer: it ends the pool in order, without a traceback from each process.
     with ProcessPoolExecutor(
         jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
     ) as pool:
-        return list(_told(pool.map(results_of, *zip(*parts, strict=True)), len(parts)))
-
-
-def _told(done: Iterable[Results], count: int) -> Iterator[Results]:
-    share = current().share
-    for k, one in enumerate(done):
-        share((k + 1) / count)
-        yield one
+        done = pool.map(results_of, *zip(*parts, strict=True))
+        return [one for one, _ in zip(done, told(parts), strict=True)]
 
 
 def facts_of(results: Results) -> dict[str, Any]:

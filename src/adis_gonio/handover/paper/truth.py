@@ -18,6 +18,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from adis_gonio.base.numbers import label_quantity
+
 Axis = Literal["x", "y"]
 AXES: tuple[Axis, ...] = ("x", "y")
 
@@ -52,7 +54,7 @@ class TableRow:
     @property
     def label(self) -> str:
         """Name with the unit, such as `N, X / °`."""
-        return self.name + {"1": "", "deg": " / °"}.get(self.unit, f" / {self.unit}")
+        return label_quantity(self.name, self.unit)
 
 
 TABLE: tuple[TableRow, ...] = (

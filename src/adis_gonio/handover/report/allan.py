@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from adis_gonio.base import __version__
+from dataclasses import replace
+
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import format_number, format_unit
 from adis_gonio.fitting.allan import AllanResult, AxisNoise, fit_allan
-from adis_gonio.fitting.allan import words as said
+from adis_gonio.fitting.allan import allan_result as said
 from adis_gonio.model.records import Session
 from adis_gonio.page.document import Figure, Section, Table, render
 from adis_gonio.page.svg import ROLES, Series, plot
@@ -20,19 +21,13 @@ _SLOW = ("flicker", "walk")
 def allan_page(result: AllanResult) -> str:
     """One HTML page that loads nothing; every text is escaped."""
     name = result.title or result.source or "session"
-    head = Section(
-        "What was recorded",
-        words=(f"{said.headline(result)}.",),
-        notes=[*result.notes, *_reading()],
-    )
+    whole = section_of(result)
     return render(
         "Noise at rest",
         f"{said.PARTS[result.part]} of {name}",
         shape=result.sensor,
         simulated=result.simulated,
-        begun="",
-        software=f"adis-gonio {__version__}",
-        sections=[head, *(_section(result, axis) for axis in result.axes)],
+        sections=[replace(whole, title="What was recorded", parts=()), *whole.parts],
         closing="This page is made from the session's file and can be made again from it.",
     )
 

@@ -5,18 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.base.numbers import format_fixed, format_number, format_uncertain, format_unit, join_words
-from adis_gonio.base.uncertainty import Value
+from adis_gonio.base.numbers import (
+    HEAD,
+    QuantityRow,
+    format_fixed,
+    format_number,
+    format_uncertain,
+    join_words,
+)
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.gyros.fit import GyroFit, fit_gyro
-from adis_gonio.fitting.gyros.gains import gains_in
+from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro, gains_in
 from adis_gonio.handover.offsets import gyro_offset_words
 from adis_gonio.model.records import Session
 from adis_gonio.page.document import Figure, Section, Table
 from adis_gonio.page.svg import Role, Series, plot
-from adis_gonio.tracing.calibrations import gyros_as_recorded
+from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 
-_HEAD = ("parameter", "unit", "value ± u", "U (95 %)", "k")
 _ROLES: tuple[Role, ...] = ("after", "third", "fourth")
 
 
@@ -27,7 +31,7 @@ def gyro_section(session: Session) -> Section | None:
     except AdisGonioError:
         return None
     said = [
-        _how_well(result),
+        how_well(result),
         f"By the mean rates of {result.held}: a gyro reads K D ω + b + G f, with ω the rate of turn, b its "
         "zero rate, K its gain, D its axis in the accelerometers' frame, f what these read.",
         f"Residual {format_number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
@@ -41,12 +45,12 @@ def gyro_section(session: Session) -> Section | None:
         words=said,
         points=tuple(result.warnings),
         figures=[_residuals(result)],
-        tables=[_by_gyro(result), *_offsets(session), *_scores(result)],
+        tables=[by_gyro(result), *_offsets(session), *_scores(result)],
         parts=[Section("Every parameter of the gyros", tables=_every(result), folded=True)],
     )
 
 
-def _how_well(result: GyroFit) -> str:
+def how_well(result: GyroFit) -> str:
     """What was determined, and how well, in a sentence."""
     largest: dict[str, list[float]] = {}
     for name, value in result.parameters.items():
@@ -75,7 +79,7 @@ _KINDS = {
 }
 
 
-def _by_gyro(result: GyroFit) -> Table:
+def by_gyro(result: GyroFit) -> Table:
     """What is wrong with each gyro, one beside the other; rows of which nothing is known are left out."""
     rows = []
     for pattern, said in _KINDS.items():
@@ -98,29 +102,14 @@ def _cell(result: GyroFit, name: str) -> str:
 
 def _every(result: GyroFit) -> list[Table]:
     """Parameters by name, and how the triad stands to the accelerometers'."""
-    tables = [_parameters(result)]
-    if result.triad is not None:
-        rows = [_row(name, value) for name, value in result.triad.items()]
-        caption = "Rotation of the gyros' triad against the accelerometers', and 90° minus its own angles."
-        tables.append(Table(_HEAD, rows, caption=caption, numeric=(2, 3, 4)))
-    return tables
-
-
-def _parameters(result: GyroFit) -> Table:
-    rows = [_row(name, value) for name, value in result.parameters.items()]
-    caption = (
-        "First letter the gyro, second the axis of the accelerometers. u: standard uncertainty; U = k·u."
+    captions = (
+        "First letter the gyro, second the axis of the accelerometers. u: standard uncertainty; U = k·u.",
+        "Rotation of the gyros' triad against the accelerometers', and 90° minus its own angles.",
     )
-    return Table(_HEAD, rows, caption=caption, numeric=(2, 3, 4))
-
-
-def _row(name: str, value: Value) -> list[str]:
     return [
-        name,
-        format_unit(value.unit),
-        format_uncertain(value.value, value.u),
-        format_number(value.U, 2),
-        format_fixed(value.k, 2),
+        Table(HEAD, [QuantityRow.of(*one).cells for one in values.items()], caption, numeric=(2, 3, 4, 5))
+        for values, caption in zip((result.parameters, result.triad), captions, strict=True)
+        if values is not None
     ]
 
 

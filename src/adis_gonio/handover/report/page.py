@@ -6,22 +6,29 @@ from collections.abc import Mapping, Sequence
 
 from adis_gonio.base import __version__
 from adis_gonio.fitting import FitResult
+from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.handover.report import sections as make
-from adis_gonio.handover.report.positions import positions
 from adis_gonio.model.records import Session
 from adis_gonio.page.document import Section, render
-from adis_gonio.tracing import summary as words
-from adis_gonio.tracing.answer import answer_with_trace
-from adis_gonio.tracing.outcome.figures import Views
-from adis_gonio.tracing.outcome.result import TraceResult
+from adis_gonio.tracing import trace_summary as words
+from adis_gonio.tracing.trace_figures import Views, series_views, views_of
+from adis_gonio.tracing.trace_result import TraceResult
+from adis_gonio.tracing.traced_answer import answer_with_trace
+
+
+def views(session: Session, result: TraceResult) -> Views:
+    """Residuals of a traced session before and after each step, whatever it is of."""
+    if not result.fits:
+        return series_views(session, result)
+    return views_of(readings_of(session), result)
 
 
 def build_page(
     session: Session,
     fits: Sequence[FitResult],
     traced: TraceResult | str,
-    views: Views | None = None,
+    shown: Views | None = None,
     sections: Sequence[Section] = (),
     failures: Mapping[str, str] | None = None,
 ) -> str:
@@ -34,8 +41,8 @@ def build_page(
         One a method, the best last.
     traced : TraceResult or str
         The trace, or why there is none.
-    views : Views, optional
-        What the figures show (`adis_gonio.handover.report.views.views`).
+    shown : Views, optional
+        What the figures show (`views`).
     sections : sequence of Section
         Further sections, put before data and configuration.
     failures : mapping of str to str, optional
@@ -51,15 +58,15 @@ def build_page(
     best = next((fit for fit in reversed(fits) if fit.standing is not None), None)
     given = None if best is None else answer_with_trace(best, result, own=False)
     body = [make.answer(given)] if given is not None else []
-    body += [make.summary(traced, fits, views)]
-    body += positions(result.position_findings if result is not None else _of_fits(fits))
+    body += [make.summary(traced, fits, shown)]
+    body += make.positions(result.position_findings if result is not None else _of_fits(fits))
     if given is not None:
         body += [make.budget(given), make.scores(given)]
     body += [make.fitted(fits, failures or {})]
     if result is not None:
         body += [make.found(result), make.errors(result)]
-        if views is not None:
-            body += [make.steps(result, views), make.left(views)]
+        if shown is not None:
+            body += [make.steps(result, shown), make.left(shown)]
         body += [make.within(result)]
         body += [make.rivals(result), make.sight(result), make.advice(result)]
     reference_c = None if given is None else given.reference_temperature_c

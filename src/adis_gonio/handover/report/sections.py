@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -31,14 +30,17 @@ from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
+from adis_gonio.fitting.slips import PositionFinding
+from adis_gonio.fitting.slips.position_diagnosis import Angle
 from adis_gonio.fitting.tables import freedom, share
 from adis_gonio.model.records import Session
 from adis_gonio.page.document import Figure, KeyFigure, Section, Table
 from adis_gonio.page.svg import Role, Series, Style, plot
-from adis_gonio.tracing import summary as words
-from adis_gonio.tracing.outcome.figures import Panel, Views
-from adis_gonio.tracing.outcome.result import TraceResult, Value, WithinFinding
-from adis_gonio.tracing.within import Place
+from adis_gonio.record.provenance import digest_of_file
+from adis_gonio.tracing import trace_summary as words
+from adis_gonio.tracing.trace_figures import Panel, Views
+from adis_gonio.tracing.trace_result import TraceResult, Value, WithinFinding
+from adis_gonio.tracing.within.samples import Place
 
 _COVARIATES = {
     "angle": "declared angle / °",
@@ -73,8 +75,8 @@ def summary(traced: TraceResult | str, fits: Sequence[FitResult], views: Views |
     final = {name: value for name, value in traced.base.items() if name in _ORDER}
     if final:
         beside = f" (method {best.method}, before the trace: {by_method})" if best and by_method else ""
-        names = "with the effects found" if traced.steps else "by the base model"
-        lines.append(f"{_capital(names)} (± u): {_pair(final)}{beside if traced.steps else ''}.")
+        names = "With the effects found" if traced.steps else "By the base model"
+        lines.append(f"{names} (± u): {_pair(final)}{beside if traced.steps else ''}.")
     if traced.confounded:
         lines.append(f"This session cannot tell apart: {'; '.join(words.confounded(traced))}.")
     return Section("Summary", words=lines)
@@ -112,6 +114,33 @@ def _large(name: str, value: Value) -> KeyFigure:
     )
 
 
+_ANGLES = ("position", "declared", "by gravity", "by the gyro", "found", "how sure")
+
+
+def positions(findings: Sequence[PositionFinding]) -> list[Section]:
+    """Table of the three angles of each accused position, and what to do."""
+    if not findings:
+        return []
+    rows = [
+        [
+            str(found.position),
+            DASH if found.declared_deg is None else use_minus(f"{found.declared_deg:g}°"),
+            _angle(found.gravity_deg),
+            _angle(found.gyro_deg),
+            ", ".join(dict.fromkeys(named.name.replace("_", " ") for named in found.names)),
+            format_percent(found.probability),
+        ]
+        for found in findings
+    ]
+    said = list(dict.fromkeys(found.sentence for found in findings))
+    table = Table(_ANGLES, rows, numeric=(1, 2, 3, 5), caption="Angles with their standard uncertainties.")
+    return [Section("Positions that are not right", words=said, tables=[table])]
+
+
+def _angle(angle: Angle | None) -> str:
+    return DASH if angle is None else format_uncertain(*angle, "deg")
+
+
 def budget(given: Answer) -> Section:
     """What each source contributes to ΔK, Δφ and the angle."""
     tables = []
@@ -129,7 +158,7 @@ def budget(given: Answer) -> Section:
             for row in rows
         ]
         value = given.values.get(name)
-        contribution = label_quantity("contribution", "1" if value is None else value.unit)
+        contribution = label_quantity("contribution", "" if value is None else value.unit)
         head = ["source", "type", "distribution", "u of it", "sensitivity", contribution, "share"]
         dof = "–" if value is None else freedom(value.dof)
         caption = f"{NAMES.get(name, name)}: effective degrees of freedom {dof}."
@@ -148,10 +177,6 @@ def scores(given: Answer) -> Section:
 
 def _pair(values: Mapping[str, Value]) -> str:
     return ", ".join(f"{NAMES[name]} = {values[name]}" for name in _ORDER if name in values)
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 _BESIDE = 3
@@ -394,7 +419,7 @@ def data(
 ) -> Section:
     """Data and configuration; `reference_c` is the temperature at which the parameters hold."""
     observed = _observed(session)
-    rows = [[name, text] for name, text in _facts(session, observed, software, reference_c) if text]
+    rows = [[name, text] for name, text in facts(session, observed, software, reference_c) if text]
     parts = []
     if observed is not None and len(observed) > 1:
         parts.append(Section("Readings", tables=[_readings(session, observed)], folded=True))
@@ -412,15 +437,16 @@ def _observed(session: Session) -> Readings | None:
         return None
 
 
-def _facts(
+def facts(
     session: Session, observed: Readings | None, software: str, reference_c: float | None
 ) -> list[tuple[str, str]]:
+    """Names and texts of the known facts of a session; a fact without a text has no row."""
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if session.free_turn and session.recording is not None:
         dwells = [session.recording]
     samples = [len(dwell) for dwell in dwells]
-    facts: dict[str, Any] = session.facts
-    configuration = facts.get("configuration") or {}
+    stored: dict[str, Any] = session.facts
+    configuration = stored.get("configuration") or {}
     start, end = float(dwells[0].time_s[0]), float(dwells[-1].time_s[-1])
     return [
         ("title", session.title),
@@ -429,13 +455,13 @@ def _facts(
         ("stage", session.stage),
         ("file", Path(session.source).name),
         ("SHA-256 of the file", _digest(session.source)),
-        ("sensor", session.sensor + (" (simulated)" if facts.get("simulated") else "")),
+        ("sensor", session.sensor + (" (simulated)" if stored.get("simulated") else "")),
         *words.written_down(session).items(),
-        ("bus", str(facts.get("url", ""))),
-        ("note", str(facts.get("note", ""))),
+        ("bus", str(stored.get("url", ""))),
+        ("note", str(stored.get("note", ""))),
         ("overridden", "\n".join(words.overridden(session))),
-        ("begun (UTC)", str(facts.get("started_utc", ""))),
-        ("recorded by", str(facts.get("software", ""))),
+        ("begun (UTC)", str(stored.get("started_utc", ""))),
+        ("recorded by", str(stored.get("software", ""))),
         ("this page by", software),
         ("session", words.shape(session)),
         (
@@ -481,11 +507,7 @@ def _noise(observed: Readings | None) -> str:
 
 
 def _digest(source: str) -> str:
-    path = Path(source)
-    if not source or not path.is_file():
-        return ""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return digest_of_file(source) if source and Path(source).is_file() else ""
 
 
 def _range(values: Sequence[int], unit: str) -> str:

@@ -9,7 +9,7 @@ from adis_gonio.handover.twin import TwinComparison, compare, simulate_like
 from adis_gonio.model.records import Session
 from adis_gonio.page.document import Figure, Section, Table
 from adis_gonio.page.svg import Role, Series, plot
-from adis_gonio.tracing import TraceResult
+from adis_gonio.tracing.trace_result import TraceResult
 
 _AXES = "xyz"
 

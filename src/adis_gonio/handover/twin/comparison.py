@@ -10,10 +10,11 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
-from adis_gonio.fitting.allan.deviation import overlapping
+from adis_gonio.fitting.allan.noise_processes import overlapping
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.solvable import solvable
+from adis_gonio.handover.twin.world import period_of
 from adis_gonio.model.records import Session
 
 
@@ -90,7 +91,7 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
         raise DataError("there are no more readings than parameters: nothing is left to compare")
     same = stats.ks_2samp(residual[0].tolist(), residual[1].tolist())
     samples = [_samples(session, data) for session, data in ((measured, ours), (twin, theirs))]
-    periods = [_period(session) for session in (measured, twin)]
+    periods = [period_of(session.dwells) for session in (measured, twin)]
     tau_s, allan = _common([_allan(part, period) for part, period in zip(samples, periods, strict=True)])
     frequency_hz, density = _common(
         [_density(part, period) for part, period in zip(samples, periods, strict=True)]
@@ -129,15 +130,6 @@ def _samples(session: Session, data: Readings) -> list[Floats]:
     """Samples of every dwell about its mean, in mg."""
     parts = [data.unit.mg(dwell.accel) for dwell in session.dwells if len(dwell)]
     return [part - part.mean(axis=0) for part in parts]
-
-
-def _period(session: Session) -> float:
-    """Sample period in s; by the length of dwells, since coarse times may stand still between samples."""
-    lengths = [np.ptp(dwell.time_s) / (len(dwell) - 1) for dwell in session.dwells if len(dwell) > 1]
-    period = float(np.median(lengths)) if lengths else 0.0
-    if not period > 0:
-        raise DataError("a twin needs times: those of the samples stand still")
-    return period
 
 
 def _allan(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:

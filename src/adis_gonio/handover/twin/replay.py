@@ -17,7 +17,7 @@ from adis_gonio.fitting.solvable import solvable
 from adis_gonio.handover.twin.world import LikeWorld, noise_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim.bus import SimBus
-from adis_gonio.tracing.calibrations import gyros_as_recorded
+from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 
 _OPENING_S = 5.0
 """Time of the world at which the session begins: the driver has opened the sensor by then."""

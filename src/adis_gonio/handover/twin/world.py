@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from adis_gonio.fitting.estimation.readings import Unit
 from adis_gonio.fitting.estimation.spectrum import noise_of_means
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Session
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.sim.noise import Flicker, White
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
@@ -43,6 +44,15 @@ class SamplesNoise:
     floor_mg: Floats
 
 
+def period_of(dwells: Iterable[Dwell]) -> float:
+    """Sample period in s; by the length of dwells, since coarse times may stand still between samples."""
+    lengths = [np.ptp(dwell.time_s) / (len(dwell) - 1) for dwell in dwells if len(dwell) > 1]
+    period_s = float(np.median(lengths)) if lengths else 0.0
+    if not period_s > 0:
+        raise DataError("a twin needs times: those of the samples stand still")
+    return period_s
+
+
 def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     """Noise of a session's samples on the axes of its readings, whose unit it has.
 
@@ -58,10 +68,7 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
         )
     samples = [unit.mg(dwell.accel) for dwell in dwells]
     means = noise_of_means(samples)
-    # Of coarse times, many differences are zero; a dwell's length still tells.
-    period_s = float(np.median([np.ptp(dwell.time_s) / (len(dwell) - 1) for dwell in dwells]))
-    if not period_s > 0:
-        raise DataError("a twin needs times: those of the samples stand still")
+    period_s = period_of(dwells)
     counts = np.array([len(part) for part in samples], np.float64)
     diagonals = np.diagonal(means.covariance, axis1=1, axis2=2)
     density = np.median(diagonals * counts[:, np.newaxis], axis=0) * period_s

@@ -22,8 +22,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
 from adis_gonio.model.records import MG_PER_G
-from adis_gonio.tracing.within.finding import Place, View, WithinFinding, corrected
-from adis_gonio.tracing.within.samples import Samples
+from adis_gonio.tracing.within.samples import Place, Samples, View, WithinFinding, corrected
 
 Usable = NDArray[np.bool_]
 

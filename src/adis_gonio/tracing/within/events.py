@@ -22,14 +22,15 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
 from adis_gonio.fitting.estimation.robust import MAD_TO_SD
-from adis_gonio.tracing.within.finding import (
+from adis_gonio.tracing.within.samples import (
     Place,
+    Samples,
     View,
     WithinFinding,
     corrected,
+    deviation,
     positions_text,
 )
-from adis_gonio.tracing.within.samples import Samples, deviation
 
 _SHORTEST = 8
 _LEAST_SAMPLES = 6

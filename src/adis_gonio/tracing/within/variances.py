@@ -25,15 +25,8 @@ from scipy import special, stats
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, INADEQUATE, Value
-from adis_gonio.tracing.within.density import TAPER_LOSS, Density, without_line
-from adis_gonio.tracing.within.finding import (
-    Place,
-    View,
-    WithinFinding,
-    corrected,
-    positions_text,
-)
-from adis_gonio.tracing.within.samples import Samples
+from adis_gonio.tracing.within.samples import Place, Samples, View, WithinFinding, corrected, positions_text
+from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, without_line
 
 LEAST_DWELLS = 3
 _LIVELY = 0.6

@@ -1,0 +1,156 @@
+"""The page of a bring-up: what was found, what it says of the table, and the figures behind it."""
+
+from __future__ import annotations
+
+from adis_gonio.base.errors import NotInstalledError
+from adis_gonio.base.numbers import format_fixed, format_number, format_uncertain, with_unit
+from adis_gonio.bench.bringup.bringup_step import (
+    MOST_TESTS,
+    QUESTIONS,
+    Bringup,
+    Curve,
+    Measured,
+    Outcome,
+    Row,
+    Verdict,
+)
+from adis_gonio.page.document import Figure, Section, Table, render
+from adis_gonio.page.svg import Series, plot
+
+
+def build_page(found: Bringup) -> str:
+    """The bring-up as one HTML page that loads nothing."""
+    return render(
+        "Bring-up",
+        found.url,
+        shape=f"{found.variant.upper()}, {found.bridge['bus']}",
+        simulated=found.simulated,
+        begun=found.begun_utc,
+        software=found.software,
+        sections=(_summary(found), _answers(found), _figures(found), _details(found), _limits(found)),
+        closing="The JSON file beside this page holds the same figures for programs.",
+    )
+
+
+def _summary(found: Bringup) -> Section:
+    rows = [(row.name, row.result.verdict, _plain(row.result.text)) for row in found.rows]
+    strong = [
+        k for k, row in enumerate(found.rows) if row.result.verdict in (Verdict.FAULT, Verdict.DIFFERS)
+    ]
+    return Section(
+        "What was found",
+        words=(found.headline, f"Writes: {found.undone}."),
+        tables=(Table(("step", "verdict", "what was found"), rows, strong=tuple(strong)),),
+    )
+
+
+def _answers(found: Bringup) -> Section:
+    rows, strong = [], []
+    for k, question in enumerate(QUESTIONS):
+        answer = found.answers[question.name]
+        rows.append(
+            (
+                question.text,
+                question.table,
+                f"{question.source}, {question.confidence}",
+                answer.outcome,
+                "\n".join([_plain(answer.text), *(f"{f.name}: {_value(f)}" for f in answer.figures)]),
+            )
+        )
+        if answer.outcome is Outcome.CONTRADICTS:
+            strong.append(k)
+    return Section(
+        "What it says about the register table",
+        words=(
+            "Rows that a real part can settle, with the table's value, its source and its confidence (A the"
+            " sibling's data sheet and code agree, B the sibling's sheet only, C derived, D an estimate).",
+        ),
+        tables=(Table(("question", "table", "source", "outcome", "measured"), rows, strong=tuple(strong)),),
+    )
+
+
+def _figures(found: Bringup) -> Section:
+    try:
+        drawn = [
+            Figure(_draw(curve), curve.caption)
+            for row in found.rows
+            for curve in row.result.curves
+            if len(curve.x)
+        ]
+    except NotInstalledError as error:  # what was measured on the bench is worth a page without them
+        return Section("Figures", words=(f"There are none: {error}.",))
+    return Section("Figures", figures=drawn)
+
+
+def _draw(curve: Curve) -> str:
+    series = [
+        Series(curve.x, y, name, role="model", style="line")
+        if name == "filter"
+        else Series(curve.x, y, name, style="line" if curve.log else "points")
+        for name, y in curve.y.items()
+    ]
+    return plot(
+        series,
+        curve.x_label,
+        curve.y_label,
+        title=curve.name,
+        description=curve.caption,
+        y_log=curve.log,
+        zero=not curve.log,
+    )
+
+
+def _details(found: Bringup) -> Section:
+    return Section(
+        "The steps",
+        parts=[_detail(row) for row in found.rows if row.result.verdict is not Verdict.NOT_MEASURED],
+    )
+
+
+def _detail(row: Row) -> Section:
+    rows = [
+        (figure.name, _value(figure), "" if figure.expected is None else _number(figure.expected, figure))
+        for figure in row.result.figures
+    ]
+    table = Table(("figure", "value", "expected"), rows, numeric=(1, 2))
+    return Section(
+        row.name,
+        words=(f"{row.does[0].upper()}{row.does[1:]} ({row.effect}).",),
+        tables=(table,) if rows else (),
+    )
+
+
+def _limits(found: Bringup) -> Section:
+    held = ", ".join(f"{name} 0x{word:04X}" for name, word in found.registers.items())
+    bridge = ", ".join(f"{name} {value}" for name, value in found.bridge.items())
+    return Section(
+        "Limits and surroundings",
+        words=(
+            f"A sound board is accused with a probability below {found.false_alarm:g}: that is shared out"
+            f" over {MOST_TESTS} comparisons, of which {found.comparisons} were made. Each limit is the"
+            " quantile of the figure's distribution on a sound board: normal for means, chi-square for"
+            " variances, exponential for the bins of a spectrum. What is not random on a sound board has"
+            " no limit.",
+            "Values stand with their standard uncertainty.",
+        ),
+        notes=(f"Bridge: {bridge}.", f"Registers as they were found: {held or 'not read'}."),
+    )
+
+
+def _value(figure: Measured) -> str:
+    if figure.u is None:
+        return _number(figure.value, figure)
+    return format_uncertain(figure.value, figure.u, figure.unit)
+
+
+def _number(value: float, figure: Measured) -> str:
+    if float(value).is_integer() and abs(value) < 1e7:
+        text = format_fixed(value, 0)
+    else:
+        text = format_number(value, 6)
+    return with_unit(text, figure.unit)
+
+
+def _plain(text: str) -> str:
+    """The column before says `not measured` already."""
+    return text.removeprefix("not measured: ")

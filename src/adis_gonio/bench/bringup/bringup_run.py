@@ -1,0 +1,252 @@
+"""The run: steps in order, harmless first; what is written is undone whatever happens."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from adis_gonio.base import __version__
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.bench.bringup.bringup_step import (
+    QUESTIONS,
+    AlarmBudget,
+    Answer,
+    Bringup,
+    BringupBench,
+    BringupStep,
+    ClockCeiling,
+    Outcome,
+    Row,
+    SideEffect,
+    StepResult,
+    Verdict,
+    not_measured,
+    writable,
+)
+from adis_gonio.bench.bringup.link_steps import BitErrors, Health, Link, Timing, WhichPart
+from adis_gonio.bench.bringup.noise_steps import FilterSteps, Noise
+from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
+from adis_gonio.bench.bringup.write_steps import FlashCount, Offset, SelfTests, StatusBits
+from adis_gonio.device.bus import SpiBus
+from adis_gonio.device.sensor.driver import Adis16354, Undo
+from adis_gonio.device.sensor.registers import NORMAL
+from adis_gonio.device.sensor.variants import Variant
+
+STEPS: tuple[BringupStep, ...] = (
+    Link(),
+    Timing(),
+    BitErrors(),
+    Health(),
+    WhichPart(),
+    Rate(),
+    DataReady(),
+    Noise(),
+    Offset(),
+    SamplePeriods(),
+    FilterSteps(),
+    SelfTests(),
+    StatusBits(),
+    FlashCount(),
+)
+"""In order: what only reads, then what lends data-ready, then what writes, the flash last."""
+
+NO_ANSWER = "not measured: {}"
+
+
+@dataclass(frozen=True)
+class Permission:
+    """What may be done to the part.
+
+    Attributes
+    ----------
+    writes : bool
+        Registers may be written; each step asks before.
+    flash : bool
+        The flash may be written once.
+    lends : bool
+        Data-ready may be enabled while scans run, as a stream does.
+    ask : callable
+        Takes a question, returns True for yes.
+    """
+
+    writes: bool = False
+    flash: bool = False
+    lends: bool = True
+    ask: Callable[[str], bool] = lambda question: True
+
+
+def bring_up(
+    bus: SpiBus,
+    *,
+    variant: str | Variant = "adis16354",
+    permission: Permission = Permission(),
+    tell: Callable[[Row], object] = lambda row: None,
+    steps: tuple[BringupStep, ...] = STEPS,
+) -> Bringup:
+    """Check a board step by step.
+
+    A Ctrl-C ends it early: the registers are put back, and the result says `stopped`.
+
+    Parameters
+    ----------
+    bus : SpiBus
+        An open bus; it stays open.
+    variant : str or Variant
+        Which part it should be.
+    permission : Permission
+        Without one only what reads, and what lends data-ready, is done.
+    tell : callable
+        Called with each row when it is done.
+
+    Returns
+    -------
+    Bringup
+        Faults of the part and of the bridge are in it, not raised.
+    """
+    return _Run(bus, variant, permission, tell).all(steps)
+
+
+class _Run:
+    _no_link = "the link does not work"
+
+    def __init__(
+        self, bus: SpiBus, variant: str | Variant, permission: Permission, tell: Callable[[Row], object]
+    ) -> None:
+        self._bus = ClockCeiling(bus, NORMAL.clock_hz)
+        self._variant = variant
+        self._permission = permission
+        self._tell = tell
+        self._budget = AlarmBudget()
+        self._rows: list[Row] = []
+        self._answers: dict[str, Answer] = {}
+        self._bench: BringupBench | None = None
+        self._undo: Undo | None = None
+
+    def all(self, steps: tuple[BringupStep, ...]) -> Bringup:
+        begun = datetime.now(UTC).isoformat(timespec="seconds")
+        stopped, failure = False, ""
+        try:
+            sensor = Adis16354(self._bus, self._variant, check=False)
+            self._bench = BringupBench(self._bus, sensor, self._budget, lends=self._permission.lends)
+        except KeyboardInterrupt:
+            stopped = True
+        except AdisGonioError as error:
+            failure = str(error)
+        for step in steps:
+            if stopped:
+                result = not_measured("stopped by the operator")
+            elif self._bench is None:
+                result = not_measured(self._no_link) if self._rows else StepResult(Verdict.FAULT, failure)
+            else:
+                try:
+                    result = self._one(self._bench, step)
+                except KeyboardInterrupt:
+                    stopped = True
+                    result = not_measured("stopped by the operator")
+            try:
+                self._add(step, result)
+            except KeyboardInterrupt:
+                stopped = True
+        if self._undo is not None:
+            try:
+                self._undo.put_back()  # once more, whatever moment an interruption has hit
+            except KeyboardInterrupt:
+                stopped = True
+        return self._whole(begun, stopped)
+
+    def _one(self, bench: BringupBench, step: BringupStep) -> StepResult:
+        refusal = bench.blocked or self._refusal(step)
+        if refusal:
+            return not_measured(refusal)
+        if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self._permission.ask(step.question):
+            return not_measured("the answer to its question was no")
+        if step.effect is SideEffect.READS:
+            return _attempt(bench, step)
+        if self._undo is None:
+            try:
+                self._undo = Undo(bench.sensor, writable())
+            except AdisGonioError as error:
+                return StepResult(Verdict.FAULT, f"could not be done: {error}")
+        try:
+            return _attempt(bench, step)
+        finally:
+            try:
+                self._undo.put_back()
+            finally:
+                if self._undo.left:
+                    bench.blocked = f"{', '.join(self._undo.left)} could not be put back"
+
+    def _refusal(self, step: BringupStep) -> str:
+        if step.effect is SideEffect.WRITES and not self._permission.writes:
+            return "it writes registers (and undoes it); --allow-writes permits that"
+        if step.effect is SideEffect.FLASH and not (self._permission.writes and self._permission.flash):
+            return "it writes the flash once; --allow-writes --flash permits that"
+        return ""
+
+    def _add(self, step: BringupStep, result: StepResult) -> None:
+        row = Row(step.name, step.does, step.effect, result)
+        self._rows.append(row)
+        why = result.text.removeprefix("not measured: ")
+        for name in step.settles:
+            default = Answer(Outcome.NOT_MEASURED, NO_ANSWER.format(why))
+            self._answers[name] = result.answers.get(name, default)
+        self._tell(row)
+
+    def _whole(self, begun: str, stopped: bool) -> Bringup:
+        sensor = None if self._bench is None else self._bench.sensor
+        answers = {}
+        for question in QUESTIONS:
+            answers[question.name] = self._answers.get(question.name) or Answer(
+                Outcome.NOT_MEASURED, NO_ANSWER.format(question.otherwise)
+            )
+        left = () if self._undo is None else self._undo.left
+        if left:
+            undone = f"NOT put back: {', '.join(left)}; switch the supply off and on"
+        elif self._undo is None:
+            undone = "nothing was written"
+        else:
+            undone = f"all of {len(self._undo.rows)} registers were read back as they were found"
+        return Bringup(
+            url=self._bus.url,
+            variant=sensor.variant.name if sensor is not None else str(self._variant),
+            begun_utc=begun,
+            software=f"adis-gonio {__version__}",
+            bridge=_bridge(self._bus),
+            registers={} if self._bench is None else dict(self._bench.constants),
+            rows=tuple(self._rows),
+            answers=answers,
+            undone=undone,
+            undone_ok=not left,
+            comparisons=self._budget.spent,
+            false_alarm=self._budget.total,
+            stopped=stopped,
+        )
+
+
+def _attempt(bench: BringupBench, step: BringupStep) -> StepResult:
+    try:
+        return step.run(bench)
+    except AdisGonioError as error:
+        return StepResult(Verdict.FAULT, f"could not be done: {error}")
+
+
+def _bridge(bus: ClockCeiling) -> dict[str, Any]:
+    """What the bridge says of itself."""
+    inner = bus.inner
+    said: dict[str, Any] = {"bus": type(inner).__name__, "capabilities": sorted(inner.capabilities)}
+    said["unbroken_frames"] = inner.unbroken_frames
+    said["clock_hz_used_at_most"] = bus.ceiling_hz
+    firmware = getattr(inner, "firmware", None)
+    if dataclasses.is_dataclass(firmware) and not isinstance(firmware, type):
+        said["firmware"] = {
+            field.name: getattr(firmware, field.name)
+            for field in dataclasses.fields(firmware)
+            if isinstance(getattr(firmware, field.name), int | str | tuple | list)
+        }
+    return said
+
+
+__all__ = ["STEPS", "BringupBench", "Permission", "bring_up"]

@@ -1,0 +1,693 @@
+"""Steps of a bring-up: what they share, what they find, and the document of all of them.
+
+Where every limit of the bring-up comes from: one probability of a false alarm for a whole board.
+
+A sound board is to be accused less often than once in 10 000. The probability is divided by the largest
+number of comparisons of a run (Bonferroni), so that the comparisons need not be independent. Each limit
+is the quantile of the distribution that the compared figure has on a sound board: normal for means,
+chi-square for variances, exponential for the bins of a periodogram. What is not random on a sound board
+(a stuck line, a lost edge) has no limit: there one occurrence is enough.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.jsonable import INLINE, JsonRecord, key
+from adis_gonio.device.bus import Capability, FrameStream, SpiBus, SpiTiming, Words
+from adis_gonio.device.sensor.decoding import ScanBlock, join
+from adis_gonio.device.sensor.driver import Adis16354
+from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, Register, register, registers
+from adis_gonio.device.sensor.scanning import PolledScans, ScanLayout, ScanStream
+from adis_gonio.device.sensor.variants import VARIANTS
+
+_PART = VARIANTS["adis16354"]
+_FIGURES = _PART.performance
+
+
+@dataclass(frozen=True)
+class Question:
+    """One row.
+
+    Attributes
+    ----------
+    table : str
+        What the table says.
+    confidence : str
+        A the data sheet of the sibling and code agree, B the sibling's sheet only, C derived or code
+        only, D an estimate, ? nothing is known.
+    otherwise : str
+        Why it is not measured where no step answers it.
+    """
+
+    name: str
+    text: str
+    table: str
+    source: str
+    confidence: str
+    otherwise: str = "the step that answers it was not done"
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "name": self.name,
+            "question": self.text,
+            "table": self.table,
+            "source": self.source,
+            "confidence": self.confidence,
+        }
+
+
+def _register(name: str, register: str, text: str, table: str, confidence: str = "") -> Question:
+    row = BY_NAME[register]
+    return Question(name, text, table, row.source, confidence or row.confidence)
+
+
+_ESTIMATE = "estimate"
+
+QUESTIONS: tuple[Question, ...] = (
+    Question(
+        "accel_lsb", "LSB of the accelerometers: 0.4672 or 0.467 mg?",
+        f"{_PART.accel_mg_per_lsb} mg", _PART.source, _PART.confidence,
+        "the two are 0.04 % apart; the gain error of a part (0.1 % and more) hides that whatever is done,"
+        " and one pose also has the bias in it (10 mg are 1 %)",
+    ),
+    _register(
+        "accel_offset_lsb", "XACCL_OFF", "LSB of XACCL_OFF, YACCL_OFF, ZACCL_OFF in LSB of the output?",
+        "1",
+    ),
+    Question(
+        "offset_after_filter", "Do the offsets act before or after the filter?",
+        "not known (after, on later parts)", "later parts", "C",
+    ),
+    Question(
+        "accel_noise", "Noise of the accelerometers, unfiltered, rms?",
+        f"{_FIGURES.noise_mg} mg", _ESTIMATE, "D",
+    ),
+    Question(
+        "gyro_noise", "Noise of the gyros, unfiltered, rms?",
+        f"{_FIGURES.gyro_noise_dps} °/s", "DS", "B",
+    ),
+    Question(
+        "accel_bias_scale", "Initial bias and gain error of the accelerometers?",
+        f"{_FIGURES.initial_bias_mg:g} mg and {100 * _FIGURES.scale_error_typical:g} % (1 sigma)",
+        _ESTIMATE, "D", "one pose has |a| only; calibrate with the plan 'poses'",
+    ),
+    Question(
+        "accel_alignment", "Angle between the axes?", f"within {_FIGURES.non_orthogonality_deg}°",
+        "DS", "B",
+        "needs several poses; calibrate with the plan 'poses'",
+    ),
+    Question(
+        "accel_stability", "Bias instability of the accelerometers?",
+        f"{_FIGURES.bias_instability_mg} mg", _ESTIMATE, "D",
+        "needs hours at rest; record them with adis-gonio stream",
+    ),
+    Question(
+        "accel_temperature", "Temperature coefficients of bias and gain?",
+        f"{_FIGURES.bias_tempco_mg_per_c} mg/°C, {_FIGURES.scale_tempco_ppm_per_c:g} ppm/°C",
+        _ESTIMATE, "D",
+        "needs a chamber, or a warm-up that is recorded",
+    ),
+    Question(
+        "accel_nonlinearity", "Nonlinearity of the accelerometers?", "within 0.2 % of the range", "DS", "B",
+        "needs many poses; adis-gonio trace of such a session",
+    ),
+    _register("filter_gain", "SENS_AVG", "Noise gain of the filter steps M?", "two boxcars of 2^M taps"),
+    _register(
+        "sample_period", "SMPL_PRD", "Period of the internal update?", "0.61035 or 18.921 ms × (N + 1)"
+    ),
+    Question(
+        "data_ready_edge", "Which edge of the data-ready pulse follows the update?", "the first",
+        "inferred", "C",
+    ),
+    Question("data_ready_pulse", "Width of the data-ready pulse?", "not given", "–", "?"),
+    _register(
+        "self_test_gyro", "MSC_CTRL", "Do the gyros answer to both signs of the manual self-test?",
+        "yes", "B",
+    ),
+    _register(
+        "self_test_accel", "MSC_CTRL", "Do the accelerometers answer to the positive sign only?", "yes", "B"
+    ),
+    _register(
+        "over_range_falls", "STATUS", "Does STATUS's over-range bit fall by itself?", "yes (DS, p. 20)"
+    ),
+    _register(
+        "alarm_stays", "STATUS", "Does an alarm's bit stay until STATUS is read?", "yes (DS, p. 20)", "B"
+    ),
+    Question("over_range_threshold", "Threshold of over-range?", "not given", "–", "?"),
+    _register("flash_count", "ENDURANCE", "Does ENDURANCE count a flash update by one?", "yes"),
+    Question(
+        "autonull_duration", "Duration of the autonull?", "not given", "–", "?",
+        "an autonull overwrites the gyros' offsets in flash, which cannot be undone without more writes",
+    ),
+    Question(
+        "reset_recovery", "Recovery from a reset?", "not given; taken as a start-up, 0.15 s", "DS", "B",
+        "to find its end something must be asked too early, and traffic during a reset can leave a part"
+        " without answers",
+    ),
+    Question(
+        "illegal_settings", "What do illegal SENS_AVG and SMPL_PRD = 0 do?", "not given", "–", "?",
+        "nothing illegal is ever written",
+    ),
+)  # fmt: skip
+
+
+FORMAT = "adis-gonio bringup 1"
+Number = TypeVar("Number", float, float | None)
+
+
+class Verdict(StrEnum):
+    """What a step found."""
+
+    OK = "ok"
+    FAULT = "fault"
+    """The board does what no sound board does."""
+    DIFFERS = "differs"
+    """The board works and contradicts a row of the table: the table or the part is other than thought."""
+    NOT_MEASURED = "not measured"
+
+
+class Outcome(StrEnum):
+    """What was found about a row of the table."""
+
+    CONFIRMS = "confirms"
+    CONTRADICTS = "contradicts"
+    MEASURED = "measured"
+    """The table has no value: here is one."""
+    NOT_MEASURED = "not measured"
+
+
+@dataclass(frozen=True)
+class Measured(JsonRecord):
+    """A figure with its standard uncertainty.
+
+    Attributes
+    ----------
+    u : float or None
+        None where the figure is a count or a setting.
+    expected : float or None
+        What table or configuration say.
+    """
+
+    document_keys = ("name", "value", "u", "unit", "expected")
+
+    name: str
+    value: float
+    unit: str = "1"
+    u: float | None = None
+    expected: float | None = None
+
+
+@dataclass(frozen=True)
+class Answer(JsonRecord):
+    """What was measured of one question about the part; `text` is one sentence."""
+
+    outcome: Outcome
+    text: str
+    figures: tuple[Measured, ...] = field(default=(), metadata=key("measured"))
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A series to draw: x and y with their labels, and what is expected where there is such."""
+
+    name: str
+    x_label: str
+    y_label: str
+    x: Sequence[float]
+    y: Mapping[str, Sequence[float]]
+    caption: str
+    log: bool = False
+
+
+@dataclass(frozen=True)
+class StepResult(JsonRecord):
+    """Result of a step: a verdict, one sentence that says it, figures, answers to open questions."""
+
+    document_keys = ("verdict", "text", "figures")
+
+    verdict: Verdict
+    text: str
+    figures: tuple[Measured, ...] = ()
+    answers: Mapping[str, Answer] = field(default_factory=dict)
+    curves: tuple[Curve, ...] = ()
+
+
+def _plain(number: Number) -> Number:
+    return number.item() if isinstance(number, np.generic) else number
+
+
+class Findings:
+    """Figures, answers and curves of a step as they come, and the result that they make with a verdict."""
+
+    def __init__(self) -> None:
+        self.figures: list[Measured] = []
+        self.answers: dict[str, Answer] = {}
+        self.curves: tuple[Curve, ...] = ()
+
+    def measure(
+        self,
+        name: str,
+        value: float,
+        unit: str = "1",
+        u: float | None = None,
+        expected: float | None = None,
+    ) -> Measured:
+        """Add a figure; numbers of numpy become Python's."""
+        figure = Measured(name, _plain(value), unit, _plain(u), _plain(expected))
+        self.figures.append(figure)
+        return figure
+
+    def answer(self, question: str, outcome: Outcome, text: str, *figures: Measured) -> None:
+        """Answer a question about the part."""
+        self.answers[question] = Answer(outcome, text, figures)
+
+    def settle(self, question: str, text: str, *, differs: bool) -> StepResult:
+        """Result of a step that answers one question, with all its figures and one sentence."""
+        self.answer(question, Outcome.CONTRADICTS if differs else Outcome.CONFIRMS, text, *self.figures)
+        return self.differs(text) if differs else self.ok(text)
+
+    def contradictions(self) -> str:
+        """Texts of the answers that contradict the table; empty without one."""
+        answers = self.answers.values()
+        return "; ".join(one.text for one in answers if one.outcome is Outcome.CONTRADICTS)
+
+    def ok(self, text: str) -> StepResult:
+        """Result of a step that found nothing wrong."""
+        return self._result(Verdict.OK, text)
+
+    def fault(self, text: str) -> StepResult:
+        """Result of a step that found a fault of the board."""
+        return self._result(Verdict.FAULT, text)
+
+    def differs(self, text: str) -> StepResult:
+        """Result of a step that contradicts the table."""
+        return self._result(Verdict.DIFFERS, text)
+
+    def _result(self, verdict: Verdict, text: str) -> StepResult:
+        return StepResult(verdict, text, tuple(self.figures), self.answers, self.curves)
+
+
+@dataclass(frozen=True)
+class Row(JsonRecord):
+    """A step with its result, as it stands in the document."""
+
+    name: str
+    does: str
+    effect: str
+    result: StepResult = field(metadata=INLINE)
+
+
+@dataclass(frozen=True)
+class Bringup:
+    """The whole bring-up.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+        One a step, in order.
+    answers : mapping of str to Answer
+        One for each question of `adis_gonio.bench.bringup.bringup_step`.
+    undone : str
+        What became of the registers that were written.
+    undone_ok : bool
+        True where every register was read back as it was found.
+    stopped : bool
+        True where the operator ended it early.
+    """
+
+    url: str
+    variant: str
+    begun_utc: str
+    software: str
+    bridge: Mapping[str, Any]
+    registers: Mapping[str, int]
+    rows: tuple[Row, ...]
+    answers: Mapping[str, Answer]
+    undone: str
+    undone_ok: bool
+    comparisons: int
+    false_alarm: float
+    stopped: bool = False
+
+    def row(self, name: str) -> StepResult:
+        """Result of a step by its name."""
+        return next(row.result for row in self.rows if row.name == name)
+
+    @property
+    def accused(self) -> tuple[str, ...]:
+        """Names of the steps that found a fault or a difference."""
+        return tuple(
+            row.name for row in self.rows if row.result.verdict in (Verdict.FAULT, Verdict.DIFFERS)
+        )
+
+    @property
+    def sound(self) -> bool:
+        """True where no step found a fault and everything was undone."""
+        return self.undone_ok and all(row.result.verdict is not Verdict.FAULT for row in self.rows)
+
+    @property
+    def simulated(self) -> bool:
+        """True for a simulated sensor."""
+        return self.url.startswith("sim:")
+
+    @property
+    def headline(self) -> str:
+        """The whole in one sentence."""
+        faults = [row.name for row in self.rows if row.result.verdict is Verdict.FAULT]
+        differs = [row.name for row in self.rows if row.result.verdict is Verdict.DIFFERS]
+        left = sum(row.result.verdict is Verdict.NOT_MEASURED for row in self.rows)
+        parts = [f"fault: {', '.join(faults)}" if faults else "no fault was found"]
+        if differs:
+            parts.append(f"differs from the table: {', '.join(differs)}")
+        if left:
+            parts.append(f"{left} of {len(self.rows)} steps were not measured")
+        if not self.undone_ok:
+            parts.append(self.undone)
+        text = "; ".join(parts)
+        return text[0].upper() + text[1:] + "."
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON document."""
+        return {
+            "format": FORMAT,
+            "software": self.software,
+            "begun_utc": self.begun_utc,
+            "url": self.url,
+            "simulated": self.simulated,
+            "variant": self.variant,
+            "bridge": dict(self.bridge),
+            "registers": dict(self.registers),
+            "sound": self.sound,
+            "accused": self.accused,
+            "headline": self.headline,
+            "stopped": self.stopped,
+            "undone": {"verified": self.undone_ok, "text": self.undone},
+            "false_alarm": {"board": self.false_alarm, "comparisons": self.comparisons},
+            "steps": [row.as_dict() for row in self.rows],
+            "answers": [
+                question.as_dict() | self.answers[question.name].as_dict() for question in QUESTIONS
+            ],
+        }
+
+
+class ClockCeiling(SpiBus):
+    """Passes everything on to another bus; `ceiling_hz` limits the clock from the next `configure` on."""
+
+    def __init__(self, inner: SpiBus, ceiling_hz: float) -> None:
+        super().__init__(inner.timing)
+        self.inner = inner
+        self.ceiling_hz = ceiling_hz
+        self.url = inner.url
+        self.capabilities = inner.capabilities
+        self.edge_rises = inner.edge_rises
+        self.unbroken_frames = inner.unbroken_frames
+
+    def now_s(self) -> float:
+        """Monotonic time of the bus in s."""
+        return self.inner.now_s()
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait on the bus's clock."""
+        self.inner.sleep_s(seconds)
+
+    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
+        """As the bus."""
+        return self.inner.stream(frames, block_scans=block_scans)
+
+    def hard_reset(self) -> None:
+        """As the bus."""
+        self.inner.hard_reset()
+
+    def read_event_counter(self) -> int:
+        """As the bus."""
+        return self.inner.read_event_counter()
+
+    def _exchange(self, frames: Words) -> Words:
+        return self.inner.exchange_array(frames)
+
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        return self.inner.configure(replace(timing, clock_hz=min(timing.clock_hz, self.ceiling_hz)))
+
+    def _close(self) -> None:
+        self.inner.close()
+
+
+FALSE_ALARM = 1e-4
+"""Probability that a sound board is accused of anything."""
+MOST_TESTS = 256
+"""Comparisons that a run may make."""
+
+
+class AlarmBudget:
+    """Shares the probability of a false alarm out."""
+
+    def __init__(self, total: float = FALSE_ALARM, tests: int = MOST_TESTS) -> None:
+        self.total = total
+        self.tests = tests
+        self.spent = 0
+
+    def alpha(self) -> float:
+        """Probability of a false alarm of one more comparison.
+
+        Raises
+        ------
+        RuntimeError
+            All are spent: the number of tests is a promise about the code.
+        """
+        if self.spent >= self.tests:
+            raise RuntimeError(f"more than {self.tests} comparisons: the false alarm rate does not hold")
+        self.spent += 1
+        return self.total / self.tests
+
+    def z(self) -> float:
+        """Limit of |x − μ| / u, two-sided, of a normal figure."""
+        from scipy.special import ndtri
+
+        return float(-ndtri(self.alpha() / 2))
+
+    def variance_ratio(self, dof: float) -> tuple[float, float]:
+        """Limits of s²/σ² with `dof` degrees of freedom, two-sided."""
+        from scipy.special import gammainccinv, gammaincinv
+
+        tail, shape = self.alpha() / 2, dof / 2
+        return float(gammaincinv(shape, tail)) / shape, float(gammainccinv(shape, tail)) / shape
+
+    def highest_bin(self, bins: int) -> float:
+        """Limit of the largest of `bins` bins of a periodogram over their mean."""
+        return math.log(bins / self.alpha())
+
+
+def at_most(errors: int, trials: int, confidence: float = 0.95) -> float:
+    """Upper limit of a probability after `errors` in `trials` (Clopper and Pearson)."""
+    from scipy.special import betaincinv
+
+    return 1.0 if errors >= trials else float(betaincinv(errors + 1, trials - errors, confidence))
+
+
+Floats = NDArray[np.float64]
+
+HOST_CLOCK_U = 100e-6 / np.sqrt(3)
+"""Relative standard uncertainty of a computer's clock: quartz, within 100 ppm."""
+BOARD_CLOCK_U = 5e-3 / np.sqrt(3)
+"""The same of a bridge that times frames itself: a ceramic resonator, within 0.5 %."""
+
+
+LONGEST_S = 40.0
+"""No run of scans takes longer, for slow bridges and slow sample rates, …"""
+FEWEST = 16
+"""… unless there are not even so many scans."""
+
+
+class SideEffect(StrEnum):
+    """What a step does to the part."""
+
+    READS = "reads"
+    LENDS = "lends data-ready"
+    """Enables data-ready while it runs, as a stream does, and sets MSC_CTRL back."""
+    WRITES = "writes, undone"
+    FLASH = "flash write"
+
+
+class BringupStep(ABC):
+    """A step of the bring-up.
+
+    Attributes
+    ----------
+    name : str
+        Names the row.
+    does : str
+        One line: what is done.
+    effect : SideEffect
+    question : str
+        What is asked before something is written.
+    settles : tuple of str
+        Questions about the part that it answers.
+    """
+
+    name: str
+    does: str
+    effect: SideEffect = SideEffect.READS
+    question: str = ""
+    settles: tuple[str, ...] = ()
+
+    @abstractmethod
+    def run(self, bench: BringupBench) -> StepResult:
+        """Do it; `AdisGonioError` where the part or the bridge fails."""
+
+
+@dataclass
+class BringupBench:
+    """The bench of one run.
+
+    Attributes
+    ----------
+    lends : bool
+        Data-ready may be enabled.
+    blocked : str
+        Why nothing more can be measured; empty while something can.
+    clock : float
+        Measured period of the update over its nominal one; 1 where it is not known.
+    data_ready : bool
+        Edges were seen to belong to the updates.
+    supply_ok : bool
+        The supply allows a flash update.
+    """
+
+    bus: ClockCeiling
+    sensor: Adis16354
+    budget: AlarmBudget = field(default_factory=AlarmBudget)
+    lends: bool = True
+    blocked: str = ""
+    clock: float = 1.0
+    clock_known: bool = False
+    data_ready: bool = False
+    supply_ok: bool = True
+    constants: dict[str, int] = field(default_factory=dict)
+
+    def has(self, capability: Capability) -> bool:
+        """True where the bridge offers a capability."""
+        return capability in self.bus.capabilities
+
+    def refresh(self) -> None:
+        """Set the clock that the present mode and the ceiling allow."""
+        self.sensor._follow()
+
+    # -- reading --------------------------------------------------------------------------------------
+
+    def repeated(self, name: str | Register, count: int) -> tuple[Words, float]:
+        """Words (count,) of the same register one right after the other, and the time of a frame in s.
+
+        Longer than what a bridge runs without a pause they are not: then fewer words come.
+        """
+        if self.bus.unbroken_frames is not None:
+            count = min(count, self.bus.unbroken_frames - 1)
+        frame = (register(name).address & 0x3F) << 8
+        frames = np.full(count + 1, frame, np.uint16)
+        frames[-1] = IDLE
+        begin_s = self.bus.now_s()
+        replies = self.bus.exchange_array(frames)
+        took_s = (self.bus.now_s() - begin_s) / (count + 1)
+        timed = self.bus.unbroken_frames is not None
+        return replies[1:], self.bus.timing.frame_s if timed else took_s
+
+    def scans(self, count: int, names: Sequence[str]) -> tuple[ScanBlock, bool]:
+        """Scans (at most `count`, no longer than `LONGEST_S`), and whether they follow without a gap.
+
+        The bridge streams where data-ready may be lent and was found to work, else it polls. Where there
+        are gaps the longest run without one is returned if it is long enough, else all scans.
+        """
+        blocks: list[ScanBlock] = []
+        have, begin_s = 0, self.bus.now_s()
+        with self._stream(names, min(count, 256)) as stream:
+            for block in stream:
+                blocks.append(block)
+                have += len(block)
+                late = self.bus.now_s() - begin_s > LONGEST_S
+                if have >= count or (late and have >= FEWEST):
+                    break
+        whole = join(blocks).first(count)
+        run = _longest_run(blocks, count)
+        return (run, True) if len(run) >= count // 2 else (whole, False)
+
+    def _stream(self, names: Sequence[str], block_scans: int) -> ScanStream:
+        if self.lends and self.data_ready:
+            return self.sensor.stream(names, block_scans=block_scans)
+        # Data-ready may be enabled and not be wired: polling needs none.
+        now = self.sensor.configuration()
+        layout = ScanLayout(
+            registers(names), self.sensor.variant.name, now.gyro_range_dps, now.sample_period_s
+        )
+        return PolledScans(self.bus, layout, max(4, min(block_scans, round(0.5 / now.sample_period_s))))
+
+    def means(self, count: int, names: Sequence[str]) -> Floats:
+        """Means of the registers' numbers over `count` scans."""
+        block, _ = self.scans(count, names)
+        return np.asarray(block.numbers().mean(axis=0), np.float64)
+
+    def sample_quickly(self) -> None:
+        """The fastest sample rate, for steps that write anyway."""
+        if self.sensor.read("SMPL_PRD") & 0xFF != 0x01:
+            self.sensor.write("SMPL_PRD", 0x01)
+            self.wait_updates()
+
+    # -- flags ------------------------------------------------------------------------------------------
+
+    def alarm_stands(self) -> bool:
+        """EA, as it comes with a word that is read; STATUS is not touched."""
+        return bool(self.sensor.read_words(["XACCL_OUT"])[0] & EA)
+
+    def status(self) -> int:
+        """STATUS, which is cleared."""
+        return self.sensor.read("STATUS")
+
+    def wait_updates(self, count: int = 4) -> None:
+        """Let some updates pass, and the filter settle."""
+        now = self.sensor.configuration()
+        self.bus.sleep_s(now.settling_s + count * now.sample_period_s)
+
+
+def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
+    """The longest piece without a missed update; a block whose gaps have no place counts as broken."""
+    whole = join(blocks)
+    breaks: list[int] = [0]
+    at = 0
+    for block in blocks:
+        if block.missed is not None:
+            breaks += [at + int(k) for k in np.flatnonzero(block.missed)]
+        elif block.lost:
+            breaks += range(at, at + len(block))
+        at += len(block)
+    breaks = sorted({*breaks, len(whole)})
+    lengths = np.diff(breaks)
+    if not len(lengths):
+        return whole.first(0)
+    best = int(np.argmax(lengths))
+    cut = slice(breaks[best], min(breaks[best + 1], breaks[best] + count))
+    return replace(whole, words=whole.words[cut], time_s=whole.time_s[cut], lost=0, missed=None)
+
+
+def not_measured(why: str) -> StepResult:
+    """A step that could not measure."""
+    return StepResult(Verdict.NOT_MEASURED, f"not measured: {why}")
+
+
+def writable() -> tuple[Register, ...]:
+    """Registers that are noted before anything is written, and compared after it.
+
+    SLP_CNT sends the part to sleep, and the levels of GPIO_CTRL follow the wires: no step touches them.
+    """
+    return tuple(
+        row
+        for row in BY_NAME.values()
+        if row.writable and row.readable and row.name not in ("SLP_CNT", "GPIO_CTRL")
+    )

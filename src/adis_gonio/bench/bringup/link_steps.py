@@ -1,0 +1,430 @@
+"""The link and the part behind it: words, limits, clocks, supply, temperature, and which part it is."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.bench.bringup.bringup_step import (
+    BOARD_CLOCK_U,
+    BringupBench,
+    BringupStep,
+    Curve,
+    Findings,
+    Floats,
+    StepResult,
+    at_most,
+)
+from adis_gonio.device.bus import SpiTiming, Words
+from adis_gonio.device.sensor.decoding import scales
+from adis_gonio.device.sensor.driver import PLAUSIBLE
+from adis_gonio.device.sensor.registers import (
+    ACCEL_OFF,
+    ACCEL_OUT,
+    BY_NAME,
+    FAST,
+    FAST_UP_TO,
+    IDLE,
+    NORMAL,
+    REGISTERS,
+    TEMP_OUT,
+    Register,
+    read_frames,
+    registers,
+)
+from adis_gonio.device.sensor.settings import Status, white_noise_gain
+from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE, VARIANTS, Variant
+
+CLOCKS_HZ = (2e6, 1.5e6, 1e6, 750e3, 500e3, 250e3, 125e3, 62.5e3, 31.25e3)
+"""Clocks that a bridge is asked for: the bridges' own steps, within the limits of the chip's modes."""
+FASTEST_HZ = {"fast": 2e6, "normal": 300e3}
+"""Highest clock of a mode (DS, A)."""
+READS = 1000
+_PASSES = 3
+
+_CONSTANT = tuple(
+    row
+    for row in REGISTERS
+    if row.readable and not row.flags and row.name not in ("STATUS", "GPIO_CTRL", "SLP_CNT")
+)
+"""Registers whose content nobody changes meanwhile."""
+
+
+def legal(row: Register, word: int) -> bool:
+    """True where a word can stand in a register: no bit beside its number or its fields."""
+    if row.name == "ENDURANCE":
+        return word < 1 << 15
+    if row.name == "SMPL_PRD":
+        return word & ~row.write_mask == 0 and word & row.write_mask != 0
+    if row.name == "SENS_AVG":
+        code, m = row.field("range").of(word), row.field("m").of(word)
+        dps = next((dps for dps, known in RANGE_CODE.items() if known == code), None)
+        return word & ~row.write_mask == 0 and dps is not None and LEAST_M[dps] <= m <= 6
+    if row.signed:
+        return row.number(word) in (word, word - (1 << row.bits), word - (1 << 16))
+    return word & ~row.write_mask == 0
+
+
+_READINGS: tuple[tuple[str, Callable[[int], int]], ...] = (
+    ("", lambda word: word),
+    ("the data line (MISO) is inverted: look for an inverting level shifter", lambda word: word ^ 0xFFFF),
+    (
+        "the words come one bit late: the bridge samples at the wrong edge (mode 3?)",
+        lambda w: w << 1 & 0xFFFF,
+    ),
+    (
+        "the words come one bit early: the bridge samples at the wrong edge (mode 3?)",
+        lambda word: word >> 1,
+    ),
+    ("the two bytes of the words are swapped", lambda word: word >> 8 | (word & 0xFF) << 8),
+)
+
+
+class Link(BringupStep):
+    """Whether there is a chip, and whether it is read the right way."""
+
+    name = "link"
+    does = "reads the control registers three times: silence, a stuck, inverted or shifted data line"
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Try every way of reading that a wrong board makes."""
+        frames = np.append(np.tile(read_frames(_CONSTANT), _PASSES), np.uint16(IDLE))
+        words = bench.bus.exchange_array(frames)[1:].reshape(_PASSES, -1)
+        first = [int(word) for word in words[0]]
+        found = Findings()
+        found.measure("control registers read", len(first), expected=len(_CONSTANT))
+        problem = _silence(words) or _unsteady(words)
+        if not problem:
+            scores = [
+                sum(legal(row, way(word)) for row, word in zip(_CONSTANT, first, strict=True))
+                for _, way in _READINGS
+            ]
+            found.measure("of them with legal content", scores[0], expected=len(_CONSTANT))
+            if max(scores) > scores[0]:
+                problem = _READINGS[scores.index(max(scores))][0]
+            elif 2 * scores[0] < len(first):
+                problem = "what is read makes no sense in any way: check the wires of DIN, DOUT and CS"
+        if problem:
+            bench.blocked = "the link does not work"
+            return found.fault(problem)
+        bench.constants = dict(zip((row.name for row in _CONSTANT), first, strict=True))
+        wrong = [row.name for row, word in zip(_CONSTANT, first, strict=True) if not legal(row, word)]
+        if wrong:
+            return found.differs(
+                f"registers answer, but with bits that they should not have: {', '.join(wrong)}"
+            )
+        names = ", ".join(sorted(bench.bus.capabilities)) or "none"
+        return found.ok(f"the registers answer with legal content; capabilities of the bridge: {names}")
+
+
+def _silence(words: Words) -> str:
+    found = {int(word) for word in words.ravel()}
+    if found == {0}:
+        return "all replies are zeros: the data line (MISO) is stuck low, or nothing drives it"
+    if found == {0xFFFF}:
+        return "all replies are ones: the data line (MISO) is stuck high, or no chip is selected"
+    return f"all replies are 0x{found.pop():04X}: nothing drives the data line" if len(found) == 1 else ""
+
+
+def _unsteady(words: Words) -> str:
+    changing = int(np.count_nonzero(np.any(words != words[0], axis=0)))
+    if 2 * changing > words.shape[1]:
+        return (
+            f"{changing} of {words.shape[1]} constant registers read differently each time: check the wires"
+        )
+    return ""
+
+
+class Timing(BringupStep):
+    """What the bridge says of clock, stall and period, and how long a frame takes by its clock."""
+
+    name = "timing"
+    does = "asks the bridge for both modes' timing and times 500 frames"
+    _frames = 500
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Compare with the limits of the part."""
+        found, wrong = Findings(), []
+        for mode, asked in (("fast", FAST), ("normal", NORMAL)):
+            got = bench.bus.inner.configure(asked)
+            found.measure(f"{mode}: clock", got.clock_hz, "Hz", expected=asked.clock_hz)
+            found.measure(f"{mode}: stall", got.stall_us, "us", expected=asked.stall_us)
+            found.measure(f"{mode}: period", got.period_us, "us", expected=asked.period_us)
+            if got.clock_hz > asked.clock_hz:
+                wrong.append(f"clocks at {got.clock_hz:g} Hz where at most {asked.clock_hz:g} was asked")
+            if got.stall_us < asked.stall_us or got.period_us < asked.period_us:
+                wrong.append(f"stall {got.stall_us:g} and period {got.period_us:g} µs in {mode} mode")
+        bench.bus.configure(NORMAL)
+        frame_us = 1e6 * _frame_s(bench, self._frames)
+        found.measure("normal: a frame took", frame_us, "us", expected=NORMAL.period_us)
+        wrong += _too_quick(frame_us, bench.bus.timing)
+        if wrong:
+            bench.blocked = "the bridge breaks the part's limits"
+            return found.fault(f"the bridge breaks the part's limits: {'; '.join(wrong)}")
+        value = [figure.value for figure in found.figures]
+        return found.ok(
+            f"the bridge reports {value[0] / 1e3:g} kHz and {value[1]:g} µs of stall in fast mode,"
+            f" {value[3] / 1e3:g} kHz and {value[4]:g} µs in normal mode, where a frame takes"
+            f" {frame_us:.0f} µs"
+        )
+
+
+def _frame_s(bench: BringupBench, count: int) -> float:
+    """Time of a frame by the bus's clock, in one batch."""
+    begin_s = bench.bus.now_s()
+    bench.bus.exchange_array(np.full(count, IDLE, np.uint16))
+    return (bench.bus.now_s() - begin_s) / count
+
+
+def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
+    """A frame that takes less than the bridge promises by more than its clock can be off."""
+    least_us = 1e6 * timing.frame_s
+    if frame_us < least_us * (1 - np.sqrt(3) * BOARD_CLOCK_U):
+        return [f"a frame takes {frame_us:.1f} µs, the part needs {least_us:.0f}: the stall is not kept"]
+    return []
+
+
+@dataclass(frozen=True)
+class _Trial:
+    clock_hz: float
+    reads: int
+    wrong_words: int
+    wrong_bits: int
+    frame_us: float
+
+
+class BitErrors(BringupStep):
+    """Constant registers at every clock, slowest first; ends at the first clock with errors.
+
+    A flipped bit on the way in may make a write of a read, so no clock above one with errors is tried.
+    A link is sound where its error rate is below 1e-10 a bit: then an error comes about once in 100 000
+    boards.
+    """
+
+    name = "bit errors"
+    does = "1000 reads of constant registers at each clock of the bridge, slowest first"
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Try the clocks and set the ceiling."""
+        smpl_prd = bench.constants["SMPL_PRD"] & 0xFF
+        mode, limit = ("fast", FAST) if smpl_prd <= FAST_UP_TO else ("normal", NORMAL)
+        clocks = _offered(bench, FASTEST_HZ[mode], limit)
+        bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
+        expected = np.array([bench.constants[row.name] for row in _CONSTANT], np.uint16)
+        trials: list[_Trial] = []
+        quick: list[str] = []
+        for clock in clocks:
+            timing = bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clock))
+            trial, words = _try(bench, clock, expected)
+            if (
+                not trials
+            ):  # at the slowest the majority is the truth: a wrong first reading is no reference
+                expected = _majority(words)
+                trial = _judge(clock, words, expected, trial.frame_us)
+            trials.append(trial)
+            quick += _too_quick(trial.frame_us, timing)
+            if trial.wrong_words:
+                break
+        bad = trials[-1] if trials[-1].wrong_words else None
+        clean = [trial.clock_hz for trial in trials if not trial.wrong_words]
+        bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
+        changed: list[str] = []
+        if bad is not None and clean:
+            _, words = _try(bench, clocks[0], expected)
+            changed = [
+                row.name for row, a, b in zip(_CONSTANT, expected, _majority(words), strict=True) if a != b
+            ]
+        bench.bus.ceiling_hz = max(clean, default=clocks[0])
+        bench.refresh()
+        bits = 16 * sum(trial.reads for trial in trials)
+        errors = sum(trial.wrong_bits for trial in trials)
+        found = Findings()
+        for t in trials:
+            found.measure(f"wrong of {t.reads} at {t.clock_hz / 1e3:g} kHz", t.wrong_words, expected=0)
+        found.measure("bit error rate, upper limit (95 %)", at_most(errors, bits))
+        curve = Curve(
+            "bit errors", "clock / kHz", "wrong words / 1000 reads", [t.clock_hz / 1e3 for t in trials],
+            {"wrong words": [1e3 * t.wrong_words / t.reads for t in trials]},
+            "Wrong words at each clock; no clock above the first with errors is tried.",
+        )  # fmt: skip
+        found.curves = (curve,)
+        if quick:
+            bench.blocked = "the bridge breaks the part's limits"
+            return found.fault(quick[0])
+        if bad is None:
+            return found.ok(
+                f"no error in {bits // 16} words at {len(trials)} clocks from {clocks[0] / 1e3:g} to"
+                f" {clocks[-1] / 1e3:g} kHz"
+            )
+        text = f"{bad.wrong_words} of {bad.reads} words are wrong at {bad.clock_hz / 1e3:g} kHz"
+        if not clean:
+            bench.blocked = "words are wrong at the slowest clock"
+            text += ", the slowest: shorten the wires, check supply and ground"
+        else:
+            text += (
+                f", none up to {clean[-1] / 1e3:g} kHz: shorten the wires; what follows was done no faster"
+            )
+        if changed:
+            text += f"; a read became a write: {', '.join(changed)} changed"
+        return found.fault(text)
+
+
+def _offered(bench: BringupBench, most_hz: float, limit: SpiTiming) -> list[float]:
+    """Clocks of the bridge within the limits of the mode, slowest first."""
+    found = set()
+    for asked in CLOCKS_HZ:
+        if asked <= most_hz:
+            try:
+                found.add(bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=asked)).clock_hz)
+            except UsageError:  # slower than the bridge can
+                break
+    return sorted(clock for clock in found if clock <= most_hz)
+
+
+def _try(bench: BringupBench, clock_hz: float, expected: Words) -> tuple[_Trial, Words]:
+    passes = -(-READS // len(_CONSTANT))
+    frames = np.append(np.tile(read_frames(_CONSTANT), passes), np.uint16(IDLE))
+    begin_s = bench.bus.now_s()
+    words = bench.bus.exchange_array(frames)[1:].reshape(passes, -1)
+    frame_us = 1e6 * (bench.bus.now_s() - begin_s) / len(frames)
+    return _judge(clock_hz, words, expected, frame_us), words
+
+
+def _judge(clock_hz: float, words: Words, expected: Words, frame_us: float) -> _Trial:
+    wrong = words ^ expected
+    bits = int(np.unpackbits(wrong.astype(">u2").view(np.uint8)).sum())
+    return _Trial(clock_hz, words.size, int(np.count_nonzero(wrong)), bits, frame_us)
+
+
+def _majority(words: Words) -> Words:
+    """Each bit as most of the passes have it."""
+    ones = ((words[:, :, np.newaxis] >> np.arange(16, dtype=np.uint16)) & 1).mean(axis=0) > 0.5
+    words_of: Words = (ones.astype(np.uint32) << np.arange(16)).sum(axis=1).astype(np.uint16)
+    return words_of
+
+
+SUPPLY_V = (4.75, 5.25)
+"""Limits of the supply (DS, B), the ones of STATUS."""
+TEMPERATURE_C = (-40.0, 85.0)
+"""Range of operation of the siblings (DS, B)."""
+GRAVITY_U = 0.0026 / np.sqrt(3)
+"""Relative: gravity is within 0.26 % of the standard value at all places on earth's surface."""
+_SCANS = 256
+
+
+def mean_and_u(numbers: Floats, gain: float = 1.0) -> tuple[Floats, Floats]:
+    """Means (k,) of numbers (n, k) and their standard uncertainties, in LSB.
+
+    The filter takes no noise out at the lowest frequencies: unfiltered, σ/√n with the σ that filtered
+    noise of this `gain` had. Where the noise is below an LSB, its rounding is not random: 1/√12.
+    """
+    spread = numbers.std(axis=0, ddof=1) / gain
+    return numbers.mean(axis=0), np.hypot(spread / np.sqrt(len(numbers)), 1 / np.sqrt(12))
+
+
+class Health(BringupStep):
+    """Supply and temperature, and what STATUS says of them."""
+
+    name = "supply"
+    does = f"{_SCANS} readings of supply and temperatures; STATUS, read twice (a read clears it)"
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Compare with the limits of operation."""
+        first = bench.status()
+        bench.wait_updates()
+        standing = Status(bench.status())
+        names = ("SUPPLY_OUT", *TEMP_OUT)
+        block, _ = bench.scans(_SCANS, names)
+        lsb, zero, _ = scales(registers(names), bench.sensor.variant, 300)
+        mean, u = mean_and_u(block.numbers().astype(np.float64), _gain(bench))
+        value, u = zero + lsb * mean, lsb * u
+        found = Findings()
+        found.measure("supply", value[0], "V", u[0], 5.0)
+        for axis, t, s in zip("xyz", value[1:], u[1:], strict=True):
+            found.measure(f"temperature {axis}", t, "degC", s)
+        found.measure("STATUS as it was found", first)
+        found.measure("STATUS read again", standing.word, expected=0)
+        wrong = []
+        z = bench.budget.z()
+        if not SUPPLY_V[0] - z * u[0] <= value[0] <= SUPPLY_V[1] + z * u[0]:
+            bench.supply_ok = False
+            wrong.append(f"the supply is {value[0]:.3f} V, the part needs {SUPPLY_V[0]} to {SUPPLY_V[1]} V")
+        for axis, t, s in zip("XYZ", value[1:], u[1:], strict=True):
+            if not TEMPERATURE_C[0] - bench.budget.z() * s <= t <= TEMPERATURE_C[1] + bench.budget.z() * s:
+                wrong.append(f"{axis}TEMP_OUT says {t:.0f} °C")
+        if standing.word:
+            wrong.append(f"STATUS: {standing}")
+        if standing.flags["supply_low"] or standing.flags["supply_high"]:
+            bench.supply_ok = False
+        if wrong:
+            return found.fault("; ".join(wrong))
+        warmth = ", ".join(f"{t:.1f}" for t in value[1:])
+        return found.ok(f"supply {value[0]:.3f} V, temperatures {warmth} °C, STATUS clear")
+
+
+class WhichPart(BringupStep):
+    """|a| at rest: the only mark of the variant."""
+
+    name = "variant"
+    does = (
+        f"|a| at rest over {_SCANS} scans, less the offset registers: 2140 LSB on the ADIS16354, 397 on the"
+        " ADIS16350/55"
+    )
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Compare |a| with 1 g of each variant."""
+        block, _ = bench.scans(_SCANS, ACCEL_OUT)
+        mean, u = mean_and_u(block.numbers().astype(np.float64), _gain(bench))
+        # The table's bias is the part's own, without what somebody wrote against it.
+        offsets = [row.number(bench.constants[row.name]) for row in registers(ACCEL_OFF)]
+        mean = mean - offsets
+        norm = float(np.linalg.norm(mean))
+        u_norm = float(np.sqrt((mean * u) @ (mean * u))) / max(norm, 1e-9)
+        asked = bench.sensor.variant
+        warm = bench.sensor.quantity("XTEMP_OUT").value - 25.0
+        tolerance = float(np.hypot(_tolerance(asked, warm), u_norm * asked.accel_mg_per_lsb / 1000))
+        off = norm / asked.one_g_lsb - 1
+        found = Findings()
+        found.measure("|a|", norm, "LSB", u_norm, asked.one_g_lsb)
+        for name, m, s in zip(ACCEL_OUT, mean, u, strict=True):
+            found.measure(f"mean of {name}, less its offset", m, "LSB", s)
+        found.measure("tolerance of |a| (1 sigma)", tolerance * asked.one_g_lsb, "LSB")
+        nearest = min(VARIANTS.values(), key=lambda v: abs(np.log(max(norm, 1e-9) / v.one_g_lsb)))
+        fits = [v for v in VARIANTS.values() if abs(norm / v.one_g_lsb - 1) <= PLAUSIBLE]
+        if nearest.one_g_lsb != asked.one_g_lsb and fits:
+            names = " or ".join(v.name.upper() for v in fits)
+            bench.sensor.variant = fits[0]
+            return found.fault(
+                f"|a| is {norm:.0f} LSB: this is an {names}, not an {asked.name.upper()}"
+                f" ({asked.one_g_lsb:.0f} LSB); the rest is judged as for an {fits[0].name.upper()}"
+            )
+        if not fits:
+            return found.fault(f"|a| is {norm / asked.one_g_lsb:.2f} g: no known part; was it still?")
+        if abs(off) > bench.budget.z() * tolerance:
+            return found.differs(
+                f"|a| is {1000 * norm / asked.one_g_lsb:.0f} mg, further from 1 g than the table's bias and"
+                " gain allow"
+            )
+        return found.ok(f"|a| is {norm:.0f} LSB, {1 + off:.3f} g of an {asked.name.upper()}")
+
+
+def _tolerance(part: Variant, warm_c: float) -> float:
+    """Relative standard deviation of |a| over parts and places."""
+    figures = part.performance
+    return float(
+        np.sqrt(
+            (figures.initial_bias_mg / 1000) ** 2
+            + figures.scale_error_typical**2
+            + (figures.bias_tempco_mg_per_c * warm_c / 1000) ** 2
+            + GRAVITY_U**2
+        )
+    )
+
+
+def _gain(bench: BringupBench) -> float:
+    """Gain of the filter in force for white noise, rms."""
+    return white_noise_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))

@@ -1,0 +1,302 @@
+"""Noise and its spectrum, and the steps of the filter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from adis_gonio.bench.bringup.bringup_step import (
+    LONGEST_S,
+    BringupBench,
+    BringupStep,
+    Curve,
+    Findings,
+    Floats,
+    Measured,
+    Outcome,
+    SideEffect,
+    StepResult,
+    not_measured,
+)
+from adis_gonio.device.sensor.decoding import scales
+from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, registers
+from adis_gonio.device.sensor.settings import (
+    filter_response,
+    filter_weights,
+    rounding_spectrum,
+    sens_avg_word,
+    white_noise_gain,
+)
+from adis_gonio.device.sensor.variants import Variant
+
+_SCANS = 4096
+_FEW = 512
+_BANDS = 6
+_HANN_WIDTH = 35 / 18
+"""Bins of a periodogram with Hann's window that count as one independent bin in a mean."""
+_MOST_FLICKER = 0.1
+"""Flicker, which the model has, may add so much of the white level at the lowest frequency used."""
+GYRO_FLOOR_DPS = 0.015
+"""Bias instability of the gyros (D: the simulator's)."""
+
+
+def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
+    """Of the variance of `count` filtered samples that are `spacing` samples apart."""
+    weights = filter_weights(m)
+    shape = np.correlate(weights, weights, "full")
+    shape = shape[len(weights) - 1 :] / shape[len(weights) - 1]
+    lags = np.arange(1, len(shape) / spacing)
+    rho = np.interp(lags * spacing, np.arange(len(shape)), shape, right=0.0)
+    return (count - 1) / (1 + 2 * float(np.sum(rho**2)))
+
+
+def flicker(floor: Floats, frequency_hz: Floats, rate_hz: float) -> Floats:
+    """Level (n, k) in a periodogram of flicker whose Allan deviation has a floor (k,).
+
+    Its one-sided density is floor² / (2 ln 2 f), that of white noise 2 σ² / rate; a bin holds σ².
+    """
+    level: Floats = floor**2 / (2 * math.log(2) * frequency_hz[:, None]) * rate_hz / 2
+    return level
+
+
+def spectrum(values: Floats) -> tuple[Floats, Floats]:
+    """Frequencies (cycles a sample) and periodogram of values (n, k) with Hann's window.
+
+    White noise of variance σ² has the mean σ² in every bin.
+    """
+    n = len(values)
+    at = np.arange(n) - (n - 1) / 2
+    flat = values - values.mean(axis=0)
+    flat = flat - np.outer(at, at @ flat) / float(at @ at)
+    window = np.hanning(n + 1)[:-1]
+    power = np.abs(np.fft.rfft(flat * window[:, None], axis=0)) ** 2 / np.sum(window**2)
+    return np.asarray(np.fft.rfftfreq(n), np.float64), np.asarray(power, np.float64)
+
+
+class Noise(BringupStep):
+    """Noise against the variant's figures, and its spectrum against the filter's shape."""
+
+    name = "noise"
+    does = f"{_SCANS} scans of accelerometers and gyros at rest: rms, bands of the spectrum, tones"
+    effect = SideEffect.LENDS
+    settles = ("accel_noise", "gyro_noise")
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Judge six axes."""
+        sensor = bench.sensor
+        configuration = sensor.configuration()
+        names = (*ACCEL_OUT, *GYRO_OUT)
+        if configuration.gyro_range_dps is None:
+            return not_measured("SENS_AVG holds no valid range of the gyros")
+        block, whole = bench.scans(_SCANS, names)
+        if not whole:
+            block = block.first(_FEW)
+        if len(block) < _FEW // 4:
+            return not_measured(
+                f"{len(block)} scans in {LONGEST_S:g} s are too few; a faster SMPL_PRD gives more"
+            )
+        m, rate = configuration.filter_m, configuration.sample_rate_hz
+        lsb, _, units = scales(registers(names), sensor.variant, configuration.gyro_range_dps)
+        performance = sensor.variant.performance
+        expected = np.array([performance.noise_mg] * 3 + [performance.gyro_noise_dps] * 3)
+        numbers = block.numbers().astype(np.float64)
+        stuck = [name for name, column in zip(names, numbers.T, strict=True) if not np.ptp(column)]
+        if stuck:
+            return Findings().fault(f"{', '.join(stuck)} never changes: the axis does not work")
+        if whole:
+            judged = _by_spectrum(bench, numbers, m, rate, expected / lsb)
+        else:
+            spacing = float(np.mean(np.diff(block.time_s))) * rate
+            judged = _by_variance(bench, numbers, m, spacing, expected / lsb)
+        sigma, u = judged.sigma * lsb, judged.u * lsb
+        found = Findings()
+        found.curves = judged.curves()
+        for name, s, d, e, unit in zip(names, sigma, u, expected, units, strict=True):
+            found.measure(f"noise of {name}, unfiltered", s, unit, d, e)
+        found.measure("scans", len(block))
+        found.figures += judged.figures
+        _answer_noise(found, names, judged.level_off)
+        if judged.tones:
+            text = "; ".join(
+                f"a tone of {math.sqrt(2) * rms * lsb[k]:.2g} {units[k]} at {hz:.1f} Hz on {names[k]}"
+                for k, hz, rms in judged.tones
+            )
+            return found.fault(f"{text}: hum or a vibrating table")
+        if judged.shape_off:
+            wrong = ", ".join(names[k] for k in judged.shape_off)
+            return found.differs(f"the spectrum of {wrong} is not the filter's")
+        off = [k for k in range(6) if judged.level_off[k]]
+        if off:
+            return found.differs(
+                "; ".join(
+                    f"{names[k]}: {sigma[k]:.3g} {units[k]} rms, the table says {expected[k]:g}"
+                    for k in off
+                )
+            )
+        mean_mg, mean_dps = float(np.mean(sigma[:3])), float(np.mean(sigma[3:]))
+        text = f"{mean_mg:.2f} mg and {mean_dps:.3f} °/s rms unfiltered, as the table says"
+        text += (
+            ", white behind the filter"
+            if whole
+            else "; spectrum not measured: scans have gaps on this bridge"
+        )
+        return found.ok(text)
+
+
+class _Judged:
+    """Noise of six axes in LSB, unfiltered, and what is wrong with it."""
+
+    def __init__(self, sigma: Floats, u: Floats) -> None:
+        self.sigma = sigma
+        self.u = u
+        self.level_off = [False] * len(sigma)
+        self.shape_off: list[int] = []
+        self.tones: list[tuple[int, float, float]] = []
+        self.figures: tuple[Measured, ...] = ()
+        self.density: tuple[Floats, Floats, Floats] | None = None
+
+    def curves(self) -> tuple[Curve, ...]:
+        """Smoothed spectra beside the expected ones."""
+        if self.density is None:
+            return ()
+        hz, power, shape = self.density
+        return (
+            Curve(
+                "noise", "frequency / Hz", "noise / that of the figure, unfiltered", [float(f) for f in hz],
+                {
+                    "accelerometers": [float(p) for p in power[:, :3].mean(axis=1)],
+                    "gyros": [float(p) for p in power[:, 3:].mean(axis=1)],
+                }
+                | {"filter": [float(p) for p in shape]},
+                "Spectra over the level that the variant's noise has without the filter, neighbouring bins"
+                " averaged, and the shape of the filter.",
+                log=True,
+            ),
+        )  # fmt: skip
+
+
+def floors(part: Variant, expected: Floats) -> Floats:
+    """Bias instability (6,) in LSB, for axes whose noise in LSB is expected."""
+    performance = part.performance
+    white = np.array([performance.noise_mg] * 3 + [performance.gyro_noise_dps] * 3)
+    return np.asarray(
+        np.array([performance.bias_instability_mg] * 3 + [GYRO_FLOOR_DPS] * 3) * expected / white,
+        np.float64,
+    )
+
+
+def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, expected: Floats) -> _Judged:
+    """Where scans have gaps: the variance alone."""
+    # Over so few octaves flicker has about the variance of twice its floor.
+    extra = 2 * floors(bench.sensor.variant, expected) ** 2
+    variance = np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12 - extra, 1e-9)
+    dof = degrees_of_freedom(len(numbers), m, spacing)
+    sigma = np.sqrt(variance) / white_noise_gain(m)
+    judged = _Judged(sigma, sigma / math.sqrt(2 * dof))
+    for k in range(len(sigma)):
+        low, high = bench.budget.variance_ratio(dof)
+        judged.level_off[k] = not low <= (sigma[k] / expected[k]) ** 2 <= high
+    return judged
+
+
+def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
+    """Level, shape and tones where the noise is above rounding and flicker."""
+    cycles, power = spectrum(numbers)
+    gain = filter_response(m, cycles)
+    part = bench.sensor.variant
+    floor = floors(part, expected)
+    lowest_hz = float(np.max(flicker(floor, np.ones(1), rate_hz)[0] / (_MOST_FLICKER * expected**2)))
+    used = cycles * rate_hz >= max(lowest_hz, 4 * rate_hz / len(numbers))
+    rounded = np.stack([rounding_spectrum(m, sigma, cycles) for sigma in expected], axis=1)
+    used &= np.all(gain[:, None] * expected**2 >= rounded, axis=1)
+    used[-1] = False  # the last bin is real: another distribution
+    rest = gain[used, None] * flicker(floor, cycles[used] * rate_hz, rate_hz) + rounded[used]
+    relative = (power[used] - rest) / gain[used, None]
+    # A bin's scatter is that of signal, flicker and rounding together: weigh it by the signal's share.
+    share = gain[used, None] * expected**2 / (gain[used, None] * expected**2 + rest)
+    level = np.sum(share**2 * relative, axis=0) / np.sum(share**2, axis=0)
+    effective = np.sum(share**2, axis=0) / _HANN_WIDTH
+    sigma = np.sqrt(np.maximum(level, 1e-12))
+    judged = _Judged(sigma, sigma / (2 * np.sqrt(effective)))
+    model = gain[used, None] * np.maximum(level, 1e-12) + rest
+    ratio = power[used] / model
+    hz = cycles[used] * rate_hz
+    for k in range(len(sigma)):
+        low, high = bench.budget.variance_ratio(2 * effective[k])
+        judged.level_off[k] = not low <= level[k] / expected[k] ** 2 <= high
+        highest = int(np.argmax(ratio[:, k]))
+        if ratio[highest, k] > bench.budget.highest_bin(len(ratio)):
+            # A line of rms r gives n r² / 3 in its highest bin behind Hann's window, or a little less.
+            rms = math.sqrt(3 * power[used][highest, k] / gain[used][highest] / len(numbers))
+            judged.tones.append((k, float(hz[highest]), rms))
+        bands = [band for band in np.array_split(ratio[:, k], _BANDS) if len(band)]
+        for band in bands:
+            low, high = bench.budget.variance_ratio(2 * len(band) / _HANN_WIDTH)
+            if not low <= float(np.mean(band)) <= high and k not in judged.shape_off:
+                judged.shape_off.append(k)
+    step = max(1, len(power) // 200)
+    size = len(power) // step * step
+    smooth = power[:size].reshape(-1, step, power.shape[1]).mean(axis=1) / expected**2
+    at = (cycles[:size].reshape(-1, step).mean(axis=1)) * rate_hz
+    judged.density = (at, smooth, gain[:size].reshape(-1, step).mean(axis=1) + 1 / 12 / expected[0] ** 2)
+    judged.figures = (Measured("lowest frequency that is judged", float(hz[0]), "Hz"),)
+    return judged
+
+
+def _answer_noise(found: Findings, names: Sequence[str], off: Sequence[bool]) -> None:
+    """Answer by the figures of the six axes, which come first."""
+    for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
+        axes = slice(first, first + 3)
+        pairs = zip(names[axes], found.figures[axes], strict=True)
+        figures = [replace(figure, name=name, unit=unit) for name, figure in pairs]
+        text = f"{', '.join(f'{figure.value:.3g}' for figure in figures)} {unit} where the table says"
+        outcome = Outcome.CONTRADICTS if any(off[axes]) else Outcome.CONFIRMS
+        found.answer(question, outcome, f"{text} {figures[0].expected:g}", *figures)
+
+
+class FilterSteps(BringupStep):
+    """Noise gain of each step of the filter."""
+
+    name = "filter steps"
+    does = "writes M = 0 … 6 in SENS_AVG and measures the noise of the accelerometers at each"
+    effect = SideEffect.WRITES
+    question = "Write SENS_AVG (filter M = 0 … 6, about 20 s)?"
+    settles = ("filter_gain",)
+    _scans = 2048
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Compare each variance with what the fewest taps and the table's gain give."""
+        lsb = bench.sensor.variant.accel_mg_per_lsb
+        flicker = (bench.sensor.variant.performance.bias_instability_mg / lsb) ** 2
+        variances, dofs = [], []
+        bench.sample_quickly()
+        for m in range(7):
+            bench.sensor.write("SENS_AVG", sens_avg_word(300, m))
+            configuration = bench.sensor.configuration()
+            bench.bus.sleep_s(configuration.settling_s)
+            block, whole = bench.scans(self._scans, ACCEL_OUT)
+            if not whole:
+                block = block.first(_FEW // 2)
+            numbers = block.numbers().astype(np.float64)
+            spacing = 1.0 if whole else float(np.mean(np.diff(block.time_s))) * configuration.sample_rate_hz
+            variances.append(np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12, 1e-9))
+            dofs.append(degrees_of_freedom(len(block), m, spacing))
+        found, off = Findings(), []
+        reference, reference_dof = variances[0], 3 * dofs[0]
+        for m in range(1, 7):
+            # Three axes together; flicker of the figure passes every filter.
+            unfiltered = float(np.sum(reference))
+            gain2 = (float(np.sum(variances[m])) - 3 * flicker) / unfiltered
+            relative_u = math.sqrt(2 / (3 * dofs[m]) + 2 / reference_dof)
+            gain = math.sqrt(max(gain2, 0.0))
+            expected = white_noise_gain(m)
+            found.measure(f"noise gain at M = {m}", gain, "1", gain * relative_u / 2, expected)
+            low, high = bench.budget.variance_ratio(2 / relative_u**2)
+            if not low <= gain2 / expected**2 <= high:
+                off.append(m)
+        gains = ", ".join(f"{figure.value:.3f}" for figure in found.figures)
+        end = f"not the table's at M = {', '.join(map(str, off))}" if off else "as the table says"
+        return found.settle("filter_gain", f"noise gains {gains} for M = 1 … 6, {end}", differs=bool(off))

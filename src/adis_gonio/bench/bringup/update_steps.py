@@ -1,0 +1,460 @@
+"""The internal update: its rate, data-ready's edges, the steps of SMPL_PRD."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.errors import BusTimeoutError, UsageError
+from adis_gonio.bench.bringup.bringup_step import (
+    BOARD_CLOCK_U,
+    HOST_CLOCK_U,
+    Answer,
+    BringupBench,
+    BringupStep,
+    Curve,
+    Findings,
+    Floats,
+    Measured,
+    Outcome,
+    SideEffect,
+    StepResult,
+    not_measured,
+)
+from adis_gonio.device.bus import Capability, Words
+from adis_gonio.device.sensor.registers import BY_NAME, ND, read_frames, timing_for, write_frames
+from adis_gonio.device.sensor.settings import sample_period_s
+
+_CODES = [n for n in range(256) if n & 0x7F or n & 0x80]
+_MISC = BY_NAME["MSC_CTRL"]
+_READ = "XACCL_OUT"
+_NO_EDGE = "no edge arrives: wire DIO1 to the bridge's data-ready input if it is to stream"
+_LONGEST_FRAME_US = 20_000.0
+"""Frames of a list are no further apart; the bridges' timers reach to some 50 ms."""
+_BENT = 0.02
+"""Times of a bridge with a clock of its own may be bent so much while its rate is learnt."""
+_UNBROKEN_PERIODS = 3
+"""Periods that a batch without a pause must hold, so that its own frames tell the time."""
+
+
+@dataclass(frozen=True)
+class Period:
+    """Measured period of the update in s with its standard uncertainty."""
+
+    value_s: float
+    u_s: float
+
+
+def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
+    """Period of the update from ND of one register read again and again; or why it cannot be.
+
+    The first read after an update carries ND, so a span of ND flags is a whole number of periods long to
+    within a read's time at either end, evenly spread: u = frame sqrt(1/6) / number of periods.
+    """
+    _, frame_s = bench.repeated(_READ, 4)
+    if frame_s > expected_s / 2.5:
+        return (
+            f"this bridge reads a word in {1e3 * frame_s:.2g} ms, an update takes {1e3 * expected_s:.2g} ms"
+        )
+    unbroken = bench.bus.unbroken_frames
+    if unbroken is not None and unbroken * frame_s < _UNBROKEN_PERIODS * expected_s:
+        return _by_clock(bench, expected_s, updates)
+    spans, periods, ends = 0.0, 0, 0
+    batch = math.ceil(min(updates, 256) * expected_s / frame_s)
+    for _ in range(64 + 2 * updates):
+        words, frame_s = bench.repeated(_READ, batch)
+        at = np.flatnonzero(words & ND)
+        if len(at) > 1:
+            if at[0] == 0:
+                at = at[1:]  # the update may have been long before the batch began
+            if len(at) > 1:
+                spans += float(at[-1] - at[0]) * frame_s
+                periods += len(at) - 1
+                ends += 1
+        if periods >= updates:
+            break
+    if not periods:
+        return "no update was seen: bit ND never came"
+    value = spans / periods
+    clock_u = BOARD_CLOCK_U if bench.bus.unbroken_frames is not None else HOST_CLOCK_U
+    return Period(value, math.hypot(frame_s * math.sqrt(ends / 6) / periods, clock_u * value))
+
+
+def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
+    """The same by short batches and the bus's clock: each finds at most one update."""
+    first = last = 0.0
+    count, longest = -1, 0.0
+    end_s = bench.bus.now_s() + 3 * (updates + 3) * expected_s
+    before_s = bench.bus.now_s()
+    while count < updates:
+        words, _ = bench.repeated(_READ, 1)
+        now_s = bench.bus.now_s()
+        longest, before_s = max(longest, now_s - before_s), now_s
+        if longest > expected_s / 2.5:
+            return (
+                f"this bridge looks every {1e3 * longest:.2g} ms, an update takes {1e3 * expected_s:.2g} ms"
+            )
+        if words[0] & ND:
+            count += 1
+            last = now_s
+            first = first or now_s
+        elif now_s > end_s:
+            return "no update was seen: bit ND never came"
+    value = (last - first) / count
+    return Period(value, math.hypot(longest * math.sqrt(1 / 6) / count, HOST_CLOCK_U * value))
+
+
+def nearest_code(period_s: float) -> int:
+    """SMPL_PRD whose nominal period is nearest by ratio."""
+    return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
+
+
+class Rate(BringupStep):
+    """Rate of ND against SMPL_PRD."""
+
+    name = "sample rate"
+    does = "counts new-data flags (ND) of one register that is read without a pause"
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Compare with the period that SMPL_PRD says."""
+        configuration = bench.sensor.configuration()
+        expected = configuration.sample_period_s
+        period = measured_period(bench, expected, max(8, min(512, round(2.0 / expected))))
+        if isinstance(period, str):
+            return not_measured(period)
+        rate = 1 / period.value_s
+        found = Findings()
+        found.measure("sample rate", rate, "Hz", rate * period.u_s / period.value_s, 1 / expected)
+        found.measure("period", 1e6 * period.value_s, "us", 1e6 * period.u_s, 1e6 * expected)
+        bench.clock, bench.clock_known = period.value_s / expected, True
+        off = abs(period.value_s - expected)
+        if off <= bench.budget.z() * period.u_s:
+            return found.ok(f"{rate:.2f} updates a second, as SMPL_PRD says")
+        code = nearest_code(period.value_s)
+        if sample_period_s(code) != expected:
+            return found.fault(
+                f"{rate:.2f} updates a second, SMPL_PRD says {1 / expected:.2f}; that would be"
+                f" SMPL_PRD = 0x{code:02X}"
+            )
+        return found.differs(
+            f"{rate:.2f} updates a second, {100 * (rate * expected - 1):+.2f} % from the nominal rate"
+        )
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """What scans of one register, started by the bridge at edges, show.
+
+    Attributes
+    ----------
+    position : (n,) int
+        Number of the read that carries ND in each scan; -1 none, -2 several.
+    """
+
+    position: NDArray[np.int64]
+    lost: int
+    jitter_us: float
+    rate_hz: float
+    expected: float
+    frame_us: float
+    reads: int
+
+    @property
+    def surplus(self) -> float:
+        """Edges that the bridge saw more than there were updates; negative where it saw fewer."""
+        seen = len(self.position) + self.lost
+        return seen - self.expected
+
+    @property
+    def slack(self) -> float:
+        """By how much that may be off: one at either end, and a bridge's times while they are learnt."""
+        return 2 + _BENT * self.expected
+
+    @property
+    def missed(self) -> int:
+        """Edges without a scan: reported by the bridge, or gaps in its times."""
+        gaps = self.expected - len(self.position)
+        return max(self.lost, round(gaps) if gaps > self.slack else 0)
+
+    @property
+    def usual(self) -> int:
+        """Most frequent position."""
+        values, counts = np.unique(self.position, return_counts=True)
+        return int(values[np.argmax(counts)])
+
+    @property
+    def locked(self) -> float:
+        """Share of scans with ND at the usual position or beside it: the edge belongs to the update."""
+        near = np.abs(self.position - self.usual) <= 1
+        return float(np.mean(near & (self.position >= 0)))
+
+
+class _NoEdgeError(Exception):
+    """A stream waits in vain."""
+
+
+class DataReady(BringupStep):
+    """Edges of data-ready: their rate, whose they are, which of the two leads, jitter, missed ones."""
+
+    name = "data-ready"
+    does = (
+        "enables data-ready, counts edges, starts scans at both edges of the pulse and looks where ND comes"
+    )
+    effect = SideEffect.LENDS
+    settles = ("data_ready_edge", "data_ready_pulse")
+    _scans = 256
+    _lists = (16, 8)
+    """Reads of a scan: the firmware takes 16; 8 are what a usual scan has."""
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Both polarities where the bridge starts scans, a count where it only counts."""
+        streams, counts = bench.has(Capability.STREAM), bench.has(Capability.EVENT_COUNTER)
+        if not (streams or counts):
+            return not_measured(
+                "this bridge has no data-ready input (neither streams nor an event counter)"
+            )
+        if not bench.lends:
+            return not_measured("it would enable data-ready, which --leave-registers forbids")
+        configuration = bench.sensor.configuration()
+        period = configuration.sample_period_s * bench.clock
+        found = Findings()
+        before = bench.sensor.read(_MISC)
+        try:
+            if counts:
+                self._enable(bench, before, first=True)
+                expected, edges = self._count(bench, period)
+                found.measure("edges counted", edges, expected=expected)
+                # Two edges may lie on either side of the span; the bridge's clock is off by so much.
+                slack = 2 + bench.budget.z() * BOARD_CLOCK_U * expected
+                if edges == 0:
+                    return not_measured(_NO_EDGE)
+                if abs(edges - expected) > slack:
+                    return found.fault(self._of_rate(edges, expected, period))
+                bench.data_ready = True
+            if not streams:
+                return found.ok(
+                    f"{edges} edges where {expected:.0f} updates were expected; which edge leads: not"
+                    " measured, this bridge starts no scans at the edge"
+                )
+            bench.data_ready = False
+            self._enable(bench, before, first=True)
+            first = self._scan(bench, period)
+            self._enable(bench, before, first=False)
+            second = self._scan(bench, period)
+        except _NoEdgeError:
+            return not_measured(_NO_EDGE)
+        except UsageError as error:
+            return not_measured(
+                f"this bridge takes no list of {self._lists[-1]} reads at an edge ({error})"
+            )
+        finally:
+            self._write(bench, before)
+            bench.refresh()
+        return self._judge(bench, period, first, second, found)
+
+    def _enable(self, bench: BringupBench, before: int, *, first: bool) -> None:
+        """Data-ready on DIO1, so that the bridge's edge is the pulse's first or second one."""
+        low = before & ~(_MISC.field("polarity").mask | _MISC.field("line").mask)
+        low |= _MISC.field("data_ready").mask
+        if bench.bus.edge_rises == first:
+            low |= _MISC.field("polarity").mask
+        self._write(bench, low)
+
+    def _write(self, bench: BringupBench, word: int) -> None:
+        bench.bus.exchange_array(write_frames(_MISC, word & _MISC.write_mask, byte_mask=0x00FF))
+
+    def _count(self, bench: BringupBench, period_s: float) -> tuple[float, int]:
+        """Updates expected and edges counted meanwhile."""
+        bench.bus.read_event_counter()
+        begin_s = bench.bus.now_s()
+        bench.bus.sleep_s(max(0.5, 20 * period_s))
+        edges = bench.bus.read_event_counter()
+        return (bench.bus.now_s() - begin_s) / period_s, edges
+
+    def _of_rate(self, edges: int, expected: float, period_s: float) -> str:
+        rate = edges / expected / period_s
+        rest = (
+            "edges are missed: the line is weak, or the bridge is busy"
+            if edges < expected
+            else "what arrives is not data-ready alone: the input is open or picks up noise"
+        )
+        return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
+
+    def _scan(self, bench: BringupBench, period_s: float) -> _Edges:
+        """Scans that nearly fill the period with reads of one register.
+
+        A bridge may be too slow to hand on long scans: edges count as missed where short ones miss them.
+        """
+        timing = timing_for(bench.sensor.read("SMPL_PRD"))
+        found: list[_Edges] = []
+        for reads in self._lists:
+            # One more frame fetches the last reply; a twentieth of the period is left for the bridge.
+            fill_us = math.floor(0.95e6 * period_s / (reads + 1))
+            fitting = min(max(timing.period_us, fill_us), _LONGEST_FRAME_US)
+            if (reads + 1) * fitting > 0.97e6 * period_s:
+                continue
+            got = bench.bus.configure(replace(timing, period_us=fitting))
+            try:
+                found.append(self._stream(bench, reads, period_s, 1e6 * got.frame_s))
+            except UsageError:
+                if reads == self._lists[-1]:
+                    raise
+                continue
+            if not found[-1].lost:
+                break
+        if not found:
+            raise UsageError("the period is too short for a list of reads")
+        return min(found, key=lambda edges: edges.lost)
+
+    def _stream(self, bench: BringupBench, reads: int, period_s: float, frame_us: float) -> _Edges:
+        frame = int(read_frames([BY_NAME[_READ]])[0])
+        with bench.bus.stream([frame] * reads, block_scans=self._scans // 4) as stream:
+            try:
+                blocks = [next(stream) for _ in range(4)]
+            except BusTimeoutError as error:
+                if bench.has(Capability.EVENT_COUNTER):  # the counter has seen edges
+                    raise
+                raise _NoEdgeError from error
+        words = np.concatenate([block.words for block in blocks])
+        times = np.concatenate([block.time_s for block in blocks])
+        lost = sum(block.lost for block in blocks[1:])  # what was before the first block is no loss
+        expected = float(times[-1] - times[0]) / period_s
+        return _Edges(_positions(words), lost, *_jitter(times, period_s), expected, frame_us, reads)
+
+    def _judge(
+        self, bench: BringupBench, period_s: float, first: _Edges, second: _Edges, found: Findings
+    ) -> StepResult:
+        for name, edges in (("first", first), ("second", second)):
+            found.measure(f"{name} edge: rate of scans", edges.rate_hz, "Hz", expected=1 / period_s)
+            found.measure(f"{name} edge: scans that follow an update", edges.locked, expected=1.0)
+            found.measure(f"{name} edge: read that carries ND", edges.usual, expected=0)
+            found.measure(f"{name} edge: jitter (rms, as the bridge stamps it)", edges.jitter_us, "us")
+            found.measure(f"{name} edge: missed", edges.missed, expected=0)
+        found.curves = (_histogram(first, second),)
+        surplus = max(first.surplus - first.slack, second.surplus - second.slack)
+        if surplus > 0:
+            return found.fault("more edges come than updates: the input picks up noise beside data-ready")
+        if first.locked < 1:
+            return found.fault(
+                f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up"
+                " noise"
+            )
+        missed = first.missed + second.missed
+        if missed:
+            return found.fault(f"{missed} of {2 * self._scans + missed} edges were missed")
+        bench.data_ready = True
+        late_us = _delay_us(first, period_s, bench)
+        if second.locked == 1:
+            found.answers["data_ready_pulse"] = _pulse(first, second, period_s, bench)
+        if first.usual > 0:
+            late = f"the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after the pulse's first edge"
+            u_us = first.frame_us / math.sqrt(12)
+            figure = Measured("update after the first edge", sum(late_us) / 2, "us", u_us)
+            found.answer("data_ready_edge", Outcome.CONTRADICTS, late, figure)
+            return found.differs(
+                f"the wrong edge leads: {late}, so that words of a scan that starts there mix two updates"
+                + ("; at its second edge they do not" if second.usual == 0 else "")
+            )
+        found.answer(
+            "data_ready_edge",
+            Outcome.CONFIRMS,
+            f"a scan that starts at the pulse's first edge comes after the update, by at most"
+            f" {-late_us[0]:.0f} µs",
+        )
+        return found.ok(
+            f"every edge follows an update, none is missed; the first edge of the pulse leads; jitter"
+            f" {first.jitter_us:.1f} µs rms"
+        )
+
+
+def _positions(words: Words) -> NDArray[np.int64]:
+    new = (words & ND).astype(bool)
+    new[0] = False  # before the first scan nobody read
+    count = new.sum(axis=1)
+    place = np.where(count == 1, np.argmax(new, axis=1), np.where(count, -2, -1))
+    return np.asarray(place[1:], np.int64)
+
+
+def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
+    """Rms in µs of the times about an even row, and their rate in Hz."""
+    steps = np.diff(time_s)
+    number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / period_s), 1))])
+    rest = time_s - time_s[0] - np.polyval(np.polyfit(number, time_s - time_s[0], 1), number)
+    return 1e6 * float(np.std(rest)), (len(time_s) - 1) / float(time_s[-1] - time_s[0])
+
+
+def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[float, float]:
+    """Between which times after the edge the update lies in µs; negative is before it.
+
+    A word is taken at the end of its frame, so the update lies between the end of the read before the one
+    with ND and that one's; before the first read that is the last one of the scan before.
+    """
+    taken_us = 16e6 / bench.bus.timing.clock_hz
+    if edges.usual > 0:
+        return (edges.usual - 1) * edges.frame_us + taken_us, edges.usual * edges.frame_us + taken_us
+    return (edges.reads - 1) * edges.frame_us + taken_us - 1e6 * period_s, taken_us
+
+
+def _pulse(first: _Edges, second: _Edges, period_s: float, bench: BringupBench) -> Answer:
+    """Width of the pulse from where the update lies behind its two edges."""
+    one, two = (_delay_us(edges, period_s, bench) for edges in (first, second))
+    low, high = one[0] - two[1], one[1] - two[0]
+    if first.usual == second.usual:
+        text = f"pulse or pause below {high:.0f} µs: scans at either edge find the update in one place"
+        return Answer(Outcome.MEASURED, text, (Measured("pulse, upper limit", high, "us"),))
+    width = (low + high) / 2 % (1e6 * period_s)
+    half = (high - low) / 2
+    figure = Measured("pulse", width, "us", half / math.sqrt(3))
+    text = (
+        f"{max(width - half, 0):.0f} to {width + half:.0f} µs, from where ND comes in scans at either edge"
+    )
+    return Answer(Outcome.MEASURED, text, (figure,))
+
+
+def _histogram(first: _Edges, second: _Edges) -> Curve:
+    places = list(range(-2, first.reads))
+    share = {
+        name: [float(np.mean(edges.position == place)) for place in places]
+        for name, edges in (("first edge", first), ("second edge", second))
+    }
+    return Curve(
+        "data-ready", "read of the scan that carries ND", "share of the scans", places, share,
+        "Where the update lies in scans started at either edge of the pulse: 0 means before the first read,"
+        " -1 no update between two edges, -2 several.",
+    )  # fmt: skip
+
+
+class SamplePeriods(BringupStep):
+    """Steps of SMPL_PRD in both time bases."""
+
+    name = "sample periods"
+    does = "writes eight steps of SMPL_PRD in both time bases and measures the period of each"
+    effect = SideEffect.WRITES
+    question = "Write SMPL_PRD (eight values, about 10 s)?"
+    settles = ("sample_period",)
+    _codes = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Compare each with base × (N + 1)."""
+        found, off, why = Findings(), [], ""
+        for code in self._codes:
+            bench.sensor.write("SMPL_PRD", code)
+            expected = sample_period_s(code) * bench.clock
+            bench.bus.sleep_s(2 * expected)
+            period = measured_period(bench, expected, max(12, min(256, round(0.5 / expected))))
+            if isinstance(period, str):
+                why = period
+                continue
+            name, ms = f"period at 0x{code:02X}", 1e3 * period.value_s
+            found.measure(name, ms, "ms", 1e3 * period.u_s, 1e3 * expected)
+            if abs(period.value_s - expected) > bench.budget.z() * period.u_s:
+                off.append(f"0x{code:02X}: {period.value_s / expected:.4f} times its nominal period")
+        if not found.figures:
+            return not_measured(why)
+        text = f"{len(found.figures)} steps of both time bases have their nominal period"
+        if bench.clock_known:
+            text += f" by the part's own clock ({100 * (1 / bench.clock - 1):+.2f} %)"
+        return found.settle("sample_period", "; ".join(off) or text, differs=bool(off))

@@ -1,0 +1,340 @@
+"""Steps that write: offsets, manual self-test, STATUS, the flash's counter. All of it is undone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from adis_gonio.base.errors import ChipError
+from adis_gonio.bench.bringup.bringup_step import (
+    Answer,
+    BringupBench,
+    BringupStep,
+    Findings,
+    Floats,
+    Measured,
+    Outcome,
+    SideEffect,
+    StepResult,
+    not_measured,
+)
+from adis_gonio.bench.bringup.noise_steps import GYRO_FLOOR_DPS
+from adis_gonio.device.sensor.decoding import scales
+from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT, registers
+from adis_gonio.device.sensor.settings import Alarm, sens_avg_word
+
+_SCANS = 512
+_STEP = 1000
+_MOST_M = 6
+
+_OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
+_ALARM = BY_NAME["STATUS"].field("alarm1").mask
+
+
+class Offset(BringupStep):
+    """Size of the offsets' LSB, and on which side of the filter they act."""
+
+    name = "offset"
+    does = f"writes {_STEP:+d} to XACCL_OFF, YACCL_OFF, ZACCL_OFF and looks how far the outputs move"
+    effect = SideEffect.WRITES
+    question = f"Write XACCL_OFF, YACCL_OFF and ZACCL_OFF ({_STEP:+d} LSB for a second)?"
+    settles = ("accel_offset_lsb", "offset_after_filter")
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Means before, with and after the offset; drift between before and after cancels."""
+        sensor = bench.sensor
+        bench.sample_quickly()
+        held = [sensor.read(name) for name in ACCEL_OFF]
+        steps = [_STEP if value + _STEP <= BY_NAME[ACCEL_OFF[0]].range[1] else -_STEP for value in held]
+        before = bench.means(_SCANS, ACCEL_OUT)
+        self._write(bench, [value + step for value, step in zip(held, steps, strict=True)])
+        bench.wait_updates()
+        moved = bench.means(_SCANS, ACCEL_OUT)
+        self._write(bench, held)
+        bench.wait_updates()
+        after = bench.means(_SCANS, ACCEL_OUT)
+        ratio = (moved - (before + after) / 2) / np.array(steps)
+        u = _mean_u(bench, _SCANS)[:3] * math.sqrt(1.5) / _STEP
+        found = Findings()
+        for out, name, r, s in zip(ACCEL_OUT, ACCEL_OFF, ratio, u, strict=True):
+            found.measure(f"step of {out} / step of {name}", r, "1", s, 1.0)
+        off = [k for k in range(3) if abs(ratio[k] - 1) > bench.budget.z() * u[k]]
+        filtered = self._behind_filter(bench, held[0], steps[0], float(ratio[0]))
+        text = f"the outputs moved by {', '.join(f'{r:.4f}' for r in ratio)} LSB for each LSB of the offset"
+        outcome = Outcome.CONTRADICTS if off else Outcome.CONFIRMS
+        found.answer("accel_offset_lsb", outcome, text, *found.figures)
+        found.answers["offset_after_filter"] = filtered
+        if off:
+            return found.differs(f"{text} registers: their LSB is not the output's")
+        return found.ok(f"{text} registers")
+
+    @staticmethod
+    def _write(bench: BringupBench, values: list[int]) -> None:
+        for name, value in zip(ACCEL_OFF, values, strict=True):
+            bench.sensor.write(name, value)
+
+    @staticmethod
+    def _behind_filter(bench: BringupBench, held: int, step: int, ratio: float) -> Answer:
+        """With the longest filter: whether the step is there at once, or comes in over 127 samples."""
+        sensor = bench.sensor
+        sensor.write("SENS_AVG", sens_avg_word(300, _MOST_M))
+        bench.wait_updates()
+        before = bench.means(16, ACCEL_OUT[:1])[0]
+        sensor.write(ACCEL_OFF[0], held + step)
+        bench.bus.sleep_s(2 * sensor.configuration().sample_period_s)
+        begin_s = bench.bus.now_s()
+        words, _ = bench.repeated(ACCEL_OUT[0], 2)
+        passed = 2 + (bench.bus.now_s() - begin_s) / sensor.configuration().sample_period_s
+        row = BY_NAME[ACCEL_OUT[0]]
+        share = (row.number(int(words[0])) - before) / (step * ratio)
+        sensor.write(ACCEL_OFF[0], held)
+        taps = 1 << _MOST_M
+        ramp = min(passed, taps) ** 2 / 2 / taps**2
+        figures = (
+            Measured("share of the step that is there at once", float(share), "1"),
+            Measured("the same if it went through the filter", float(ramp), "1"),
+        )
+        if ramp > 0.4:
+            return Answer(Outcome.NOT_MEASURED, "this bridge reads too late to see it", figures)
+        after = share > (0.5 + ramp / 2)
+        return Answer(
+            Outcome.MEASURED,
+            f"{'after' if after else 'before'} the filter: {100 * share:.0f} % of the step came with the"
+            f" next reading at M = {_MOST_M}",
+            figures,
+        )
+
+
+def _mean_u(bench: BringupBench, count: int) -> Floats:
+    """Standard uncertainty in LSB of means of accelerometers and gyros over `count` scans.
+
+    White noise of the figures, their flicker's floor, and rounding; the noise that was measured is not far.
+    """
+    part = bench.sensor.variant
+    lsb, _, _ = scales(registers((*ACCEL_OUT, *GYRO_OUT)), part, 300)
+    white = np.array([part.performance.noise_mg] * 3 + [part.performance.gyro_noise_dps] * 3) / lsb
+    floor = np.array([part.performance.bias_instability_mg] * 3 + [GYRO_FLOOR_DPS] * 3) / lsb
+    result: Floats = np.sqrt(white**2 / count + 2 * floor**2 + 1 / 12 / count)
+    return result
+
+
+class SelfTests(BringupStep):
+    """Internal self-test, and the manual one with both signs."""
+
+    name = "self-test"
+    does = "runs the internal self-test, then the manual one with the positive and the negative stimulus"
+    effect = SideEffect.WRITES
+    question = "Run the self-tests (MSC_CTRL[10:8], about 3 s, volatile)?"
+    settles = ("self_test_gyro", "self_test_accel")
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Means of six axes without, with +, without, with −, without."""
+        internal = bench.sensor.self_test()
+        bench.sample_quickly()
+        bench.wait_updates()
+        names = (*ACCEL_OUT, *GYRO_OUT)
+        means = []
+        for sign in ("", "positive", "", "negative", ""):
+            bench.sensor.write_fields(
+                "MSC_CTRL", positive=int(sign == "positive"), negative=int(sign == "negative")
+            )
+            bench.bus.sleep_s(0.04)  # the elements answer within the time that the internal test takes
+            bench.wait_updates()
+            means.append(bench.means(_SCANS // 2, names))
+        zero, up, between, down, end = means
+        lsb, _, units = scales(
+            registers(names), bench.sensor.variant, bench.sensor.configuration().gyro_range_dps
+        )
+        plus, minus = up - (zero + between) / 2, down - (between + end) / 2
+        range_scale = np.array([1.0] * 3 + [0.07326 / lsb[3]] * 3)
+        u = _mean_u(bench, _SCANS // 2) * math.sqrt(1.5) * range_scale
+        limit = np.array([bench.budget.z() for _ in names]) * u
+        found = Findings()
+        for sign, values in (("positive", plus), ("negative", minus)):
+            for name, value, s, size, unit in zip(names, values, u, lsb, units, strict=True):
+                found.measure(f"{name}, {sign} stimulus", value * size, unit, s * size)
+        _answer_self_test(found, plus, minus, limit)
+        wrong = list(internal.failures)
+        wrong += [
+            f"{name} does not answer to the positive stimulus"
+            for k, name in enumerate(names)
+            if abs(plus[k]) <= limit[k]
+        ]
+        if wrong:
+            return found.fault("; ".join(wrong))
+        if off := found.contradictions():
+            return found.differs(off)
+        return found.ok(
+            f"passed; the positive stimulus moves the accelerometers by"
+            f" {', '.join(f'{v:.0f}' for v in (plus * lsb)[:3])} mg and the gyros by"
+            f" {', '.join(f'{v:.0f}' for v in (plus * lsb)[3:])} °/s"
+        )
+
+
+def _answer_self_test(found: Findings, plus: Floats, minus: Floats, limit: Floats) -> None:
+    both = [abs(minus[k]) > limit[k] and plus[k] * minus[k] < 0 for k in (3, 4, 5)]
+    deaf = ", ".join(axis for axis, answers in zip("XYZ", both, strict=True) if not answers)
+    still = [abs(minus[k]) <= limit[k] for k in (0, 1, 2)]
+    for question, as_said, text, otherwise, kind in (
+        (
+            "self_test_gyro", all(both), "the gyros answer to both signs, opposite ways",
+            f"gyro {deaf} does not answer to both signs, opposite ways", "GYRO",
+        ),
+        (
+            "self_test_accel", all(still),
+            "the accelerometers stay where they are at the negative stimulus",
+            "the accelerometers answer to the negative stimulus as well", "ACCL",
+        ),
+    ):  # fmt: skip
+        outcome = Outcome.CONFIRMS if as_said else Outcome.CONTRADICTS
+        figures = [figure for figure in found.figures if kind in figure.name]
+        found.answer(question, outcome, text if as_said else otherwise, *figures)
+
+
+class StatusBits(BringupStep):
+    """Which bits of STATUS fall by themselves, and the threshold of over-range."""
+
+    name = "status"
+    does = "raises an alarm and over-range by registers alone, ends them, and looks at EA and STATUS"
+    effect = SideEffect.WRITES
+    question = "Write ALM_MAG1, ALM_CTRL and an accelerometer's offset (a second each)?"
+    settles = ("alarm_stays", "over_range_falls", "over_range_threshold")
+    _halvings = 9
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """First the alarm, which the table says stays, then over-range, which it says falls."""
+        bench.sample_quickly()
+        bench.status()
+        bench.wait_updates()
+        if standing := bench.status():
+            return not_measured(f"STATUS stands at 0x{standing:04X} already")
+        found = Findings()
+        found.answers["alarm_stays"] = self._alarm(bench)
+        self._over_range(bench, found)
+        if off := found.contradictions():
+            return found.differs(off)
+        texts = (found.answers[name].text for name in ("alarm_stays", "over_range_falls"))
+        return found.ok("; ".join(texts))
+
+    @staticmethod
+    def _alarm(bench: BringupBench) -> Answer:
+        bench.sensor.set_alarm(1, Alarm("SUPPLY_OUT", threshold=1.0))
+        bench.wait_updates()
+        raised = bench.alarm_stands()
+        bench.sensor.clear_alarm(1)
+        bench.wait_updates()
+        stays = bench.alarm_stands()
+        read = bool(bench.status() & _ALARM)
+        bench.wait_updates()
+        cleared = not bench.status() & _ALARM
+        if not raised:
+            return Answer(Outcome.CONTRADICTS, "an alarm on the supply above 1 V does not show as EA")
+        if stays and read and cleared:
+            return Answer(Outcome.CONFIRMS, "an alarm's bit stays until STATUS is read, which clears it")
+        return Answer(
+            Outcome.CONTRADICTS,
+            "an alarm's bit falls by itself when its condition ends" if cleared
+            else "an alarm's bit is not cleared by a read of STATUS",
+        )  # fmt: skip
+
+    def _over_range(self, bench: BringupBench, found: Findings) -> None:
+        """Push the axis that gravity loads most over its range by its offset register."""
+        sensor = bench.sensor
+        part = sensor.variant
+        mean = bench.means(64, ACCEL_OUT)
+        axis = int(np.argmax(np.abs(mean)))
+        name = ACCEL_OFF[axis]
+        held = sensor.read(name)
+        low, high = BY_NAME[name].range
+        end = high if mean[axis] > 0 else low
+        rest = float(mean[axis]) - held
+        reached_mg = abs(rest + end) * part.accel_mg_per_lsb
+        # The condition has to stand in every sample, also in the one that noise takes furthest back.
+        needed_mg = 1000 * part.accel_range_g + bench.budget.z() * part.performance.noise_mg
+        if reached_mg < needed_mg:
+            why = f"not measured: with its offset {ACCEL_OUT[axis]} reaches {reached_mg:.0f} mg only"
+            why += f" of {needed_mg:.0f}: turn the part so that an axis points along gravity"
+            found.answer("over_range_falls", Outcome.NOT_MEASURED, why)
+            found.answer("over_range_threshold", Outcome.NOT_MEASURED, why)
+            return
+
+        def over(number: int) -> bool:
+            sensor.write(name, number)
+            bench.wait_updates()
+            bench.status()
+            bench.wait_updates(16)
+            return bool(bench.status() & _OVER_RANGE)
+
+        if not over(end):
+            why = (
+                f"not measured: {reached_mg:.0f} mg by the offset raise no over-range: it is judged without"
+            )
+            found.answer("over_range_falls", Outcome.NOT_MEASURED, why)
+            found.answer("over_range_threshold", Outcome.NOT_MEASURED, why)
+            return
+        bench.wait_updates()
+        stood = bench.alarm_stands()
+        sensor.write(name, held)
+        bench.wait_updates(8)
+        fell = not bench.alarm_stands()
+        word = bench.status()
+        falls = fell and not word & _OVER_RANGE
+        found.answers["over_range_falls"] = _falling(stood=stood, falls=falls)
+        inside, outside = held, end
+        for _ in range(self._halvings):
+            middle = (inside + outside) // 2
+            if over(middle):
+                outside = middle
+            else:
+                inside = middle
+        sensor.write(name, held)
+        bench.wait_updates()
+        bench.status()
+        threshold = abs(rest + (inside + outside) / 2) * part.accel_mg_per_lsb
+        # A sample over the limit is enough: noise raises the bit up to some sigmas below.
+        u = math.hypot(2 * part.performance.noise_mg, abs(outside - inside) * part.accel_mg_per_lsb)
+        figure = found.measure("over-range threshold", threshold, "mg", u, 1000 * part.accel_range_g)
+        text = f"{threshold:.0f} mg on {ACCEL_OUT[axis]}, judged with its offset; the range is"
+        text += f" {1000 * part.accel_range_g:.0f} mg"
+        found.answer("over_range_threshold", Outcome.MEASURED, text, figure)
+
+
+def _falling(*, stood: bool, falls: bool) -> Answer:
+    if not stood:
+        return Answer(
+            Outcome.NOT_MEASURED, "not measured: over-range came and went before its condition ended"
+        )
+    if falls:
+        return Answer(Outcome.CONFIRMS, "over-range falls by itself when its condition ends")
+    return Answer(Outcome.CONTRADICTS, "over-range does not fall by itself: it stands until STATUS is read")
+
+
+class FlashCount(BringupStep):
+    """ENDURANCE counts a flash update."""
+
+    name = "flash count"
+    does = "resets the part, so that the registers hold what the flash holds, and saves that: ENDURANCE + 1"
+    effect = SideEffect.FLASH
+    question = "Reset the part and write the flash once (10 000 writes are its life)?"
+    settles = ("flash_count",)
+
+    def run(self, bench: BringupBench) -> StepResult:
+        """Save what is saved already."""
+        if not bench.supply_ok:
+            return not_measured("the supply is outside its limits, where a flash update fails")
+        used = {"AUX_DAC": 0x0FFF, "GPIO_CTRL": 0x0003}  # a voltage, lines that are outputs
+        in_use = [name for name, bits in used.items() if bench.sensor.read(name) & bits]
+        if in_use:
+            return not_measured(f"{' and '.join(in_use)} is in use, which a reset would drop")
+        before = bench.sensor.read("ENDURANCE")
+        bench.sensor.reset()
+        found = Findings()
+        try:
+            after = bench.sensor.save_to_flash()
+        except ChipError as error:
+            found.answer("flash_count", Outcome.CONTRADICTS, str(error))
+            return found.fault(str(error))
+        found.measure("ENDURANCE before", before)
+        found.measure("ENDURANCE after", after, expected=before + 1)
+        return found.settle("flash_count", f"ENDURANCE went from {before} to {after}", differs=False)

@@ -1,0 +1,571 @@
+"""One dwell, from going to its place until it is complete, given up or left."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections import Counter
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import SessionError
+from adis_gonio.base.numbers import counted
+from adis_gonio.bench.dialogue import Questions, Reply
+from adis_gonio.bench.events import (
+    DwellDone,
+    DwellInterrupted,
+    DwellProgress,
+    Event,
+    Problem,
+    StageMoved,
+    Watching,
+)
+from adis_gonio.bench.guards import (
+    Guard,
+    drift_guard,
+    insistent,
+    judge_dwell,
+    judge_shift,
+    shock_guard,
+    stuck_guard,
+)
+from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
+from adis_gonio.bench.session_state import vector
+from adis_gonio.device.sensor.decoding import ScanBlock
+from adis_gonio.device.sensor.settings import Status
+from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase, utc_now
+from adis_gonio.record.blocks import (
+    SUPPLY_LIMITS_V,
+    WITHOUT_NEWS,
+    Block,
+    alarms_of,
+    count_alarms,
+    cut,
+    join,
+)
+from adis_gonio.record.plans import Position
+from adis_gonio.record.stillness import Look
+
+
+@dataclass
+class Recording:
+    """Scans of one attempt, in order; all are kept, those between `begin` and `stop` are the dwell.
+
+    The dwell begins `settle_s` after the end of the first window that is still, and lasts `dwell_s`. It is
+    complete once a still window covers its last sample.
+
+    Attributes
+    ----------
+    dwell_s, settle_s, period_s : float
+        Length of the dwell, wait before it, period of the samples, in s.
+    earlier : sequence of Block
+        Scans from before the attempt that are kept with it: the turn that led to it.
+    rested_mg : (3,) float or None
+        Where the part rested when the dwell began.
+    """
+
+    place: int
+    position: Position
+    started_utc: str
+    started_bus_s: float
+    dwell_s: float
+    settle_s: float
+    period_s: float
+    earlier: Sequence[Block] = ()
+    moves: list[Move] = field(default_factory=list)
+    begin: int | None = None
+    timed_out: bool = False
+    why_moving: str = "no data"
+    rested_mg: Floats | None = None
+    _blocks: list[Block] = field(default_factory=list)
+    # Samples until the end of each block, and scans lost until there.
+    _ends: list[int] = field(default_factory=lambda: [0])
+    _lost: list[int] = field(default_factory=lambda: [0])
+    _still_s: float | None = None
+    _begin_s: float = 0.0
+    _stop: int | None = None
+
+    @property
+    def begun(self) -> bool:
+        """True once the dwell has begun."""
+        return self.begin is not None
+
+    @property
+    def is_still(self) -> bool:
+        """True while the part is still and the dwell waits for it to settle."""
+        return self._still_s is not None
+
+    @property
+    def samples(self) -> int:
+        """Samples of the dwell so far."""
+        if self.begin is None:
+            return 0
+        return (self._count if self._stop is None else self._stop) - self.begin
+
+    @property
+    def lost(self) -> int:
+        """Scans lost within the dwell: what every block lost that holds a sample of it."""
+        if self.begin is None or not self.samples:
+            return 0
+        first = bisect_right(self._ends, self.begin) - 1
+        last = bisect_left(self._ends, self.begin + self.samples)
+        return self._lost[last] - self._lost[first]
+
+    @property
+    def waited_s(self) -> float:
+        """Time from the first scan to the newest one."""
+        return self._samples_time(self._count - 1) - self._samples_time(0) if self._count else 0.0
+
+    @property
+    def elapsed_s(self) -> float:
+        """Length of the dwell so far."""
+        return min(self._samples_time(self._count - 1) - self._begin_s, self.dwell_s) if self.begun else 0.0
+
+    def add(self, block: Block) -> None:
+        """Take the next scans."""
+        if not len(block):
+            return
+        self._blocks.append(block)
+        self._ends.append(self._count + len(block))
+        self._lost.append(self._lost[-1] + block.lost)
+        if self.begun and self._stop is None:
+            self._find_stop()
+
+    def moving(self, why: str) -> None:
+        """A window before the dwell moves: wait on."""
+        self._still_s = None
+        self.why_moving = why
+
+    def still(self, end: int) -> None:
+        """A window that ends before sample `end` is still."""
+        if self._still_s is None:
+            self._still_s = self._samples_time(end - 1)
+
+    def try_begin(self) -> bool:
+        """Begin the dwell where the part has settled; True when this call began it."""
+        if self.begun or self._still_s is None:
+            return False
+        first = self._first_sample(self._still_s + self.settle_s)
+        if first is None:
+            return False
+        self.begin = first
+        self._begin_s = self._samples_time(first)
+        self._find_stop()
+        return True
+
+    def complete(self, checked: int) -> bool:
+        """True where the dwell's last sample has come and windows up to sample `checked` were still."""
+        return self._stop is not None and checked >= self._stop
+
+    def scans(self) -> Block:
+        """The dwell's scans as one block."""
+        return join([block for phase, block in self._pieces() if phase == "dwell"])
+
+    def attempt(
+        self, outcome: Outcome, ended_bus_s: float, reason: str = "", status: int | None = None
+    ) -> Attempt:
+        """What the archive keeps."""
+        return Attempt(
+            self.place,
+            self.position,
+            outcome,
+            self.started_utc,
+            self.started_bus_s,
+            ended_bus_s,
+            [*(("before", block) for block in self.earlier), *self._pieces()],
+            self.moves,
+            reason,
+            status,
+        )
+
+    @property
+    def _count(self) -> int:
+        """Samples so far."""
+        return self._ends[-1]
+
+    def _find_stop(self) -> None:
+        # Half a period early, so that rounding of times cannot add or drop a sample.
+        self._stop = self._first_sample(self._begin_s + self.dwell_s - 0.5 * self.period_s)
+
+    def _first_sample(self, at_s: float) -> int | None:
+        """Index of the first sample at or after a time; None where it has not come yet."""
+        index = self._count
+        for block in reversed(self._blocks):
+            index -= len(block)
+            if block.time_s[0] < at_s:
+                inside = int((block.time_s < at_s).sum())
+                return None if index + inside == self._count else index + inside
+        return 0 if self._count else None
+
+    def _samples_time(self, sample: int) -> float:
+        at = bisect_right(self._ends, sample) - 1
+        return float(self._blocks[at].time_s[sample - self._ends[at]])
+
+    def _pieces(self) -> list[tuple[Phase, Block]]:
+        """Blocks cut where the dwell begins and ends; what a cut block lost is counted to the dwell."""
+        begin = self._count if self.begin is None else self.begin
+        stop = self._count if self._stop is None else self._stop
+        pieces: list[tuple[Phase, Block]] = []
+        index = 0
+        for block in self._blocks:
+            edges = [min(max(edge - index, 0), len(block)) for edge in (0, begin, stop, self._count)]
+            parts: list[tuple[Phase, int, int]] = [
+                ("before", edges[0], edges[1]),
+                ("dwell", edges[1], edges[2]),
+                ("after", edges[2], edges[3]),
+            ]
+            parts = [part for part in parts if part[2] > part[1]]
+            lossy = "dwell" if any(part[0] == "dwell" for part in parts) else parts[0][0]
+            for phase, low, high in parts:
+                pieces.append((phase, cut(block, low, high, counted=phase == lossy)))
+            index += len(block)
+        return pieces
+
+
+MOST_RESTARTS = 5
+"""Interruptions of one dwell after which somebody has to look."""
+
+WINDOWS_TO_STILLNESS = 4
+"""Windows that the watch needs before it can say anything; waited for besides the time-out."""
+
+WARMING_S = 600.0
+"""Wait for another temperature, where the program sets it."""
+
+
+@dataclass(frozen=True)
+class _Broken:
+    """Why a dwell was broken off, and what has to be asked about it."""
+
+    reason: str
+    guard: Guard | None = None
+
+
+class DwellRecorder(Recorder):
+    """Makes dwells, one after another."""
+
+    def __init__(self, questions: Questions) -> None:
+        super().__init__(questions)
+        # Of the dwell in hand: kinds of guards whose question was answered by keeping it, and doubts.
+        self._kept_kinds: set[str] = set()
+        self._doubts: list[Guard] = []
+        self._stops: Counter[int] = Counter()
+
+    def take(self, place: int) -> Iterator[Event]:
+        """Make the dwell of a place; it is begun anew where it is disturbed.
+
+        Raises
+        ------
+        SessionError
+            No dwell is possible, and nobody is there to ask.
+        """
+        recording = self._new_recording(place)
+        self._kept_kinds, self._doubts = set(), []
+        if not (yield from self._go_to(recording)):
+            return
+        restarts, rested_mg = 0, None
+        while (broken := (yield from self._record_or_keep(recording, rested_mg))) is not None:
+            yield self._interrupted(recording, broken.reason)
+            if self._questions.interrupted:
+                return
+            guard, restarts = broken.guard, restarts + 1
+            rested_mg = recording.rested_mg if rested_mg is None else rested_mg
+            if guard is None and (recording.timed_out or restarts == MOST_RESTARTS):
+                self._bench.close_stream()
+                guard = self._gave_up(recording, broken.reason, restarts)
+                if guard is None:
+                    message = f"{recording.position}: {broken.reason}; no dwell was possible"
+                    yield self._ledger.problem(Problem("stillness", message, place))
+                    return
+            if guard is not None:
+                if not (yield from self._ask(guard, place)):
+                    return
+                restarts, rested_mg = 0, None
+            recording = self._new_recording(place)
+        yield from self._complete(recording)
+
+    def _gave_up(self, recording: Recording, reason: str, restarts: int) -> Guard | None:
+        """What to ask after so many disturbances; None where the part never came to rest.
+
+        Raises
+        ------
+        SessionError
+            Nobody is there to ask.
+        """
+        if self._questions.auto:
+            raise SessionError(
+                f"{recording.position}: {reason}; no dwell was possible;"
+                " find what moves the part and resume the session"
+            )
+        return None if recording.timed_out else shock_guard(reason, restarts)
+
+    def _go_to(self, recording: Recording) -> Generator[Event, None, bool]:
+        """Bring about what the position asks for, as far as the program can; False where it was stopped."""
+        place, position, bench = recording.place, recording.position, self._bench
+        if bench.sets_conditions and bench.wants_conditions(position):
+            wanted = {"temperature_c": position.temperature_c, "supply_v": position.supply_v}
+            # The record's time is the one at which the change begins: nothing may come between.
+            self._ledger.note("conditions", wanted)
+            bench.set_conditions(**wanted)
+            if position.temperature_c is not None and (yield from self._questions.wait(place, WARMING_S)):
+                return False
+        move = bench.move_to(position)
+        if move is not None:
+            recording.moves.append(move)
+            yield StageMoved(position)
+        if (yield from self._questions.wait(place, position.wait_s)):
+            # An attempt without scans keeps the move, which a resumed simulation has to live through.
+            yield self._interrupted(recording, self._questions.why_interrupted)
+            return False
+        return True
+
+    def _new_recording(self, place: int) -> Recording:
+        bench = self._bench
+        return Recording(
+            place,
+            self._ledger.plan.positions[place],
+            utc_now(),
+            bench.now_s,
+            bench.settings.dwell_s,
+            bench.settle_s,
+            bench.period_s,
+            self._questions.take_seen(),
+        )
+
+    def _record_or_keep(
+        self, recording: Recording, rested_mg: Floats | None
+    ) -> Generator[Event, None, _Broken | None]:
+        """Record; where that breaks off with an error, keep what there is."""
+        try:
+            return (yield from self._record(recording, rested_mg))
+        except BaseException as error:
+            self._interrupted(recording, why_broken_off(error))
+            raise
+
+    def _record(
+        self, recording: Recording, rested_mg: Floats | None
+    ) -> Generator[Event, None, _Broken | None]:
+        """Wait for stillness, then record; return None when complete, else what interrupted it."""
+        bench, questions, knowledge = self._bench, self._questions, self._knowledge
+        watch = knowledge.watch()
+        patience_s = bench.settings.still_timeout_s + WINDOWS_TO_STILLNESS * bench.window * bench.period_s
+        look: Look | None = None
+        for block in bench.scans():
+            recording.add(block)
+            knowledge.see(block)
+            for look in watch.feed(block.accel_mg):
+                disturbed = self._disturbance(recording, look)
+                if disturbed is not None:
+                    return disturbed
+            if recording.try_begin() and look is not None:
+                watch.anchor(recording.begin)
+                guard = yield from self._settled(recording, look.mean_mg, rested_mg)
+                if guard is not None:
+                    return _Broken(guard.message, guard)
+            if questions.interrupted:
+                return _Broken(questions.why_interrupted)
+            yield from questions.remarks(recording.place)
+            if look is None:
+                continue
+            if recording.complete(look.end):
+                return None
+            yield self._look_event(recording, look)
+            if not recording.begun and recording.waited_s > patience_s:
+                recording.timed_out = True
+                return _Broken(f"not still within {recording.waited_s:.0f} s ({recording.why_moving})")
+        return _Broken(BROKEN_STREAM)
+
+    def _look_event(self, recording: Recording, look: Look) -> Watching | DwellProgress:
+        """Event of a look while the dwell is waited for, or under way."""
+        view, target_deg = self._knowledge.view, recording.position.angle_deg
+        if not recording.begun:
+            waits_for = "the part to settle" if recording.is_still else f"rest: {recording.why_moving}"
+            state: Literal["settling", "moving"] = "settling" if recording.is_still else "moving"
+            return view.watching(state, look.mean_mg, look.spread_mg, target_deg, waits_for)
+        return DwellProgress(
+            recording.place,
+            recording.elapsed_s,
+            recording.dwell_s,
+            recording.samples,
+            recording.lost,
+            vector(look.mean_mg),
+            vector(look.spread_mg),
+            view.angle_deg(look.mean_mg, target_deg)[0],
+            target_deg,
+            view.limit_mg,
+            "the dwell to end",
+            view.temperature_c,
+        )
+
+    def _disturbance(self, recording: Recording, look: Look) -> _Broken | None:
+        """Tell the recording what was seen of the part; return what disturbed a dwell that had begun."""
+        auto = self._questions.auto
+        if look.state == "stuck":
+            if auto:
+                raise SessionError(look.why)
+            return _Broken(look.why, stuck_guard(look.why))
+        if look.state == "still":
+            recording.still(look.end)
+        elif recording.begun:
+            moved_on = look.shifted and not auto and "drift" not in self._kept_kinds
+            return _Broken(look.why, drift_guard(look.why) if moved_on else None)
+        else:
+            recording.moving(look.why)
+        return None
+
+    def _interrupted(self, recording: Recording, reason: str) -> DwellInterrupted:
+        attempt = recording.attempt("interrupted", self._bench.now_s, reason)
+        number = self._ledger.archive.add_attempt(attempt)
+        return DwellInterrupted(recording.place, recording.position, number, recording.samples, reason)
+
+    def _complete(self, recording: Recording) -> Iterator[Event]:
+        bench, ledger = self._bench, self._ledger
+        bench.close_stream()
+        ledger.scanning(bench.scanning)
+        status = bench.source.status()
+        lost = bench.settings_lost()
+        bench.checkpoint()
+        if lost:
+            yield self._interrupted(recording, lost)
+            raise SessionError(f"{recording.position}: {lost}")
+        attempt = recording.attempt("complete", bench.now_s, status=None if status is None else status.word)
+        number = ledger.archive.add_attempt(attempt)
+        place, scans = recording.place, recording.scans()
+        ledger.faulty.discard(place)
+        alarms = count_alarms(scans)
+        if attempt.status or alarms:
+            ledger.faulty.add(place)
+        doubted = self._note_doubts(number)
+        ledger.count(place, number)
+        self._knowledge.learn(place, recording.position, scans, doubted=doubted)
+        self._note_turn(number)
+        mean = vector(scans.accel_mg.mean(axis=0))
+        yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
+        found = problems(place, scans, status)
+        for problem in found:
+            yield ledger.problem(problem)
+        yield from self._within(recording, scans, found)
+        running = self._knowledge.running()
+        if running is not None and ledger.done.get(place) == number:
+            yield running
+
+    def _note_turn(self, number: int) -> None:
+        """Keep the gyros' integral since the dwell before: samples of the time of a question are not."""
+        judge, done = self._knowledge.judge, self._ledger.done
+        watched = None if judge is None else judge.last_turn()
+        if watched is not None and watched[0] in done:
+            since, turn = watched
+            angle = [float(angle) for angle in turn.angle_deg]
+            kept = {"attempt": number, "since": done[since], "angle_deg": angle, "u_deg": turn.zero_u_deg}
+            self._ledger.note("turned", kept)
+
+    # -- guards ---------------------------------------------------------------------------------------
+
+    def _note_doubts(self, number: int) -> bool:
+        """Write down what was doubted of a complete dwell; True where there was something."""
+        for guard in self._doubts:
+            self._ledger.note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
+        self._stops.clear()
+        return bool(self._doubts)
+
+    def _ask(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
+        """Put what a guard stopped at to the operator; True where the dwell is to go on or to stay."""
+        ledger = self._ledger
+        self._stops[place] += 1
+        shown = insistent(guard, self._stops[place] if ledger.done else 1)
+        answer = yield from self._questions.ask_guard(guard, place, shown)
+        if answer is Reply.KEEP:
+            self._keep(guard)
+        elif answer is Reply.REVERSE:
+            self._knowledge.reverse()
+        elif answer is Reply.SKIP:
+            ledger.skip(place)
+            if guard.contradicts and ledger.done:
+                taken = sorted(ledger.done.values())
+                doubt = {"place": place, "dwells": taken, "kind": guard.kind, "message": guard.message}
+                ledger.note("contradiction", doubt)
+        return answer in (Reply.KEEP, Reply.REVERSE)
+
+    def _settled(
+        self, recording: Recording, mean_mg: Floats, rested_mg: Floats | None
+    ) -> Generator[Event, None, Guard | None]:
+        """What cannot be right where the part has come to rest; with nobody to ask it is told."""
+        judge, limits, place = self._knowledge.judge, self._knowledge.limits, recording.place
+        recording.rested_mg = mean_mg
+        if judge is None or limits is None:
+            return None
+        turned = judge.turned(place, recording.position, mean_mg)
+        if turned is not None:
+            yield turned
+        guard = judge.settled(recording.position, mean_mg)
+        if guard is None and rested_mg is not None and not self._questions.auto:
+            guard = judge_shift(mean_mg, rested_mg, limits.upper)
+        if guard is None or guard.kind in self._kept_kinds:
+            return None
+        if not self._questions.auto:
+            return guard
+        self._keep(guard)
+        yield self._told(guard, recording)
+        return None
+
+    def _within(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
+        """Ask about what happened within a dwell; with nobody to ask a problem is told."""
+        ledger, place = self._ledger, recording.place
+        told = {problem.kind for problem in found}
+        for guard in judge_dwell(scans, found):
+            if self._questions.auto:
+                if guard.kind not in told and not (guard.kind == "over_range" and "alarm" in told):
+                    yield self._told(guard, recording)
+                continue
+            stays = yield from self._ask(guard, place)
+            if self._questions.stopped:
+                return
+            if not stays:
+                skipped = place in ledger.skipped
+                yield self._knowledge.withdraw(place)
+                if skipped:
+                    ledger.skipped.add(place)
+                return
+            if place in ledger.faulty:
+                ledger.keep_faulty([place])
+
+    def _keep(self, guard: Guard) -> None:
+        self._kept_kinds.add(guard.kind)
+        if guard.spoils:
+            self._doubts.append(guard)
+
+    def _told(self, guard: Guard, recording: Recording) -> Problem:
+        problem = Problem(guard.kind, f"{recording.position}: {guard.message}", recording.place)
+        return self._ledger.problem(problem)
+
+
+def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
+    """What the operator should know of a dwell; STATUS is None where the sensor has none."""
+    messages = () if status is None else status.messages
+    found = [Problem("status", f"STATUS: {message}", place) for message in messages]
+    alarms = alarms_of(scans)
+    if alarms is not None:
+        why = "" if messages else "; it has passed: over-range or the supply, whose bits fall by themselves"
+        found.append(Problem("alarm", f"{alarms}{why}", place))
+    if isinstance(scans, ScanBlock) and "SUPPLY_OUT" in scans.registers:
+        supply = scans.supply_v
+        low, high = SUPPLY_LIMITS_V
+        if supply.min() < low or supply.max() > high:
+            found.append(
+                Problem(
+                    "supply",
+                    f"the supply was between {supply.min():.3f} and {supply.max():.3f} V;"
+                    f" the part needs {low} to {high} V",
+                    place,
+                )
+            )
+    if scans.lost:
+        share = 100.0 * scans.lost / (len(scans) + scans.lost)
+        found.append(
+            Problem("lost", f"{counted(scans.lost, 'scan')} ({share:.2g} %) lost on the bus", place)
+        )
+    if scans.dropped:
+        share = 100.0 * scans.dropped / (len(scans) + scans.dropped)
+        text = f"{counted(scans.dropped, 'scan')} ({share:.2g} %) left out: {WITHOUT_NEWS}"
+        found.append(Problem("dropped", text, place))
+    return found

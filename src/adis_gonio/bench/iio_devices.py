@@ -1,0 +1,699 @@
+"""IIO devices: their channels and sample formats, and the ways to one of this machine or by network.
+
+A format is written `[be|le]:[s|u]BITS/STORAGE[Xrepeat]>>SHIFT`; a capital sign says that the number fills
+its storage. value = (raw + offset) * scale, in m/s², rad/s, milli-degree Celsius, millivolt. Source: the
+kernel's Documentation/ABI/testing/sysfs-bus-iio.
+
+A local device has attributes in sysfs and scans in /dev: `in_accel_x_raw`, `in_accel_scale` (shared by a
+kind) or `in_accel_x_scale`, `scan_elements/in_accel_x_en|_index|_type`, `buffer/enable`, `buffer/length`.
+While a buffer is open other channels are disabled; at its end all is set back. A device of another machine
+is read by the text protocol of iiod (libiio 0.x).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import re
+import select
+import socket
+import time
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import (
+    BusClosedError,
+    BusTimeoutError,
+    CannotOpenError,
+    ProtocolError,
+    UsageError,
+)
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+
+_FORMAT = re.compile(r"(be|le):([suSU])(\d+)/(\d+)(?:[Xx](\d+))?>>(\d+)")
+
+COLUMNS: dict[str, tuple[str, float]] = {
+    **{f"accel_{axis}": (f"a{axis}", 1000.0 / STANDARD_GRAVITY_MPS2) for axis in "xyz"},
+    **{f"anglvel_{axis}": (f"g{axis}", 180.0 / np.pi) for axis in "xyz"},
+    "temp": ("temp_c", 1e-3),
+    "temp0": ("temp_c", 1e-3),
+    "temp_x": ("temp_c", 1e-3),
+    "voltage0_supply": ("supply_v", 1e-3),
+}
+"""Column of a session and factor from IIO's unit, by channel; the first temperature there is counts."""
+
+ACCELS = ("accel_x", "accel_y", "accel_z")
+
+
+@dataclass(frozen=True)
+class SampleFormat:
+    """Format of a channel's samples in a scan."""
+
+    big_endian: bool
+    signed: bool
+    bits: int
+    storage: int
+    shift: int
+
+    @classmethod
+    def parse(cls, text: str) -> SampleFormat:
+        """Format of its text.
+
+        Raises
+        ------
+        CannotOpenError
+            Not a format, or one that this program does not read (repeated or odd-sized samples).
+        """
+        found = _FORMAT.fullmatch(text.strip())
+        if found is None:
+            raise CannotOpenError(f"'{text}' is no format of an IIO sample")
+        end, sign, bits, storage, repeat, shift = found.groups()
+        parsed = cls(end == "be", sign in "sS", int(bits), int(storage), int(shift))
+        whole = parsed.storage in (8, 16, 32, 64) and parsed.bits > 0
+        if not whole or parsed.bits + parsed.shift > parsed.storage or repeat not in (None, "1"):
+            raise CannotOpenError(f"'{text}': samples of this format are not read")
+        return parsed
+
+    @property
+    def dtype(self) -> np.dtype[np.unsignedinteger]:
+        """The stored word for numpy."""
+        return np.dtype(f"{'>' if self.big_endian else '<'}u{self.storage // 8}")
+
+    def numbers(self, words: np.ndarray) -> np.ndarray:
+        """Numbers (n,) of stored words (n,): shifted, masked, sign extended; int64."""
+        left = 64 - self.bits - self.shift
+        wide = words.astype(np.uint64) << np.uint64(left)
+        down = np.uint64(64 - self.bits)
+        return wide.view(np.int64) >> np.int64(down) if self.signed else (wide >> down).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class IioChannel:
+    """A channel of a device.
+
+    Attributes
+    ----------
+    id : str
+        Such as `accel_x`; with the label that the kernel appends to a file's name, `voltage0_supply`.
+    index : int
+        Place in a scan; -1 where it cannot be buffered.
+    format : SampleFormat or None
+        None where it cannot be buffered.
+    scale, offset : float
+        value = (raw + offset) * scale.
+    """
+
+    id: str
+    index: int = -1
+    format: SampleFormat | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def column(self) -> str:
+        """Column of a session; empty for a channel that has none."""
+        return COLUMNS.get(self.id, ("", 0.0))[0]
+
+    def values(self, numbers: np.ndarray) -> Floats:
+        """Values (n,) in the column's unit: mg, °/s, °C, V."""
+        factor = COLUMNS[self.id][1] * self.scale
+        values: Floats = (numbers + self.offset) * factor
+        return values
+
+
+def wanted(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]:
+    """Channels that a session has columns for, one a column, in the order of the columns.
+
+    Raises
+    ------
+    CannotOpenError
+        Not an accelerometer of three axes.
+    """
+    found = {channel.id: channel for channel in channels}
+    missing = [name for name in ACCELS if name not in found]
+    if missing:
+        raise CannotOpenError(f"{where}: no accelerometer of three axes ({', '.join(missing)} missing)")
+    chosen: dict[str, IioChannel] = {}
+    for name, (column, _) in COLUMNS.items():
+        if name in found:
+            chosen.setdefault(column, found[name])
+    gyros = [column for column in ("gx", "gy", "gz") if column in chosen]
+    if len(gyros) < 3:
+        for column in gyros:
+            del chosen[column]
+    return tuple(chosen.values())
+
+
+class BufferLayout:
+    """Where the samples of enabled channels stand in a scan.
+
+    Each stands at a multiple of its own size, in the order of the index; a scan's size is a multiple of its
+    largest sample.
+    """
+
+    def __init__(self, channels: Sequence[IioChannel]) -> None:
+        self.channels = tuple(sorted(channels, key=lambda channel: channel.index))
+        at, largest = 0, 1
+        offsets: list[int] = []
+        formats: list[np.dtype[np.unsignedinteger]] = []
+        for channel in self.channels:
+            if channel.format is None or channel.index < 0:
+                raise UsageError(f"{channel.id} cannot be buffered")
+            size = channel.format.dtype.itemsize
+            at += -at % size
+            offsets.append(at)
+            formats.append(channel.format.dtype)
+            at, largest = at + size, max(largest, size)
+        self.size = at + -at % largest
+        self._dtype = np.dtype(
+            {
+                "names": [channel.id for channel in self.channels],
+                "formats": formats,
+                "offsets": offsets,
+                "itemsize": self.size,
+            }
+        )
+
+    def numbers(self, data: bytes) -> dict[str, np.ndarray]:
+        """Numbers (n,) int64 by channel of whole scans."""
+        scans = np.frombuffer(data, self._dtype)
+        return {
+            channel.id: channel.format.numbers(scans[channel.id])
+            for channel in self.channels
+            if channel.format is not None
+        }
+
+
+def number_of(attributes: Mapping[str, str], name: str, default: float, where: str) -> float:
+    """Number of an attribute's text, or a default where there is no such attribute."""
+    text = attributes.get(name)
+    if text is None:
+        return default
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise CannotOpenError(f"{where}: {name} is '{text.strip()[:40]}', which is no finite number")
+    return number
+
+
+TIMESTAMP = "timestamp"
+
+
+@dataclass(frozen=True)
+class DeviceFacts:
+    """What a device says of itself when it is opened.
+
+    Attributes
+    ----------
+    id, name : str
+        Such as `iio:device0`, `adxl345`.
+    channels : tuple of IioChannel
+        Inputs, the timestamp among them where there is one.
+    rate_hz : float or None
+        None where the device does not say.
+    """
+
+    id: str
+    name: str
+    channels: tuple[IioChannel, ...]
+    rate_hz: float | None
+
+
+class IioDevice(Protocol):
+    """A device that can be read; every method raises `BusError` where it fails.
+
+    Attributes
+    ----------
+    where : str
+        Its name in messages.
+    """
+
+    where: str
+
+    def facts(self) -> DeviceFacts:
+        """Read what the device says of itself."""
+
+    def read_raw(self, channel: str) -> float:
+        """Present raw number of a channel."""
+
+    def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
+        """Begin to buffer scans of these channels."""
+
+    def read_buffer(self, size: int, timeout_s: float) -> bytes:
+        """At least one scan where `size` is a scan's, at most so many bytes of whole scans."""
+
+    def close_buffer(self) -> None:
+        """End buffering and set back what was changed for it; may be called twice."""
+
+    def close(self) -> None:
+        """Forget the device; may be called twice."""
+
+
+SYSFS = Path("sys/bus/iio/devices")
+DEV = Path("dev")
+
+_FILE = re.compile(r"in_(?P<id>[a-z]+\d*(?:_[a-z0-9]+)*)_(?P<what>raw|type)$")
+
+
+class LocalDevice:
+    """A device below /sys/bus/iio/devices.
+
+    Parameters
+    ----------
+    name : str
+        `iio:device0`, `device0`, or the name in its attribute `name`; empty takes the only accelerometer.
+    root : path
+        Where /sys and /dev are; another one than / is for containers and tests.
+
+    Raises
+    ------
+    CannotOpenError
+        No such device, more than one, or it cannot be read.
+    """
+
+    def __init__(self, name: str, root: Path = Path("/")) -> None:
+        self.where = f"iio:{name}"
+        self._folder = _find(self.where, name, root)
+        self._node = root / DEV / self._folder.name
+        self._descriptor: int | None = None
+        self._found: list[tuple[Path, str]] = []
+
+    def facts(self) -> DeviceFacts:
+        """Read what the device says of itself."""
+        files = {path.name for path in self._folder.iterdir()}
+        scans = self._folder / "scan_elements"
+        if scans.is_dir():
+            files |= {path.name for path in scans.iterdir()}
+        names = sorted({found["id"] for file in files if (found := _FILE.fullmatch(file))})
+        channels = tuple(self._channel(name) for name in names)
+        rate: dict[str, str] = {}
+        for file in ("sampling_frequency", "in_accel_sampling_frequency", "in_accel_x_sampling_frequency"):
+            if not rate and (text := self._text(file)) is not None:
+                rate["sampling_frequency"] = text
+        hz = number_of(rate, "sampling_frequency", 0.0, self.where)
+        return DeviceFacts(self._folder.name, _name_of(self._folder), channels, hz or None)
+
+    def _channel(self, name: str) -> IioChannel:
+        kind = re.match(r"[a-z]+", name)
+        shared = kind[0] if kind else name
+        attributes = {
+            what: text
+            for what in ("scale", "offset")
+            for text in [self._text(f"in_{name}_{what}") or self._text(f"in_{shared}_{what}")]
+            if text is not None
+        }
+        scale = number_of(attributes, "scale", 1.0, self.where)
+        offset = number_of(attributes, "offset", 0.0, self.where)
+        kind_text = self._text(f"scan_elements/in_{name}_type")
+        index_text = self._text(f"scan_elements/in_{name}_index")
+        if kind_text is None or index_text is None:
+            return IioChannel(name, scale=scale, offset=offset)
+        index = number_of({"index": index_text}, "index", -1, self.where)
+        return IioChannel(name, int(index), SampleFormat.parse(kind_text), scale, offset)
+
+    def read_raw(self, channel: str) -> float:
+        """Present raw number of a channel."""
+        text = self._text(f"in_{channel}_raw")
+        if text is None:
+            raise ProtocolError(f"{self.where}: in_{channel}_raw cannot be read")
+        return number_of({"raw": text}, "raw", 0.0, self.where)
+
+    # -- the buffer -------------------------------------------------------------------------------
+
+    def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
+        """Begin to buffer scans of these channels."""
+        if (self._text("buffer/enable") or "0").strip() == "1":
+            raise CannotOpenError(f"{self.where}: its buffer is in use by another program")
+        chosen = {f"in_{channel.id}_en" for channel in channels}
+        try:
+            for path in sorted((self._folder / "scan_elements").glob("*_en")):
+                self._set(path, "1" if path.name in chosen else "0")
+            self._set(self._folder / "buffer" / "length", str(samples))
+            self._set(self._folder / "buffer" / "enable", "1")
+            self._descriptor = os.open(self._node, os.O_RDONLY | os.O_NONBLOCK)
+        except OSError as error:
+            self.close_buffer()
+            raise CannotOpenError(
+                f"{self.where}: the buffer cannot be opened: {error.filename or self._node}:"
+                f" {error.strerror or error}{_hint(error)}"
+            ) from error
+
+    def read_buffer(self, size: int, timeout_s: float) -> bytes:
+        """At most `size` bytes, as many as are there; waits for the first ones."""
+        if self._descriptor is None:
+            raise ProtocolError(f"{self.where}: no buffer is open")
+        ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
+        if not ready:
+            if not self._folder.exists():  # the kernel wakes no reader when a device is pulled out
+                raise ProtocolError(f"{self.where}: the device is gone")
+            raise BusTimeoutError(f"{self.where}: no scan in {timeout_s:.3g} s: is its trigger running?")
+        try:
+            data = os.read(self._descriptor, size)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise ProtocolError(f"{self.where}: {self._node}: {error.strerror or error}") from error
+        if not data:
+            raise ProtocolError(f"{self.where}: {self._node} has ended: the device is gone")
+        return data
+
+    def close_buffer(self) -> None:
+        """End buffering and set the attributes back; may be called twice."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+        # The last first: while the buffer is enabled nothing else can be changed.
+        while self._found:
+            path, before = self._found.pop()
+            with contextlib.suppress(OSError):
+                path.write_text(before)
+
+    def close(self) -> None:
+        """End buffering."""
+        self.close_buffer()
+
+    def _set(self, path: Path, value: str) -> None:
+        before = path.read_text().strip()
+        if before != value:
+            path.write_text(value)
+            self._found.append((path, before))
+
+    def _text(self, name: str) -> str | None:
+        """Text of an attribute; None where it is missing or says nothing."""
+        try:
+            return (self._folder / name).read_text()
+        except OSError:
+            return None
+
+
+def local_accelerometers(root: Path = Path("/")) -> list[tuple[str, str]]:
+    """Id and name of the accelerometers of three axes of this machine."""
+    return [(folder.name, _name_of(folder)) for folder in _folders(root) if _is_accelerometer(folder)]
+
+
+def _folders(root: Path) -> list[Path]:
+    folder = root / SYSFS
+    return sorted(folder.glob("iio:device*")) if folder.is_dir() else []
+
+
+def _find(where: str, name: str, root: Path) -> Path:
+    folders = _folders(root)
+    if name:
+        found = [f for f in folders if name in (f.name, f.name.removeprefix("iio:"), _name_of(f))]
+    else:
+        found = [f for f in folders if _is_accelerometer(f)]
+    if len(found) == 1:
+        return found[0]
+    there = ", ".join(f"{f.name} ({_name_of(f)})" for f in folders) or "none"
+    what = "more than one device fits" if found else "no such IIO device"
+    raise CannotOpenError(f"{where}: {what} on this machine; there are: {there}")
+
+
+def _is_accelerometer(folder: Path) -> bool:
+    return all(
+        (folder / f"in_{axis}_raw").exists() or (folder / "scan_elements" / f"in_{axis}_en").exists()
+        for axis in ACCELS
+    )
+
+
+def _name_of(folder: Path) -> str:
+    try:
+        return (folder / "name").read_text().strip()
+    except OSError:
+        return folder.name
+
+
+def _hint(error: OSError) -> str:
+    if isinstance(error, PermissionError):
+        return "; the user needs leave to write there, or add ?poll=HZ to read single values"
+    return "; does it need a trigger (trigger/current_trigger)? Or add ?poll=HZ to read single values"
+
+
+PORT = 30431
+"""iiod's port."""
+
+TIMEOUT_S = 5.0
+LINE_LIMIT = 1024
+_RECEIVED = 1 << 16
+_SHORTEST_WAIT_S = 1e-6
+XML_LIMIT = 1 << 22
+"""A context of hundreds of devices is smaller."""
+
+_ERRNO = {1: "not permitted", 2: "no such attribute", 5: "input/output error", 13: "permission denied"}
+_ERRNO |= {16: "busy", 19: "no such device", 22: "invalid", 110: "timed out"}
+BUSY = -16
+
+
+class NetworkDevice:
+    """A device behind an iiod server.
+
+    Parameters
+    ----------
+    host, port
+        The server.
+    name : str
+        Id or name of the device; empty takes the only accelerometer of three axes.
+
+    Raises
+    ------
+    CannotOpenError
+        No server answers there, it has no such device, or more than one where no name is given.
+    ProtocolError, BusTimeoutError
+        The server answers, but not as iiod does.
+    """
+
+    def __init__(self, host: str, port: int, name: str, timeout_s: float = TIMEOUT_S) -> None:
+        self.where = f"iio:ip:{host}:{port}/{name}"
+        self._buffered = False
+        self._mask = ""
+        try:
+            self._socket = socket.create_connection((host, port), timeout_s)
+        except OSError as error:
+            why = "no answer" if isinstance(error, TimeoutError) else error.strerror or str(error)
+            raise CannotOpenError(
+                f"{self.where}: {why}: is iiod or adis-gonio serve running there?"
+            ) from error
+        self._received = bytearray()
+        self._timeout_s = timeout_s
+        self._deadline_s = math.inf
+        try:
+            with self._within(timeout_s):
+                self._element = self._find(name)
+                self._id = self._element.get("id", "")
+                self._ask(f"TIMEOUT {round(timeout_s * 1000)}")
+        except BaseException:
+            self.close()
+            raise
+
+    # -- what there is ----------------------------------------------------------------------------
+
+    def facts(self) -> DeviceFacts:
+        """Read what the device says of itself."""
+        with self._within(self._timeout_s):
+            return self._facts()
+
+    def _facts(self) -> DeviceFacts:
+        rate = self._attributes_named(self._element, "", ("sampling_frequency",))
+        channels = []
+        for element in self._element.findall("channel"):
+            if element.get("type") != "input":
+                continue
+            attributes = self._attributes_named(
+                element, f"INPUT {element.get('id')} ", ("scale", "offset", "sampling_frequency")
+            )
+            if element.get("id", "").startswith("accel"):
+                rate = rate or {k: v for k, v in attributes.items() if k == "sampling_frequency"}
+            channels.append(self._channel(element, attributes))
+        hz = number_of(rate, "sampling_frequency", 0.0, self.where)
+        name = self._element.get("name") or self._id
+        return DeviceFacts(self._id, name, tuple(channels), hz or None)
+
+    def _channel(self, element: ET.Element, attributes: Mapping[str, str]) -> IioChannel:
+        label = element.get("name")
+        name = element.get("id", "") + (f"_{label}" if label else "")
+        scan = element.find("scan-element")
+        scale = number_of(attributes, "scale", 1.0, self.where)
+        offset = number_of(attributes, "offset", 0.0, self.where)
+        if scan is None:
+            return IioChannel(name, scale=scale, offset=offset)
+        index = number_of(dict(scan.items()), "index", -1, self.where)
+        return IioChannel(name, int(index), SampleFormat.parse(scan.get("format", "")), scale, offset)
+
+    def _attributes_named(self, element: ET.Element, prefix: str, names: tuple[str, ...]) -> dict[str, str]:
+        there = {attribute.get("name") for attribute in element.findall("attribute")}
+        return {name: self._read(f"{prefix}{name}") for name in names if name in there}
+
+    def _find(self, name: str) -> ET.Element:
+        content = self._counted("PRINT", XML_LIMIT)
+        try:
+            # Entities are not needed and could expand without end.
+            if b"<!ENTITY" in content:
+                raise ProtocolError(f"{self.where}: the context's XML has entities")
+            context = ET.fromstring(content.decode("utf-8"))
+        except (ET.ParseError, UnicodeDecodeError) as error:
+            raise ProtocolError(f"{self.where}: the context is no XML: {error}") from error
+        devices = context.findall("device")
+        if name:
+            found = [d for d in devices if name in (d.get("id"), d.get("name"), d.get("label"))]
+        else:
+            found = [d for d in devices if _accelerometer(d)]
+        if len(found) == 1:
+            return found[0]
+        there = ", ".join(f"{d.get('id')} ({d.get('name')})" for d in devices) or "none"
+        what = "more than one device fits" if found else "no such device"
+        raise CannotOpenError(f"{self.where}: {what}; there are: {there}")
+
+    def read_raw(self, channel: str) -> float:
+        """Present raw number of a channel."""
+        with self._within(self._timeout_s):
+            text = self._read(f"INPUT {self._id_of(channel)} raw")
+        return number_of({"raw": text}, "raw", 0.0, self.where)
+
+    def _id_of(self, channel: str) -> str:
+        """Id in requests; a label is no part of it."""
+        for element in self._element.findall("channel"):
+            if channel in (element.get("id"), f"{element.get('id')}_{element.get('name')}"):
+                return element.get("id", "")
+        return channel
+
+    # -- the buffer -------------------------------------------------------------------------------
+
+    def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
+        """Begin to buffer scans of these channels."""
+        order = [element.get("id", "") for element in self._element.findall("channel")]
+        bits = sum(1 << order.index(self._id_of(channel.id)) for channel in channels)
+        words = -(-len(order) // 32)
+        self._mask = f"{bits:0{8 * words}x}"
+        with self._within(self._timeout_s):
+            answer = self._number(f"OPEN {self._id} {samples} {self._mask}")
+        if answer < 0:
+            hint = "; another program reads it" if answer == BUSY else "; ?poll=HZ reads single values"
+            raise CannotOpenError(f"{self.where}: the buffer cannot be opened: {_words(answer)}{hint}")
+        self._buffered = True
+
+    def read_buffer(self, size: int, timeout_s: float) -> bytes:
+        """Read `size` bytes of whole scans."""
+        with self._within(max(timeout_s, self._timeout_s)):
+            data, length = b"", self._number(f"READBUF {self._id} {size}")
+            while length > 0:
+                if not data and (mask := self._line()).lower() != self._mask:
+                    raise ProtocolError(f"{self.where}: scans of mask {mask} where {self._mask} was asked")
+                data += self._exactly(min(length, size))
+                if len(data) >= size:
+                    return data
+                length = self._integer()
+        if length == 0 and data:
+            return data
+        raise (BusTimeoutError if length == -110 else ProtocolError)(
+            f"{self.where}: no scans: {_words(length)}"
+        )
+
+    def close_buffer(self) -> None:
+        """End buffering; may be called twice."""
+        if self._buffered:
+            self._buffered = False
+            # A break in the middle of an answer leaves bytes behind: only the connection's end is sure.
+            with (
+                contextlib.suppress(BusTimeoutError, ProtocolError, BusClosedError),
+                self._within(self._timeout_s),
+            ):
+                self._number(f"CLOSE {self._id}")
+
+    def close(self) -> None:
+        """End the connection; may be called twice."""
+        self._socket.close()
+
+    # -- the protocol -----------------------------------------------------------------------------
+
+    def _read(self, what: str) -> str:
+        return self._counted(f"READ {self._id} {what}", 1 << 16).rstrip(b"\0").decode("utf-8", "replace")
+
+    def _ask(self, line: str) -> int:
+        answer = self._number(line)
+        if answer < 0:
+            raise ProtocolError(f"{self.where}: '{line}' is answered by {_words(answer)}")
+        return answer
+
+    def _counted(self, line: str, limit: int) -> bytes:
+        length = self._ask(line)
+        if length > limit:
+            raise ProtocolError(f"{self.where}: an answer of {length} bytes to '{line}'")
+        return self._exactly(length + 1)[:-1]
+
+    def _number(self, line: str) -> int:
+        with self._typed():
+            self._socket.sendall(f"{line}\r\n".encode())
+        return self._integer()
+
+    def _integer(self) -> int:
+        line = self._line()
+        try:
+            return int(line)
+        except ValueError:
+            raise ProtocolError(f"{self.where}: '{line[:40]}' where a number is expected") from None
+
+    def _line(self) -> str:
+        while (end := self._received.find(b"\n")) < 0:
+            if len(self._received) > LINE_LIMIT:
+                raise ProtocolError(f"{self.where}: a line of more than {LINE_LIMIT} bytes")
+            self._receive()
+        return self._taken(end + 1).decode("ascii", "replace").strip()
+
+    def _exactly(self, size: int) -> bytes:
+        while len(self._received) < size:
+            self._receive()
+        return self._taken(size)
+
+    def _taken(self, size: int) -> bytes:
+        data = bytes(self._received[:size])
+        del self._received[:size]
+        return data
+
+    def _receive(self) -> None:
+        """Wait for more bytes, until the operation's deadline."""
+        with self._typed():
+            data = self._socket.recv(_RECEIVED)
+        if not data:
+            raise ProtocolError(f"{self.where}: the server has ended the connection")
+        self._received += data
+
+    @contextlib.contextmanager
+    def _within(self, seconds: float) -> Iterator[None]:
+        """Give an operation one deadline, however many requests and bytes it takes."""
+        self._deadline_s = time.monotonic() + seconds
+        try:
+            yield
+        finally:
+            self._deadline_s = math.inf
+
+    @contextlib.contextmanager
+    def _typed(self) -> Iterator[None]:
+        """Use the socket for the time that the operation has left; errors are of this package."""
+        try:
+            # A time-out of 0 would mean a socket that does not wait at all.
+            self._socket.settimeout(max(self._deadline_s - time.monotonic(), _SHORTEST_WAIT_S))
+            yield
+        except TimeoutError as error:
+            raise BusTimeoutError(f"{self.where}: the server does not answer") from error
+        except OSError as error:
+            if self._socket.fileno() < 0:
+                raise BusClosedError(f"{self.where}: used after it was closed") from error
+            raise ProtocolError(f"{self.where}: {error.strerror or error}") from error
+
+
+def _accelerometer(element: ET.Element) -> bool:
+    ids = {channel.get("id") for channel in element.findall("channel") if channel.get("type") == "input"}
+    return {"accel_x", "accel_y", "accel_z"} <= ids
+
+
+def _words(answer: int) -> str:
+    return f"error {-answer} ({_ERRNO.get(-answer, 'see errno.h')})" if answer < 0 else "nothing"

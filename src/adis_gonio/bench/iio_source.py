@@ -1,0 +1,355 @@
+"""Any IIO accelerometer as a source of samples for a session: `iio:` URLs.
+
+A buffered device gives scans by its own clock, with times where it has a channel `timestamp`; what was lost
+shows as gaps in them. `?poll=HZ` reads single values instead, by the host's clock.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+import time
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base import Closing
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import AdisGonioError, CannotOpenError, ProtocolError, UsageError
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.bench.iio_devices import (
+    PORT,
+    TIMESTAMP,
+    BufferLayout,
+    IioDevice,
+    LocalDevice,
+    NetworkDevice,
+    local_accelerometers,
+    wanted,
+)
+from adis_gonio.device.bus.opening import BusUrl, Device
+from adis_gonio.record.blocks import GENERIC, ValueBlock
+from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import KnownPart, Measuring, SampleSource
+
+TYPICAL_NOISE_MG = 5.0
+"""Estimate for a sample of an unknown accelerometer; a sample that varies by ten times that moves."""
+
+TYPICAL_BIAS_MG = 50.0
+"""Estimate of an unknown accelerometer's zero-g offset; consumer parts state 20 to 100 mg."""
+
+PATIENCE_S = 5.0
+"""Least time without a scan after which a device is called silent."""
+
+RATES_HZ = (1e-3, 1e6)
+"""Sample rates that a device may state: a sample each 17 minutes to one each microsecond."""
+
+BUFFER_BLOCKS = 4
+"""Size of the device's buffer in blocks."""
+
+NO_FAULTS = "the sensor tells of no errors or alarms, so a fault within a dwell is not seen"
+"""IIO has no common word for them."""
+
+_OPTIONS = ("poll", "rate", "root")
+_NETWORK = re.compile(r"ip:(?P<host>\[[^]]+\]|[^:/]+)(?::(?P<port>\d{1,5}))?(?:/(?P<device>.*))?")
+
+
+@dataclass(frozen=True)
+class IioMeasuring(JsonRecord):
+    """How an IIO device measures.
+
+    Attributes
+    ----------
+    sample_rate_hz : float
+    device : str
+        Its name.
+    buffered : bool
+        False where single values are polled.
+    scales, offsets : mapping of str to float
+        By channel: value = (raw + offset) * scale, in IIO's units.
+    """
+
+    sample_rate_hz: float
+    device: str
+    buffered: bool
+    scales: Mapping[str, float] = field(default_factory=dict)
+    offsets: Mapping[str, float] = field(default_factory=dict)
+
+    settling_s = 0.0
+
+    @property
+    def sample_period_s(self) -> float:
+        """Time between two samples."""
+        return 1.0 / self.sample_rate_hz
+
+
+class IioSource(SampleSource):
+    """An IIO accelerometer as a source of samples; use it as a context manager.
+
+    Parameters
+    ----------
+    device : IioDevice
+        Belongs to the source from now on: `close` closes it.
+    poll_hz : float or None
+        Read single values so often instead of scans.
+    rate_hz : float or None
+        Samples a second of a device that does not say.
+
+    Raises
+    ------
+    CannotOpenError
+        No accelerometer of three axes, no buffer, or no rate.
+    """
+
+    kept = ("dwell_s", "settle_s", "still_timeout_s")
+
+    def __init__(
+        self, url: str, device: IioDevice, *, poll_hz: float | None = None, rate_hz: float | None = None
+    ) -> None:
+        self.url = url
+        self._device = device
+        self._zero_s = time.monotonic()
+        facts = device.facts()
+        self.channels = wanted(facts.channels, url)
+        self._time = next((c for c in facts.channels if c.id == TIMESTAMP and c.format), None)
+        if poll_hz is None and any(channel.format is None for channel in self.channels):
+            raise CannotOpenError(f"{url}: {facts.name} has no buffer for all of its axes: add ?poll=HZ")
+        rate = poll_hz or rate_hz or facts.rate_hz
+        if rate is None:
+            raise CannotOpenError(f"{url}: {facts.name} does not say its sampling_frequency: add ?rate=HZ")
+        low, high = RATES_HZ
+        if not low <= rate <= high:
+            raise CannotOpenError(
+                f"{url}: {facts.name} states {rate:g} samples a second; {low:g} to {high:g} can be read"
+            )
+        self.measuring = IioMeasuring(
+            rate,
+            facts.name,
+            poll_hz is None,
+            {channel.id: channel.scale for channel in self.channels},
+            {channel.id: channel.offset for channel in self.channels},
+        )
+        step_mg = max(abs(float(np.ptp(c.values(np.array([0, 1]))))) for c in self.channels[:3])
+        self.part = KnownPart(GENERIC, TYPICAL_BIAS_MG, step_mg)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of its blocks."""
+        return tuple(channel.column for channel in self.channels)
+
+    def now_s(self) -> float:
+        """The host's clock, 0 at opening."""
+        return time.monotonic() - self._zero_s
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait."""
+        time.sleep(seconds)
+
+    def configure(self, settings: Settings) -> Measuring:
+        """Say how the device measures; it is left as it is."""
+        return self.measuring
+
+    def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
+        """Device, rate and scales."""
+        return dict(measuring)
+
+    def expected_noise_mg(self, measuring: Measuring) -> float:
+        """An estimate for any accelerometer."""
+        return TYPICAL_NOISE_MG
+
+    def samples(self, settings: Settings, block_samples: int) -> IioStream:
+        """Samples from now on."""
+        return self.stream(block_samples)
+
+    def stream(self, block_samples: int) -> IioStream:
+        """Samples from now on in blocks of so many."""
+        if block_samples < 1:
+            raise UsageError(f"block_samples is {block_samples}: take 1 or more")
+        if not self.measuring.buffered:
+            return PolledSamples(self, block_samples)
+        return BufferedSamples(self, block_samples)
+
+    def close(self) -> None:
+        """Close the device."""
+        self._device.close()
+
+
+class IioStream(Closing):
+    """Blocks of samples until it is closed; use it as a context manager."""
+
+    how = ""
+    caveat = NO_FAULTS
+
+    def __init__(self, source: IioSource, block_samples: int) -> None:
+        self._source = source
+        self._device = source._device
+        self._block = block_samples
+        self._period_s = source.measuring.sample_period_s
+        self._closed = False
+
+    def __iter__(self) -> Iterator[ValueBlock]:
+        return self
+
+    def __next__(self) -> ValueBlock:
+        """Next block; raises `BusError`."""
+        if self._closed:
+            raise StopIteration
+        return self._next()
+
+    def close(self) -> None:
+        """Stop; may be called twice."""
+        if not self._closed:
+            self._closed = True
+            self._stop()
+
+    @abstractmethod
+    def _next(self) -> ValueBlock: ...
+
+    def _stop(self) -> None:
+        """End what runs at the device."""
+
+    def _values(self, numbers: Mapping[str, Any], time_s: Floats, lost: int) -> ValueBlock:
+        channels = self._source.channels
+        data = np.column_stack([channel.values(np.asarray(numbers[channel.id])) for channel in channels])
+        return ValueBlock(self._source.columns, data, time_s, lost)
+
+
+class BufferedSamples(IioStream):
+    """Scans that the device buffers by its own clock."""
+
+    def __init__(self, source: IioSource, block_samples: int) -> None:
+        super().__init__(source, block_samples)
+        stamp = source._time
+        self._layout = BufferLayout([*source.channels, *([stamp] if stamp else [])])
+        self._stamped = stamp is not None
+        self.how = "scans by the device's own clock; " + (
+            "lost ones show in their times" if stamp else "it gives no times, so lost ones cannot be seen"
+        )
+        self._rest = b""
+        self._first_ns: int | None = None
+        self._last_ns: int | None = None
+        self._begin_s = 0.0
+        self._count = 0
+        self._device.open_buffer(self._layout.channels, BUFFER_BLOCKS * block_samples)
+
+    def _next(self) -> ValueBlock:
+        size, patience_s = self._layout.size, max(PATIENCE_S, 3 * self._block * self._period_s)
+        while len(self._rest) < self._block * size:
+            missing = self._block * size - len(self._rest)
+            # Whole scans are asked for; a device node may still cut one.
+            self._rest += self._device.read_buffer(-(-missing // size) * size, patience_s)
+        data, self._rest = self._rest[: self._block * size], self._rest[self._block * size :]
+        numbers = self._layout.numbers(data)
+        count = self._block
+        if self._count == 0:
+            self._begin_s = self._source.now_s() - count * self._period_s
+        if self._stamped:
+            time_s, lost = self._times(numbers[TIMESTAMP])
+        else:
+            places = np.arange(self._count, self._count + count, dtype=np.float64)
+            time_s, lost = np.asarray(self._begin_s + self._period_s * places, np.float64), 0
+        self._count += count
+        return self._values(numbers, time_s, lost)
+
+    def _times(self, stamps_ns: np.ndarray) -> tuple[Floats, int]:
+        """Times on the source's clock, and how many samples are missing between them."""
+        if self._first_ns is None:
+            self._first_ns = int(stamps_ns[0])
+        before = stamps_ns[:1] if self._last_ns is None else np.array([self._last_ns])
+        steps_s = np.diff(np.concatenate([before, stamps_ns])) * 1e-9
+        # The first sample of a stream follows none.
+        if (steps_s[1:] <= 0).any() or (self._last_ns is not None and steps_s[0] <= 0):
+            raise ProtocolError(
+                f"{self._source.url}: the times of the scans go back: let its current_timestamp_clock be"
+                " monotonic"
+            )
+        self._last_ns = int(stamps_ns[-1])
+        lost = int(np.maximum(np.rint(steps_s / self._period_s) - 1, 0).sum())
+        since_s = (stamps_ns - self._first_ns).astype(np.float64) * 1e-9
+        return np.asarray(self._begin_s + since_s, np.float64), lost
+
+    def _stop(self) -> None:
+        self._device.close_buffer()
+
+
+class PolledSamples(IioStream):
+    """Single values, read one after another by the host's clock."""
+
+    how = "single values by the host's clock"
+    caveat = f"the axes of a sample are not simultaneous; {NO_FAULTS}"
+
+    def __init__(self, source: IioSource, block_samples: int) -> None:
+        super().__init__(source, block_samples)
+        self._due_s = source.now_s()
+
+    def _next(self) -> ValueBlock:
+        source, rows, times, lost = self._source, [], [], 0
+        for _ in range(self._block):
+            source.sleep_s(max(0.0, self._due_s - source.now_s()))
+            times.append(source.now_s())
+            rows.append([self._device.read_raw(channel.id) for channel in source.channels])
+            behind = math.floor(max(0.0, (source.now_s() - self._due_s) / self._period_s - 1))
+            lost += behind
+            self._due_s += (1 + behind) * self._period_s
+        columns = np.array(rows).T
+        numbers = {channel.id: columns[k] for k, channel in enumerate(source.channels)}
+        return self._values(numbers, np.array(times), lost)
+
+
+def open_from_url(url: BusUrl) -> IioSource:
+    """Open `iio:`, `iio:NAME`, `iio:ip:HOST/NAME` or `iio:ip:HOST:PORT/NAME`, with options `poll`, `rate`.
+
+    NAME is `device0` or what the device calls itself; without it the only accelerometer is taken.
+
+    Raises
+    ------
+    UsageError
+        An unknown option, or an address that is none.
+    CannotOpenError
+        As `LocalDevice`, `NetworkDevice`, `IioSource`.
+    """
+    for name in url.options:
+        if name not in _OPTIONS:
+            near = difflib.get_close_matches(name, _OPTIONS, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(_OPTIONS)}"
+            raise UsageError(f"'{url.text}': no option is called '{name}'; {hint}")
+    poll_hz, rate_hz = (_hertz(url, name) for name in ("poll", "rate"))
+    device: IioDevice
+    if url.place.startswith("ip:"):
+        found = _NETWORK.fullmatch(url.place)
+        if found is None or not 0 < int(found["port"] or PORT) < 1 << 16:
+            raise UsageError(f"'{url.text}': write iio:ip:HOST/DEVICE or iio:ip:HOST:PORT/DEVICE")
+        device = NetworkDevice(found["host"].strip("[]"), int(found["port"] or PORT), found["device"] or "")
+    else:
+        device = LocalDevice(url.place, Path(url.options.get("root", "/")))
+    try:
+        return IioSource(url.text, device, poll_hz=poll_hz, rate_hz=rate_hz)
+    except AdisGonioError:
+        device.close()
+        raise
+
+
+def find_devices(root: Path = Path("/")) -> list[Device]:
+    """Accelerometers of this machine; those of others are named by their address."""
+    return [
+        Device(f"iio:{name.removeprefix('iio:')}", f"IIO accelerometer {label}: samples, no registers")
+        for name, label in local_accelerometers(root)
+    ]
+
+
+def _hertz(url: BusUrl, name: str) -> float | None:
+    text = url.options.get(name)
+    if text is None:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise UsageError(f"'{url.text}': {name} is a rate in Hz above zero, not '{text}'")
+    return value

@@ -1,0 +1,406 @@
+"""What a session has done and knows: its ledger, the noise, where the part is, what the dwells give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats, wrap_degrees
+from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.bench.events import NoiseMeasured, Problem, Running, Vector, Watching, Withdrawn
+from adis_gonio.bench.guards import Judge
+from adis_gonio.bench.session_bench import SessionBench
+from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
+from adis_gonio.record.archive import Archive
+from adis_gonio.record.archive_tables import Header
+from adis_gonio.record.blocks import Block, join, session_columns
+from adis_gonio.record.expectation import PriorKnowledge
+from adis_gonio.record.plans import Plan, Position
+from adis_gonio.record.stillness import (
+    SETTLINGS_PER_WINDOW,
+    StillnessLimits,
+    StillnessWatch,
+    limits_from_noise,
+)
+
+
+class Ledger:
+    """Begins where the archive ends.
+
+    Parameters
+    ----------
+    archive : Archive
+    now : callable
+        The sensor's time in s, of records.
+
+    Attributes
+    ----------
+    plan : Plan
+    recorded_s : float or None
+        Length of what was recorded, where that is not what the settings say.
+        As it was extended.
+    done : dict
+        Number of the attempt that counts, by place.
+    skipped, faulty : set of int
+        Places left out, and places whose dwell has a fault that nobody accepted.
+    last_place : int or None
+        That of the newest dwell.
+    taken : int
+        Dwells of this run.
+    """
+
+    def __init__(self, archive: Archive, now: Callable[[], float]) -> None:
+        self.archive = archive
+        self.header = archive.header()
+        self.plan = archive.plan()
+        self.recorded_s: float | None = None
+        self.done = {attempt.place: attempt.number for attempt in archive.dwells()}
+        self.skipped = archive.skipped()
+        self.faulty = {attempt.place for attempt in archive.faulty()}
+        self.last_place = self._newest()
+        self.taken = 0
+        self._scanning: dict[str, Any] = archive.last("scanning") or {}
+        self._now = now
+
+    def note(self, kind: str, value: Any) -> None:
+        """Write a record, where there is something to write."""
+        if value is not None:
+            self.archive.add_record(kind, value, self._now())
+
+    def problem(self, problem: Problem) -> Problem:
+        """Write a problem down before it is told."""
+        self.note("problem", problem.as_dict())
+        return problem
+
+    def scanning(self, now: dict[str, Any]) -> None:
+        """Write down how scans are got, where that is new."""
+        if now != self._scanning:
+            self._scanning = now
+            self.note("scanning", now)
+
+    @property
+    def open_places(self) -> list[int]:
+        """Places that are neither done nor skipped, in order."""
+        return [k for k in range(len(self.plan)) if k not in self.done and k not in self.skipped]
+
+    @property
+    def next_place(self) -> int | None:
+        """The first of them."""
+        return next(iter(self.open_places), None)
+
+    def skip(self, place: int) -> None:
+        """Leave a place out."""
+        self.note("skipped", place)
+        self.skipped.add(place)
+
+    def count(self, place: int, number: int) -> None:
+        """An attempt is the dwell of its place."""
+        self.done[place] = number
+        self.taken += 1
+        self.skipped.discard(place)
+        self.last_place = place
+
+    def withdraw(self, place: int) -> Withdrawn:
+        """Take a dwell out of the session: it stays in the archive, marked."""
+        number = self.done.pop(place)
+        self.note("withdrawn", number)
+        self.faulty.discard(place)
+        self.last_place = self._newest()
+        return Withdrawn(place, self.plan.positions[place], number)
+
+    def keep_faulty(self, places: list[int]) -> None:
+        """Keep dwells with a fault in them as they are, and ask no more about them."""
+        self.note("kept", [self.done[place] for place in places])
+        self.faulty.difference_update(places)
+
+    def extend(self, plan: Plan) -> None:
+        """Go on with a longer plan."""
+        self.note("plan", plan.as_dict())
+        self.plan = plan
+
+    def _newest(self) -> int | None:
+        return max(self.done, key=self.done.__getitem__, default=None)
+
+
+PARTS = 8
+"""Parts of a dwell whose means tell how well its mean is known; 7 degrees of freedom a dwell and axis."""
+EVERY_UP_TO = 36
+"""Dwells up to which each one is followed by a fit; beyond, one whenever a tenth has been added."""
+
+
+@dataclass(frozen=True)
+class _Mean:
+    position: Position
+    mean_mg: Floats
+    variance_mg2: float
+
+
+class RunningFit:
+    """Fits the means of the dwells so far, quick enough for after each dwell.
+
+    The final fit reads all samples; this one takes each dwell as one averaged reading, with the scatter of
+    the dwell's own parts as its uncertainty.
+    """
+
+    def __init__(self, header: Header) -> None:
+        self._header = header
+        self._means: dict[int, _Mean] = {}
+        self._fitted = 0
+
+    def add(self, place: int, position: Position, scans: Block) -> None:
+        """Take a dwell; of one place the newest counts."""
+        parts = np.array([part.mean(axis=0) for part in np.array_split(scans.accel_mg, PARTS)])
+        variance = float(parts.var(axis=0, ddof=1).mean()) / PARTS
+        self._means[place] = _Mean(position, np.asarray(scans.accel_mg.mean(axis=0)), variance)
+
+    def withdraw(self, place: int) -> None:
+        """Forget the dwell of a place."""
+        self._means.pop(place, None)
+        self._fitted = 0
+
+    def result(self, plan: Plan, *, reverse: bool) -> Running | None:
+        """Parameters so far; None where the dwells do not allow a fit, or the last one still serves."""
+        from adis_gonio.fitting import fit
+
+        count = len(self._means)
+        if count > EVERY_UP_TO and count < 1.1 * self._fitted:
+            return None
+        try:
+            result = fit(self._session(plan, reverse=reverse))
+        except (AdisGonioError, np.linalg.LinAlgError):
+            # Too few, or not different enough: the next dwell may change that.
+            return None
+        self._fitted = count
+        # Not the whole document: methods beside each other are for the end, and cost a fit for each dwell.
+        parameters = {estimate.name: estimate.stated.as_dict() for estimate in result.parameters}
+        return Running(parameters, result.method, count)
+
+    def _session(self, plan: Plan, *, reverse: bool) -> Session:
+        header, sign = self._header, -1.0 if reverse else 1.0
+        variance = float(np.mean([entry.variance_mg2 for entry in self._means.values()] or [1.0]))
+        dwells = []
+        for number, (_, entry) in enumerate(sorted(self._means.items())):
+            angle = entry.position.angle_deg
+            dwell = Dwell(number, np.array([float(number)]), entry.mean_mg[None, :], use=entry.position.use)
+            dwells.append(replace(dwell, angle_deg=None if angle is None else sign * angle))
+        return Session(
+            tuple(dwells),
+            sensor=header.variant,
+            accel_unit="mg",
+            gravity_mps2=header.gravity_mps2,
+            fixture_sigma_deg=header.fixture_sigma_deg,
+            plane=plan.plane,
+            reading_u_mg=math.sqrt(variance),
+        )
+
+
+LEAST_BIAS_MG = 10.0
+"""Spread of a bias of which a source knows nothing: the ADIS16354's estimate (CHIP, D)."""
+
+
+class LiveView:
+    """Makes the events that tell of the sensor from what has been seen of it so far.
+
+    Attributes
+    ----------
+    limit_mg : Vector or None
+        Standard deviation below which a window is still.
+    target : Position or None
+        Where the part is asked to be.
+    judge : Judge or None
+        Who knows the angle by gravity; None before the noise is known.
+    temperature_c : float or None
+        Of the newest scan; None if it is not in the scans.
+    lost : int
+        Scans lost since the session was opened.
+    smoother : SmoothedMeter or None
+        Takes the shaking out of the angle while the part turns, by its gyros; without a lag.
+    """
+
+    def __init__(self) -> None:
+        self.limit_mg: Vector | None = None
+        self.target: Position | None = None
+        self.judge: Judge | None = None
+        self.smoother: SmoothedMeter | None = None
+        self.temperature_c: float | None = None
+        self.lost = 0
+        self._seen_s = 0.0
+
+    def see(self, block: Block) -> None:
+        """Take scans."""
+        self.lost += block.lost
+        columns = session_columns(block)
+        if "temp_c" in columns and len(block):
+            self.temperature_c = float(columns["temp_c"][-1])
+        if self.smoother is not None and len(block):
+            self.smoother.feed(block)
+            self._seen_s = float(block.time_s[-1])
+
+    def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> tuple[float | None, float | None]:
+        """Angle as the stage counts, on the turn that is nearest to the target, and its tolerance.
+
+        By gravity, and by the gyros if there are any. The tolerance is that of `Judge.tolerance_deg`.
+        """
+        if self.judge is None:
+            return None, None
+        smoothed_mg = self._smoothed_mg(accel_mg)
+        angle = self.judge.angle_deg(smoothed_mg)
+        if angle is None or target_deg is None:
+            return angle, None
+        tolerance = self.judge.tolerance_deg(smoothed_mg, target_deg)
+        return target_deg + wrap_degrees(angle - target_deg), tolerance
+
+    def _smoothed_mg(self, accel_mg: Floats) -> Floats:
+        """A reading (3,), turned to where the smoothed angle is."""
+        smoothed = None if self.smoother is None else self.smoother.reading(self._seen_s)
+        if smoothed is None:
+            return accel_mg
+        angle = math.radians(smoothed.smoothed_deg)
+        length = math.hypot(float(accel_mg[0]), float(accel_mg[1]))
+        return np.array([length * math.cos(angle), -length * math.sin(angle), float(accel_mg[2])])
+
+    def watching(
+        self,
+        state: Literal["idle", "measuring", "moving", "settling"],
+        accel_mg: Floats,
+        spread_mg: Floats,
+        target_deg: float | None,
+        waits_for: str,
+    ) -> Watching:
+        """The event of a look outside a dwell."""
+        angle_deg, tolerance_deg = self.angle_deg(accel_mg, target_deg)
+        return Watching(
+            state,
+            vector(accel_mg),
+            vector(spread_mg),
+            angle_deg,
+            target_deg,
+            self.limit_mg,
+            waits_for,
+            self.temperature_c,
+            self.lost,
+            tolerance_deg,
+        )
+
+
+def vector(values: Any) -> Vector:
+    """Three numbers as floats."""
+    x, y, z = (float(value) for value in np.asarray(values))
+    return x, y, z
+
+
+class Knowledge:
+    """Learns from scans and dwells; begins with the dwells of the archive.
+
+    Parameters
+    ----------
+    bench : SessionBench
+    ledger : Ledger
+    judging : bool
+        False where no place is declared that the part could be at.
+
+    Attributes
+    ----------
+    view : LiveView
+        What a front end sees of it.
+    judge : Judge or None
+        None before the noise is known, and where places are not judged.
+    limits : StillnessLimits or None
+        None before the noise is known.
+    reversed : bool
+        True where the session is taken as turned the other way.
+    """
+
+    def __init__(self, bench: SessionBench, ledger: Ledger, *, judging: bool) -> None:
+        self._bench = bench
+        self._ledger = ledger
+        self._judging = judging
+        self._noise_mg: Floats = np.zeros(3)
+        self._running = RunningFit(ledger.header)
+        self.view = LiveView()
+        self.judge: Judge | None = None
+        self.limits: StillnessLimits | None = None
+        self.reversed = bool(ledger.archive.last("reversed"))
+
+    def take_noise(self, noise: list[float]) -> NoiseMeasured:
+        """Set the limits of stillness by the noise at rest (mg), and begin to judge."""
+        bench = self._bench
+        quantum = bench.source.part.step_mg
+        limits = limits_from_noise(np.array(noise), bench.window, quantum)
+        self.limits = limits
+        self.view.limit_mg = vector(limits.upper)
+        self._noise_mg = np.maximum(noise, quantum / math.sqrt(12))
+        largest_mg = float(self._noise_mg.max())
+        self.judge = self.view.judge = self._new_judge(largest_mg)
+        if self.judge is not None and not bench.virtual_time:  # else nobody sees the part while it turns
+            sensing = sensing_of(bench.configuration, bench.source.part.name, largest_mg)
+            self.view.smoother = SmoothedMeter(sensing, lag_s=0.0)
+        return NoiseMeasured(
+            vector(noise), vector(limits.upper), vector(limits.lower), bench.window * bench.period_s
+        )
+
+    def _new_judge(self, noise_mg: float) -> Judge | None:
+        """Who judges where the part is, with the dwells of a resumed session; None with a loose fixture."""
+        bench, ledger = self._bench, self._ledger
+        planar = ledger.plan.plane != "none"
+        fixture = ledger.header.fixture_sigma_deg
+        if not self._judging or (planar and fixture is not None and math.isinf(fixture)):
+            return None
+        spread = PriorKnowledge(
+            max(bench.source.part.initial_bias_mg, LEAST_BIAS_MG),
+            noise_mg / math.sqrt(SETTLINGS_PER_WINDOW),
+            fixture,
+            1000.0 * ledger.header.gravity_mps2 / STANDARD_GRAVITY_MPS2,
+        )
+        gap_s = bench.window * bench.period_s
+        judge = Judge(spread, planar=planar, sense=-1 if self.reversed else 1, longest_gap_s=gap_s)
+        archive = ledger.archive
+        doubted = {doubt["attempt"] for doubt in archive.doubts()}
+        for attempt in archive.dwells():
+            scans = join(archive.blocks(attempt, "dwell"))
+            judge.done(attempt.place, attempt.position, scans, doubted=attempt.number in doubted)
+            self._running.add(attempt.place, attempt.position, scans)
+        judge.forget_turn()
+        return judge
+
+    def watch(self) -> StillnessWatch:
+        """A watch over stillness; `UsageError` before the noise is known."""
+        if self.limits is None:
+            raise UsageError("the limits of stillness are not known")
+        return StillnessWatch(self.limits, self._noise_mg)
+
+    def see(self, block: Block) -> None:
+        """Take scans."""
+        self.view.see(block)
+        if self.judge is not None:
+            self.judge.turning.see(block)
+
+    def learn(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
+        """Take a complete dwell."""
+        self._running.add(place, position, scans)
+        if self.judge is not None:
+            self.judge.done(place, position, scans, doubted=doubted)
+
+    def withdraw(self, place: int) -> Withdrawn:
+        """Take a dwell out of the session and forget it."""
+        withdrawn = self._ledger.withdraw(place)
+        self._running.withdraw(place)
+        if self.judge is not None:
+            self.judge.withdraw(place)
+        return withdrawn
+
+    def reverse(self) -> None:
+        """Take the session as turned the other way: all angles count backwards from here on."""
+        self.reversed = not self.reversed
+        self._ledger.note("reversed", self.reversed)
+        if self.judge is not None:
+            self.judge.reverse()
+
+    def running(self) -> Running | None:
+        """What the dwells give so far; None where they do not allow a fit, or the last one still serves."""
+        return self._running.result(self._ledger.plan, reverse=self.reversed)

@@ -1,0 +1,664 @@
+"""Is this the session's part, and did the write do what was planned: dwells at rest against the session.
+
+A dwell is taken by polling: read frames alone, so that nothing but the offsets is ever written. At a
+declared angle the session's fit predicts both readings; without one only the length of gravity. All
+uncertainties go in: of the parameters (with their covariance), of the dwell, of the angle, of the noise
+that wanders between then and now, and of a temperature that is another one.
+
+The chip's own null of its gyros takes the outputs of a moment for zero rates: noise of that moment, and
+what force adds in this pose, go into its offsets. In the same pose the session predicts the same sum, with
+u; beyond the uncertainty of both, one of them is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats, central_differences
+from adis_gonio.base.errors import FitError, SessionError, UsageError
+from adis_gonio.base.jsonable import NAMED_BY_UNIT, OPTIONAL, JsonRecord
+from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
+from adis_gonio.device.sensor.decoding import ScanBlock, join
+from adis_gonio.device.sensor.driver import Adis16354
+from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT, Kind
+from adis_gonio.device.sensor.scanning import ScanStream
+from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
+from adis_gonio.device.sensor.variants import Variant, variant
+from adis_gonio.fitting import fit
+from adis_gonio.model.effects.base import AXES
+from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
+from adis_gonio.model.records import Session
+from adis_gonio.record.settings import LEAST_SAMPLES
+from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
+from adis_gonio.record.write_journal import Numbers
+from adis_gonio.tracing.trace_calibrations import gyro_estimates_of, gyros_as_recorded
+
+if TYPE_CHECKING:
+    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+    from adis_gonio.fitting import FitResult
+    from adis_gonio.fitting.gyros.gyro_fit import GyroEstimates
+
+REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
+OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])
+
+
+@dataclass(frozen=True)
+class Rest(JsonRecord):
+    """Means of a dwell.
+
+    Attributes
+    ----------
+    mean_mg, u_mg : (3,) float
+        Mean reading and its standard uncertainty: the noise, and the rounding where noise does not blur it.
+    temperature_c, supply_v : float
+    samples : int
+    mean_dps, u_dps : (3,) float or None
+        The same of the gyros, where they were read.
+    sample_dps : (3,) float or None
+        Standard deviation of one sample of the gyros.
+    temperatures_c : (3,) float or None
+        Of the gyros' dies, where they were read.
+    """
+
+    document_keys = ("mean_mg", "u_mg", "temperature_c", "supply_v", "samples", "mean_dps", "u_dps")
+
+    mean_mg: Floats
+    u_mg: Floats
+    temperature_c: float
+    supply_v: float
+    samples: int
+    mean_dps: Floats | None = field(default=None, metadata=OPTIONAL)
+    u_dps: Floats | None = field(default=None, metadata=OPTIONAL)
+    sample_dps: Floats | None = None
+    temperatures_c: Floats | None = None
+
+
+def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool = False) -> Rest:
+    """Wait until the part is at rest, then take a dwell with the settings that the sensor has.
+
+    Parameters
+    ----------
+    dwell_s : float
+        Length of the dwell in s.
+    patience_s : float
+        How long to wait for rest, in s, beside what the watch needs.
+    gyros : bool
+        Read these too.
+
+    Raises
+    ------
+    UsageError
+        The dwell is too short for the sensor's rate.
+    SessionError
+        It does not come to rest, moves within the dwell, or an axis is stuck.
+    BusError, SilentChipError
+        The sensor does not answer.
+    """
+    now = sensor.configuration()
+    if dwell_s < LEAST_SAMPLES * now.sample_period_s:
+        raise UsageError(
+            f"a dwell of {dwell_s:g} s is too short at {now.sample_rate_hz:.4g} samples a second: take"
+            f" {LEAST_SAMPLES * now.sample_period_s:.3g} s or more, or set SMPL_PRD"
+        )
+    window = window_samples(now)
+    block = max(8, window // 2)
+    names = OF_GYROS if gyros else REGISTERS
+    with sensor.stream(names, block_scans=block, leave_registers=True, data_ready=False) as stream:
+        noise = _noise(sensor, stream, now, patience_s)
+        scans = _dwell(sensor, stream, noise, window, dwell_s)
+    return _means(scans, now)
+
+
+def _noise(sensor: Adis16354, stream: ScanStream, now: Configuration, patience_s: float) -> Floats:
+    expected = sensor.variant.performance.noise_mg * white_noise_gain(now.filter_m)
+    meter = NoiseMeter(window_samples(now), expected)
+    seen, begin_s = 0, sensor.bus.now_s()
+    for scans in stream:
+        noise = meter.feed(scans.accel_mg)
+        if noise is not None:
+            return noise
+        seen += len(scans)
+        # A slow bridge needs its time for the windows that the meter compares.
+        if seen > meter.least_samples and sensor.bus.now_s() - begin_s > patience_s:
+            break
+    raise SessionError(
+        f"the part does not come to rest: a sample varies by {max(meter.spread_mg):.3g} mg, its noise"
+        f" should be about {expected:.2g} mg; put it on a quiet support and try again"
+    )
+
+
+def _dwell(sensor: Adis16354, stream: ScanStream, noise: Floats, window: int, dwell_s: float) -> ScanBlock:
+    step = sensor.variant.accel_mg_per_lsb
+    watch = StillnessWatch(limits_from_noise(noise, window, step), np.maximum(noise, step / np.sqrt(12)))
+    watch.anchor(0)
+    blocks: list[ScanBlock] = []
+    begin_s = sensor.bus.now_s()
+    for scans in stream:
+        for look in watch.feed(scans.accel_mg):
+            if look.state != "still":
+                raise SessionError(
+                    f"the part moved within the dwell ({look.why}); let it lie and try again"
+                )
+        blocks.append(scans)
+        enough = sum(len(b) for b in blocks) >= max(window, LEAST_SAMPLES)
+        if enough and sensor.bus.now_s() - begin_s >= dwell_s:
+            break
+    return join(blocks)
+
+
+def _means(scans: ScanBlock, now: Configuration) -> Rest:
+    values = scans.values()
+    part, k = variant(scans.variant), len(AXES)
+    mean, u, _ = _mean(values[:, :k], part.accel_mg_per_lsb, now)
+    rest = Rest(mean, u, float(values[:, k].mean()), float(values[:, k + 1].mean()), len(scans))
+    if len(scans.registers) == len(REGISTERS):
+        return rest
+    first = len(REGISTERS)
+    lsb = part.lsb(Kind.GYRO, scans.gyro_range_dps or 300)[0]
+    mean, u, sample = _mean(values[:, first : first + k], lsb, now)
+    dies = np.array([rest.temperature_c, *values[:, first + k :].mean(axis=0)])
+    return replace(rest, mean_dps=mean, u_dps=u, sample_dps=sample, temperatures_c=dies)
+
+
+def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats, Floats]:
+    """Mean (3,) with its standard uncertainty, and the standard deviation of a sample."""
+    deviation = values.std(axis=0, ddof=1)
+    # The filter takes no noise out at the lowest frequencies: a mean is worth one of unfiltered samples.
+    spread = deviation / white_noise_gain(now.filter_m)
+    rounding = lsb / np.sqrt(12) * np.where(deviation > lsb, 1 / np.sqrt(len(values)), 1.0)
+    return values.mean(axis=0), np.hypot(spread / np.sqrt(len(values)), rounding), deviation
+
+
+SIGMAS = 4.0
+"""Limit of a difference in standard uncertainties: a sound part is accused once in 16 000 comparisons."""
+SET_ANEW_U_DEG = 0.05
+"""Standard uncertainty of an angle that is set anew where the session states none: a few positions of a
+session cannot estimate it, and a vernier is read no better."""
+LEAST_SHARE = 0.5
+"""Least share of gravity in the session's plane for its length there to say anything."""
+
+
+@dataclass(frozen=True)
+class Agreement(JsonRecord):
+    """Measured against expected.
+
+    Attributes
+    ----------
+    what : str
+        What was compared, in words.
+    names : tuple of str
+        One a figure, such as `X`.
+    measured, expected, u : (k,) float
+        `u` is that of the difference.
+    unit : str
+        `mg` or `dps`.
+    """
+
+    document_keys = ("what", "names", "measured", "expected", "u", "agrees")
+
+    what: str
+    names: tuple[str, ...]
+    measured: Floats = field(metadata=NAMED_BY_UNIT)
+    expected: Floats = field(metadata=NAMED_BY_UNIT)
+    u: Floats = field(metadata=NAMED_BY_UNIT)
+    unit: str = "mg"
+
+    @property
+    def off(self) -> Floats:
+        """Differences (k,) in their standard uncertainties."""
+        return np.asarray((self.measured - self.expected) / self.u)
+
+    @property
+    def agrees(self) -> bool:
+        """True where no difference is beyond `SIGMAS`."""
+        return bool((np.abs(self.off) <= SIGMAS).all())
+
+    def __str__(self) -> str:
+        unit, places = UNITS[self.unit], 2 if self.unit == "mg" else 3
+        figures = [
+            f"{name} {m:.{places}f} {unit}, expected {e:.{places}f} {unit} (u {u:.2g} {unit})"
+            for name, m, e, u in zip(self.names, self.measured, self.expected, self.u, strict=True)
+        ]
+        return f"{self.what}: {'; '.join(figures)}"
+
+
+def against_session(
+    session: Session, result: FitResult, plan: WritePlan, rest: Rest, angle_deg: float | None
+) -> Agreement:
+    """A dwell at rest against what the session says of the part, with the offsets that are in it now.
+
+    Parameters
+    ----------
+    angle_deg : float or None
+        Declared angle of the stage; None (or a session without angles) compares the length of gravity.
+
+    Raises
+    ------
+    FitError
+        The fit lacks what is needed, or the part does not stand in the session's plane.
+    """
+    bias = _Biased(session, result, plan, rest)
+    angled = session.plane == "xy" and angle_deg is not None and "alpha" in result
+    if angled and angle_deg is not None and math.isfinite(result.fixture_sigma_deg or 0.0):
+        return _at_angle(bias, math.radians(angle_deg))
+    return _by_length(bias)
+
+
+def bias_found(
+    session: Session, result: FitResult, plan: WritePlan, rest: Rest, angle_deg: float
+) -> tuple[Floats, Floats]:
+    """Biases (2,) in mg that a dwell at a declared angle shows by itself, and their standard uncertainties.
+
+    The fit's gains and angles enter, its biases do not.
+    """
+    bias = _Biased(session, result, plan, rest)
+    turn = math.radians(angle_deg)
+
+    def left(values: Floats, mean: Floats) -> Floats:
+        return np.asarray(mean[:2] - bias.ideal_mg(values, turn))
+
+    return bias.propagated(left, bias.fixture_u(turn))
+
+
+def effect_of(plan: WritePlan, before: Rest, after: Rest) -> Agreement:
+    """How far the outputs moved between two dwells in the same place, against the plan."""
+    part = variant(plan.variant)
+    rows = [AXES.index(axis.axis) for axis in plan.axes]
+    # Between neighbouring dwells the bias wanders by the floor of its Allan deviation, and with the warmth.
+    wander = math.hypot(
+        math.sqrt(2) * part.performance.bias_instability_mg,
+        part.performance.bias_tempco_mg_per_c * (after.temperature_c - before.temperature_c),
+    )
+    u = np.sqrt(before.u_mg**2 + after.u_mg**2 + wander**2)[rows]
+    return Agreement(
+        "the write moved the outputs by",
+        tuple(axis.axis.upper() for axis in plan.axes),
+        (after.mean_mg - before.mean_mg)[rows],
+        np.array([axis.effect for axis in plan.axes]),
+        u,
+    )
+
+
+class _Biased:
+    """The fit as a function of its parameters, with what they and a dwell are uncertain by."""
+
+    def __init__(self, session: Session, result: FitResult, plan: WritePlan, rest: Rest) -> None:
+        self.session, self.result, self.rest = session, result, rest
+        self.planar = session.plane == "xy"
+        self.model = PlanarTurn(session.gravity_mg) if self.planar else FreeAttitude(session.gravity_mg)
+        axes = AXES[: self.model.axes]
+        self.names = [*self.model.names, *(f"bias_{axis}" for axis in axes)]
+        if "alpha" not in result and self.planar:
+            self.names.remove("alpha")
+        # Skews that a session in space did not show are zero in its fit, biases too.
+        self.known = [name for name in self.names if name in result]
+        missing = [name for name in self.names if name.startswith("scale") and name not in result]
+        if missing or result.covariance is None:
+            raise FitError(
+                f"{session.source}: the fit does not give {', '.join(missing) or 'uncertainties'}"
+            )
+        self.values = np.array([result[name].value for name in self.known])
+        order = [[e.name for e in result.parameters].index(name) for name in self.known]
+        self.covariance = np.asarray(result.covariance)[np.ix_(order, order)]
+        moved = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
+        self.moved_mg = np.array([moved.get(axis, 0.0) for axis in axes])
+        self.u_mg = self._reading_u(variant(plan.variant))
+
+    def _reading_u(self, part: Variant) -> Floats:
+        """Standard uncertainty (axes,) of a dwell as a sample of what the session saw."""
+        axes = self.model.axes
+        then = [float(d.temperature_c.mean()) for d in self.session.dwells if d.temperature_c is not None]
+        warmer = self.rest.temperature_c - float(np.mean(then)) if then else 0.0
+        shared = math.hypot(
+            math.sqrt(2) * part.performance.bias_instability_mg,
+            part.performance.bias_tempco_mg_per_c * warmer,
+            self.result.extra_mg,
+        )
+        return np.hypot(self.rest.u_mg[:axes], shared)
+
+    def base(self, values: Floats) -> Floats:
+        """Base parameters in natural units."""
+        held = dict(zip(self.known, values, strict=True))
+        return np.array(
+            [held[p.name] / p.per_natural if p.name in held else p.nominal for p in self.model.parameters]
+        )
+
+    def bias_mg(self, values: Floats) -> Floats:
+        """Biases (axes,) with the offsets of now."""
+        held = dict(zip(self.known, values, strict=True))
+        found = [held.get(name, 0.0) for name in BIASES[: self.model.axes]]
+        return np.asarray(np.array(found) + self.moved_mg)
+
+    def ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
+        """What gravity alone gives (2,) at a declared angle."""
+        ideal: Floats = self.model.ideal(self.base(values), np.zeros(1), np.array([-angle_rad]))[0]
+        return ideal
+
+    def fixture_u(self, angle_rad: float) -> Floats:
+        """What the uncertainty of the declared angle makes of a reading (2,)."""
+        unstated = self.session.fixture_sigma_deg is None
+        more = SET_ANEW_U_DEG if unstated else 0.0
+        sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
+        tangent = self.model.tangent(self.base(self.values), np.zeros(1), np.array([-angle_rad]))
+        return np.asarray(sigma * np.abs(tangent[0, :, 0]))
+
+    def propagated(
+        self, function: Callable[[Floats, Floats], Floats], more_u: Floats
+    ) -> tuple[Floats, Floats]:
+        """Value (k,) of a function of parameters and mean, and its standard uncertainty."""
+        mean = self.rest.mean_mg
+        by_parameter = _slopes(lambda v: function(v, mean), self.values)
+        by_reading = _slopes(lambda m: function(self.values, m), mean[: self.model.axes])
+        variance = np.einsum("kp,pq,kq->k", by_parameter, self.covariance, by_parameter)
+        variance = variance + (by_reading**2) @ self.u_mg**2 + more_u**2
+        return function(self.values, mean), np.sqrt(variance)
+
+
+def _at_angle(bias: _Biased, angle_rad: float) -> Agreement:
+    def left(values: Floats, mean: Floats) -> Floats:
+        return np.asarray(mean[:2] - bias.ideal_mg(values, angle_rad) - bias.bias_mg(values))
+
+    value, u = bias.propagated(left, bias.fixture_u(angle_rad))
+    predicted = bias.ideal_mg(bias.values, angle_rad) + bias.bias_mg(bias.values)
+    where = f"readings at {math.degrees(angle_rad):g}° against the session"
+    return Agreement(where, ("X", "Y"), predicted + value, predicted, u)
+
+
+def _by_length(bias: _Biased) -> Agreement:
+    gravity = bias.session.gravity_mg
+
+    def length(values: Floats, mean: Floats) -> Floats:
+        free = (mean[: bias.model.axes] - bias.bias_mg(values))[None, :]
+        return np.asarray(gravity * np.linalg.norm(bias.model.calibrated(bias.base(values), free), axis=1))
+
+    value, u = bias.propagated(length, np.zeros(1))
+    if value[0] < LEAST_SHARE * gravity:
+        raise FitError(
+            f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the session, its"
+            " plane of rotation vertical"
+        )
+    return Agreement(
+        "gravity's length by the session's calibration", ("|g|",), value, np.array([gravity]), u
+    )
+
+
+def _slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:
+    """∂f/∂x (k, p); the functions here are smooth on the scale of a thousandth."""
+    return central_differences(function, at, 1e-4 * np.maximum(1.0, np.abs(at)))
+
+
+PRECISE_S = 30.0
+"""Length of the mean that a precision autonull takes (DS, A: about 30 s)."""
+
+
+@dataclass(frozen=True)
+class AutonullFound:
+    """Zero rates (3,) in °/s in this pose, at the offsets of the recording, by the chip and by the session.
+
+    Attributes
+    ----------
+    new : dict of str to int
+        Numbers that the chip put into its registers.
+    chip_dps, u_chip_dps : (3,) float
+    session_dps, u_session_dps : (3,) float
+    force_dps : (3,) float
+        Part of the session's that force makes in this pose, and that the chip takes for a zero rate.
+    """
+
+    new: dict[str, int]
+    chip_dps: Floats
+    u_chip_dps: Floats
+    session_dps: Floats
+    u_session_dps: Floats
+    force_dps: Floats
+
+    @property
+    def off_dps(self) -> Floats:
+        """Chip less session (3,)."""
+        return np.asarray(self.chip_dps - self.session_dps)
+
+    @property
+    def u_dps(self) -> Floats:
+        """Standard uncertainty of that (3,)."""
+        return np.hypot(self.u_chip_dps, self.u_session_dps)
+
+    @property
+    def agrees(self) -> bool:
+        """True where no gyro is off by more than `SIGMAS` standard uncertainties."""
+        return bool((np.abs(self.off_dps) <= SIGMAS * self.u_dps).all())
+
+    @property
+    def by(self) -> str:
+        """By how much each gyro is off that is off too far."""
+        return ", ".join(
+            f"{axis.upper()} {off:+.3f} °/s (u {u:.2g} °/s)"
+            for axis, off, u in zip(AXES, self.off_dps, self.u_dps, strict=True)
+            if abs(off) > SIGMAS * u
+        )
+
+    def __str__(self) -> str:
+        figures = [
+            f"{axis.upper()} {c:+.3f} °/s (u {uc:.2g}), session {s:+.3f} °/s"
+            f" (u {us:.2g}, {f:+.3f} by force)"
+            for axis, c, uc, s, us, f in zip(
+                AXES,
+                self.chip_dps,
+                self.u_chip_dps,
+                self.session_dps,
+                self.u_session_dps,
+                self.force_dps,
+                strict=True,
+            )
+        ]
+        return f"zero rates in this pose by the chip against the session: {'; '.join(figures)}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        arrays = ("chip_dps", "u_chip_dps", "session_dps", "u_session_dps", "force_dps", "off_dps", "u_dps")
+        return {
+            "new": dict(self.new),
+            **{name: getattr(self, name).tolist() for name in arrays},
+            "agrees": self.agrees,
+        }
+
+
+def compared(
+    part: Gyros, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float | None
+) -> AutonullFound:
+    """The chip's offsets against the session's zero rates in the pose of a dwell.
+
+    Parameters
+    ----------
+    rest : Rest
+        A dwell in the same pose, with gyros.
+    nulled : mapping of str to int
+        Numbers that the chip put into its registers.
+    samples : float or None
+        Updates that a precision autonull takes the mean of; None for the other one, which takes what the
+        filter has.
+
+    Raises
+    ------
+    UsageError
+        The dwell has no gyros.
+    """
+    if rest.sample_dps is None or rest.u_dps is None:
+        raise UsageError("an autonull is compared in a dwell with gyros")
+    zero, u = part.zero(rest)
+    recorded = {axis.register: axis.recorded for axis in plan.axes}
+    lsb = plan.axes[0].lsb
+    chip = np.array([(recorded[name] - nulled[name]) * lsb for name in GYRO_OFF])
+    # White noise goes into a mean as the root of its length; the dwell before tells its size.
+    noise = rest.sample_dps if samples is None else rest.u_dps * np.sqrt(rest.samples / samples)
+    return AutonullFound(
+        dict(nulled),
+        chip,
+        np.sqrt(noise**2 + lsb**2 / 12),
+        zero,
+        np.hypot(u, part.wander(rest)),
+        part.by_force(rest)[0],
+    )
+
+
+TEMPCO_DPS_PER_C = 0.02
+"""What a zero rate may follow the temperature by where the session does not tell (D, as the catalogue)."""
+
+
+class Accelerometers:
+    """The accelerometers of a session that is fitted.
+
+    Parameters
+    ----------
+    angle_deg : float or None
+        Declared angle at which the part stands.
+    """
+
+    registers, others, unit = ACCEL_OFF, GYRO_OFF, "mg"
+    remarks: tuple[str, ...] = ()
+
+    def __init__(self, session: Session, method: str | None, angle_deg: float | None) -> None:
+        self.session, self._method, self._angle_deg = session, method, angle_deg
+
+    @cached_property
+    def result(self) -> FitResult:
+        """The fit whose biases are written."""
+        return fit(self.session, self._method)
+
+    def plan(self, now: Numbers) -> WritePlan:
+        """As `plan_offsets`."""
+        return plan_offsets(self.session, self.result, now)
+
+    def measure(self, sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
+        """As `rest.measure`."""
+        return measure(sensor, dwell_s, patience_s)
+
+    def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
+        """As `against_session`."""
+        return against_session(self.session, self.result, plan, rest, self._angle_deg)
+
+    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
+        """As `effect_of`."""
+        return effect_of(plan, before, after)
+
+    def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
+        """As `bias_found`, where the angle is declared."""
+        if self._angle_deg is None or self.session.plane != "xy" or "alpha" not in self.result:
+            return None
+        return bias_found(self.session, self.result, plan, rest, self._angle_deg)
+
+
+class Gyros:
+    """The gyros of a session that calibrates them."""
+
+    registers, others, unit = GYRO_OFF, ACCEL_OFF, "dps"
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self._figures = variant(session.sensor).performance
+
+    @cached_property
+    def _found(self) -> GyroEstimates:
+        return gyro_estimates_of(self.session)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the fit of the gyros says: what it does not determine, what a drift would change."""
+        return self._found.remarks
+
+    @cached_property
+    def gyro(self) -> GyroCalibration:
+        """The calibration, for the offsets that stood while the session was recorded."""
+        made = gyros_as_recorded(self.session)
+        if made.covariance is None:
+            raise FitError(f"{self.session.source}: nothing states the uncertainty of its zero rates")
+        return made
+
+    def plan(self, now: Numbers) -> WritePlan:
+        """As `plan_gyro_offsets`."""
+        return plan_gyro_offsets(self.session, self.gyro, now, self._found.doubts)
+
+    def measure(self, sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
+        """As `rest.measure`, with the gyros."""
+        return measure(sensor, dwell_s, patience_s, gyros=True)
+
+    def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
+        """Zero rates in this pose by the session, force and warmth in them, against the dwell's means."""
+        mean, u = _of_gyros(rest)
+        moved = np.array([(axis.now - axis.recorded) * axis.lsb for axis in plan.axes])
+        zero, of_zero = self.zero(rest)
+        u = np.sqrt(u**2 + of_zero**2 + self.wander(rest) ** 2)
+        return Agreement("zero rates here against the session", _names(), mean, zero + moved, u, "dps")
+
+    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
+        """How far the gyros moved between two dwells in the same place, against the plan."""
+        (first, u_first), (second, u_second) = _of_gyros(before), _of_gyros(after)
+        wander = math.hypot(
+            math.sqrt(2) * self._figures.gyro_instability_dps,
+            TEMPCO_DPS_PER_C * (after.temperature_c - before.temperature_c),
+            self._figures.gyro_supply_sensitivity_dps_per_v * (after.supply_v - before.supply_v),
+        )
+        u = np.sqrt(u_first**2 + u_second**2 + wander**2)
+        planned = np.array([axis.effect for axis in plan.axes])
+        return Agreement("the write moved the gyros by", _names(), second - first, planned, u, "dps")
+
+    def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
+        """Zero rates (3,) of a dwell without what force adds there, and their standard uncertainties."""
+        mean, u = _of_gyros(rest)
+        force, of_force = self.by_force(rest)
+        return mean - force, np.hypot(u, of_force)
+
+    def zero(self, rest: Rest) -> tuple[Floats, Floats]:
+        """Zero rates (3,) in °/s in a pose at the recorded offsets, and their standard uncertainties."""
+        read = self.gyro.readings_of(
+            np.zeros(3), rest.mean_mg / 1000, rest.temperatures_c, supply_v=rest.supply_v
+        )
+        return read.rate_dps, read.u_dps
+
+    def by_force(self, rest: Rest) -> tuple[Floats, Floats]:
+        """Part of it that force makes, and its u."""
+        return self.gyro.force_part(rest.mean_mg / 1000)
+
+    def wander(self, rest: Rest) -> float:
+        """Standard uncertainty of a zero rate as one of another time, temperature and supply."""
+        known, then = self.gyro.needs, (self.gyro.temperature_c, self.gyro.supply_v)
+        warmer = 0.0 if then[0] is None else rest.temperature_c - then[0].mean
+        volts = 0.0 if then[1] is None else rest.supply_v - then[1].mean
+        return math.hypot(
+            math.sqrt(2) * self._figures.gyro_instability_dps,
+            0.0 if "temperature_c" in known else TEMPCO_DPS_PER_C * warmer,
+            0.0 if "supply_v" in known else self._figures.gyro_supply_sensitivity_dps_per_v * volts,
+        )
+
+
+def part_of(
+    session: Session, *, gyros: bool, method: str | None = None, angle_deg: float | None = None
+) -> Accelerometers | Gyros:
+    """The half of a session's sensor that is to be written.
+
+    Raises
+    ------
+    UsageError
+        A method of the accelerometers' fit is named for the gyros.
+    """
+    if not gyros:
+        return Accelerometers(session, method, angle_deg)
+    if method is not None:
+        raise UsageError(f"{Path(session.source).name}: --method is of the accelerometers; leave it out")
+    return Gyros(session)
+
+
+def _of_gyros(rest: Rest) -> tuple[Floats, Floats]:
+    assert rest.mean_dps is not None  # `measure` of this part reads them
+    assert rest.u_dps is not None
+    return rest.mean_dps, rest.u_dps
+
+
+def _names() -> tuple[str, ...]:
+    return tuple(axis.upper() for axis in AXES)

@@ -1,0 +1,606 @@
+"""The write-back as a state machine without a screen.
+
+    writer = OffsetWriter(sensor, "today.session", WriteSettings(save=True), tell=print)
+    plan = writer.plan()      # reads and refuses; nothing is written, neither to the sensor nor to the file
+    writer.write()            # or writer.undo()
+
+Every step stands in the archive's journal (see `journal`) before or after it is done. Whatever breaks a
+write off (an error, a Ctrl-C, a check that fails) sets back what was there where the sensor still answers,
+and says what it holds.
+
+The journal on the disk: steps into the archive of a session, and the session that holds them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from adis_gonio.base.errors import AdisGonioError, ChipError, SessionError, UsageError, VerifyError
+from adis_gonio.bench.session_bench import SessionBench
+from adis_gonio.bench.writeback.offset_checks import (
+    PRECISE_S,
+    Agreement,
+    AutonullFound,
+    Gyros,
+    Rest,
+    compared,
+    part_of,
+)
+from adis_gonio.bench.writeback.offset_plan import UNITS, WritePlan, recorded_offsets
+from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354, Undo
+from adis_gonio.device.sensor.registers import registers
+from adis_gonio.model.records import Session
+from adis_gonio.record.archive import Archive, ArchiveView
+from adis_gonio.record.blocks import SUPPLY_LIMITS_V
+from adis_gonio.record.database import is_archive
+from adis_gonio.record.plans import Position
+from adis_gonio.record.session_reader import read_session
+from adis_gonio.record.settings import Settings
+from adis_gonio.record.write_journal import (
+    AFTER,
+    KIND,
+    HeldOffsets,
+    Operation,
+    WriteStep,
+    flash_untouched,
+    operations_of,
+    standing_of,
+    to_undo,
+)
+
+
+class Logbook:
+    """Writes an operation's steps to the archive; on return a step is on the disk."""
+
+    def __init__(self, archive: Archive, operation: Operation, now_s: Callable[[], float]) -> None:
+        self._archive, self.operation, self._now_s = archive, operation, now_s
+
+    @property
+    def steps(self) -> tuple[WriteStep, ...]:
+        """Steps so far."""
+        return self.operation.steps
+
+    def note(self, step: WriteStep, **facts: Any) -> None:
+        """Record a step.
+
+        Raises
+        ------
+        SessionError
+            The file cannot be written, or another program goes on with the session.
+        """
+        last = self.steps[-1] if self.steps else None
+        if step not in AFTER[last]:
+            raise UsageError(f"'{step}' does not follow '{last}'")
+        self._archive.add_record(
+            KIND, {"number": self.operation.number, "step": step, **facts}, self._now_s()
+        )
+        known = {name: facts[name] for name in ("endurance", "endurance_after") if name in facts}
+        self.operation = replace(self.operation, steps=(*self.steps, step), **known)
+
+
+def load(path: Path) -> Session:
+    """Session of an archive.
+
+    Raises
+    ------
+    SessionError
+        Another kind of file (a journal of what is written needs an archive), or not from the chip.
+    DataError
+        As `read_session`.
+    """
+    if path.is_file() and not is_archive(path):
+        raise SessionError(
+            f"{path}: is no session file of calibrate, where the undo of a write is kept: calibrate first"
+        )
+    session = read_session(path)
+    recorded_offsets(session)
+    return session
+
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class WriteSettings:
+    """How to write.
+
+    Attributes
+    ----------
+    save : bool
+        Save to flash once the write is verified.
+    angle_deg : float or None
+        Declared angle at which the part stands; a stage that the program moves goes there. None compares
+        the length of gravity only, or where there is such a stage takes the first angle of the session.
+    dwell_s, patience_s : float
+        Length of the dwells before and after in s, and how long to wait for rest.
+    method : str or None
+        Method of the fit; None the best that the session supports.
+    doubtful : bool
+        Write although the fit is no sound base.
+    gyros : bool
+        The zero rates of the gyros, in place of the biases of the accelerometers.
+    """
+
+    save: bool = False
+    angle_deg: float | None = None
+    dwell_s: float = 5.0
+    patience_s: float = 60.0
+    method: str | None = None
+    doubtful: bool = False
+    gyros: bool = False
+
+
+@dataclass(frozen=True)
+class WriteResult:
+    """What was done.
+
+    Attributes
+    ----------
+    standing : HeldOffsets
+        What the sensor holds now.
+    endurance_before, endurance_after : int
+        Flash writes.
+    checks : tuple of Agreement
+        All agree.
+    bias, bias_u : tuple of float
+        Biases (x, y) that the dwell after the write shows by itself, where its angle is known; zero rates
+        (x, y, z) of gyros.
+    unit : str
+        Of these: `mg` or `dps`.
+    autonull : AutonullFound or None
+        What the chip's own null was, where it was asked for.
+    """
+
+    standing: HeldOffsets
+    endurance_before: int
+    endurance_after: int
+    checks: tuple[Agreement, ...] = ()
+    bias: tuple[float, ...] = ()
+    bias_u: tuple[float, ...] = ()
+    unit: str = "mg"
+    autonull: AutonullFound | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        null = {} if self.autonull is None else {"autonull": self.autonull.as_dict()}
+        return {
+            "state": self.standing.as_dict(),
+            "endurance": {"before": self.endurance_before, "after": self.endurance_after},
+            "checks": [check.as_dict() for check in self.checks],
+            "bias_after": {
+                f"value_{self.unit}": list(self.bias),
+                f"u_{self.unit}": list(self.bias_u),
+            },
+            **null,
+        }
+
+
+class OffsetWriter:
+    """Writes a session's biases (or the zero rates of its gyros) to the sensor that it was recorded from.
+
+    Parameters
+    ----------
+    sensor : Adis16354
+        Open; stays open afterwards.
+    path : path
+        Session file; it keeps the journal.
+    tell : callable
+        Told each step in a line.
+
+    Raises
+    ------
+    DataError, SessionError
+        No session file, one without the registers, or one that began with another sensor.
+    """
+
+    def __init__(
+        self,
+        sensor: Adis16354,
+        path: str | Path,
+        settings: WriteSettings | None = None,
+        *,
+        tell: Tell = lambda text: None,
+    ) -> None:
+        self.sensor, self.path, self.settings = sensor, Path(path), settings or WriteSettings()
+        self.session = load(self.path)
+        self._tell = tell
+        with ArchiveView(self.path) as view:
+            self._bench = SessionBench(sensor, Settings.from_dict(view.header().settings))
+            self._bench.require_same_sensor(view)
+            self._angle_deg = self._angle(view)
+        own = self.settings
+        self._part = part_of(self.session, gyros=own.gyros, method=own.method, angle_deg=self._angle_deg)
+        recorded_offsets(self.session, self._part.registers)
+        self._plan: WritePlan | None = None
+        self._before: Rest | None = None
+        self._checks: list[Agreement] = []
+
+    # -- looking --------------------------------------------------------------------------------------
+
+    @property
+    def known(self) -> tuple[Operation, ...]:
+        """Operations in the journal on the registers that are written here."""
+        return operations_of(self.session, self._part.registers)
+
+    @property
+    def others(self) -> tuple[Operation, ...]:
+        """Operations on the registers of the other half of the sensor."""
+        return operations_of(self.session, self._part.others)
+
+    def standing(self) -> HeldOffsets:
+        """What the sensor holds, by its registers, ENDURANCE and the journal."""
+        now, endurance = self._read()
+        return standing_of(self.known, now, endurance, self.others)
+
+    def plan(self) -> WritePlan:
+        """What is to be written; measures a dwell, writes nothing.
+
+        Raises
+        ------
+        SessionError
+            The session gives no bias; the registers are not those of the session; the part at rest is not
+            the session's; the fit is no sound base, and `doubtful` is not set.
+        ChipError
+            The supply is out of range, or the flash is worn out where it is to be written.
+        FitError
+            The session cannot be fitted, or the part does not stand as in the session.
+        """
+        now, endurance = self._read()
+        plan = self._part.plan(now)
+        for remark in self._part.remarks:
+            self._tell(f"gyros: {remark}")
+        if plan.doubts and not self.settings.doubtful:
+            raise SessionError(
+                f"{self.path}: the fit is no sound base ({'; '.join(plan.doubts)}); see `adis-gonio trace`,"
+                " or write all the same with --even-if-inadequate"
+            )
+        earlier = to_undo(self.known)
+        if earlier is not None and earlier.new != plan.new:
+            raise SessionError(
+                f"{self.path}: other offsets of this session were written before ({_listed(earlier.new)};"
+                f" now {_listed(plan.new)}); --undo them first"
+            )
+        self._require_explained(now)
+        if self.settings.save and endurance >= FLASH_LIFE:
+            raise ChipError(f"ENDURANCE is {endurance}: the flash is made for {FLASH_LIFE} writes")
+        if self._bench.stage is not None and self._angle_deg is not None:
+            self._bench.move_to(Position(self._angle_deg))  # once: a second move would end elsewhere
+        before = self._measure("at rest, before")
+        check = self._part.expected(plan, before)
+        self._tell(str(check))
+        if not check.agrees:
+            raise SessionError(
+                f"this does not look like the part of {self.path.name}, {check}; another part, or another"
+                " angle of the stage?"
+            )
+        self._plan, self._before, self._checks = plan, before, [check]
+        return plan
+
+    # -- doing ----------------------------------------------------------------------------------------
+
+    def write(self) -> WriteResult:
+        """Carry out the plan: write, read back, verify by a dwell, save where asked.
+
+        Raises
+        ------
+        UsageError
+            `plan` was not called, or is used up.
+        VerifyError
+            A register does not hold what was written, or the outputs did not move as planned.
+        SessionError, ChipError, BusError, KeyboardInterrupt
+            Something broke it off. The message ends with what the sensor holds then.
+        """
+        plan, self._plan = self._plan, None
+        if plan is None:
+            raise UsageError("make a plan first: plan() checks what is written")
+        now, endurance = self._read()
+        if {name: now[name] for name in plan.now} != plan.now:
+            raise SessionError("the offset registers have changed since the plan was made; plan again")
+        standing = standing_of(self.known, now, endurance, self.others)
+        in_flash = standing.registers == "new" and standing.saved is True
+        saves = self.settings.save and not in_flash
+        if not plan.changes and not saves and not standing.open:
+            self._tell("nothing is to be written: the registers hold it already")
+            return WriteResult(standing, endurance, endurance, tuple(self._checks))
+        earlier = to_undo(self.known)
+        held = {name: now[name] for name in plan.new}
+        old = earlier.old if earlier else held
+        found = old if standing.registers == "half" else held
+        bias: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+        operation = Operation(0, "write", old, plan.new, found, saves, ())
+        with self._journal(operation, plan=plan.as_dict()) as journal:
+            try:
+                if plan.changes:
+                    self._put(plan)
+                journal.note(WriteStep.WRITTEN)
+                if plan.changes:
+                    bias = self._verify(plan)
+                journal.note(WriteStep.VERIFIED, checks=[check.as_dict() for check in self._checks])
+                if in_flash:
+                    journal.note(WriteStep.SAVED, endurance=endurance, endurance_after=endurance)
+                elif saves:
+                    self._save(journal, plan.new)
+                journal.note(WriteStep.DONE)
+            except BaseException as error:
+                self._break_off(journal, error)
+                raise
+        return self._outcome(endurance, bias)
+
+    def undo(self) -> WriteResult:
+        """Set the old offsets back, and save them where the new ones are in flash or `save` is asked for.
+
+        Raises
+        ------
+        SessionError
+            The session has written nothing that could be undone, or the registers are somebody else's.
+        VerifyError, ChipError, BusError
+            It was broken off: call it again.
+        """
+        earlier = to_undo(self.known)
+        if earlier is None:
+            raise SessionError(f"{self.path}: has written nothing that stands, so there is nothing to undo")
+        now, endurance = self._read()
+        standing = standing_of(self.known, now, endurance, self.others)
+        if standing.registers == "other":
+            raise SessionError(f"{self.path}: {standing.text}; nothing was written")
+        saves = self.settings.save or not flash_untouched(self.known, now, endurance, self.others)
+        if saves:
+            self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
+        operation = Operation(0, "undo", earlier.old, earlier.new, earlier.old, saves, ())
+        with self._journal(operation) as journal:
+            try:
+                back = Undo(self.sensor, registers(earlier.old), _words(earlier.old))
+                back.put_back()
+                if back.left or not self._holds(earlier.old):
+                    raise VerifyError(f"{', '.join(back.left) or 'the registers'} could not be set back")
+                journal.note(WriteStep.WRITTEN)
+                self._tell(f"set back and read back: {_listed(earlier.old)}")
+                if saves:
+                    self._save(journal, earlier.old)
+                journal.note(WriteStep.DONE)
+            except AdisGonioError as error:
+                raise type(error)(f"{error}; {self._told()}") from error
+            except KeyboardInterrupt:
+                self._tell(self._told())
+                raise
+        return self._outcome(endurance, ((), ()))
+
+    def autonull(self, *, precise: bool = False) -> WriteResult:
+        """Let the chip null its gyros, and keep that where it agrees with the session; else set it back.
+
+        The part must be at rest. Its null takes what force adds in this pose for a zero rate, so that it is
+        compared with the session's zero rate here. The part saves it by itself, and with it all registers
+        that have a flash copy; setting back writes the flash once more.
+
+        Parameters
+        ----------
+        precise : bool
+            Over some 30 s, in place of the filter's mean.
+
+        Raises
+        ------
+        UsageError
+            `plan` was not called, is used up, or is one of the accelerometers.
+        VerifyError
+            It disagrees beyond the uncertainty; the message says by how much, and what the sensor holds.
+        SessionError, ChipError, BusError, KeyboardInterrupt
+            Something broke it off. The message ends with what the sensor holds then.
+        """
+        plan, self._plan = self._plan, None
+        before, part = self._before, self._part
+        if plan is None or before is None or not isinstance(part, Gyros):
+            raise UsageError("make a plan of the gyros first: plan() takes what the null is compared with")
+        now, endurance = self._read()
+        if endurance + 1 >= FLASH_LIFE:
+            raise ChipError(f"ENDURANCE is {endurance}: the flash is made for {FLASH_LIFE} writes")
+        self._require_supply(before.supply_v)
+        operation = Operation(0, "autonull", now, now, now, True, ())
+        with self._journal(operation) as journal:
+            journal.note(WriteStep.SAVING, endurance=endurance, beside=self._beside())
+            try:
+                _ = self.sensor.precision_autonull() if precise else self.sensor.autonull()
+                nulled, after = self._read()
+                journal.note(WriteStep.SAVED, new=nulled, endurance_after=after)
+                journal.note(WriteStep.DONE)
+            except AdisGonioError as error:
+                raise type(error)(f"{error}; {self._told()}") from error
+            except KeyboardInterrupt:
+                self._tell(self._told())
+                raise
+        self.session = load(self.path)
+        rate = self.sensor.configuration().sample_rate_hz
+        found = compared(part, plan, before, nulled, PRECISE_S * rate if precise else None)
+        self._tell(f"the chip's null is {_listed(nulled)}; {found}")
+        if not found.agrees:
+            undone = self.undo()
+            raise VerifyError(
+                f"the chip's null is not kept: it is off by {found.by} where u is that of both; "
+                f"{undone.standing.text}"
+            )
+        return replace(self._outcome(endurance, ((), ())), autonull=found)
+
+    # -- steps ----------------------------------------------------------------------------------------
+
+    def _put(self, plan: WritePlan) -> None:
+        for axis in plan.axes:
+            if axis.new != axis.now:
+                self.sensor.write(axis.register, axis.new)
+        if not self._holds(plan.new):
+            raise VerifyError(f"the registers do not hold what was written ({_listed(plan.new)})")
+        self._tell(f"written and read back: {_listed(plan.new)}")
+        self.sensor.bus.sleep_s(self.sensor.configuration().settling_s)
+
+    def _verify(self, plan: WritePlan) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Compare a dwell after the write with the one before and with the session."""
+        if self._before is None:
+            raise UsageError("make a plan first: plan() takes the dwell before")
+        after = self._measure("at rest, after")
+        done = plan.carried_out
+        checks = [self._part.effect(plan, self._before, after), self._part.expected(done, after)]
+        for check in checks:
+            self._tell(str(check))
+            if not check.agrees:
+                raise VerifyError(f"{check}: not what was planned")
+        self._checks += checks
+        found = self._part.found(done, after)
+        if found is None:
+            return (), ()
+        value, u = found
+        unit, places = UNITS[self._part.unit], 2 if self._part.unit == "mg" else 3
+        each = zip("XYZ", value, u, strict=False)
+        told = ", ".join(f"{axis} {v:+.{places}f} {unit} (u {s:.2g} {unit})" for axis, v, s in each)
+        lsb = plan.axes[0].lsb
+        near = "zero" if (abs(value) <= lsb + 2 * u).all() else "not zero"
+        what = "bias" if self._part.unit == "mg" else "zero rate"
+        self._tell(f"{what} by this dwell alone: {told}: {near} within an LSB ({lsb:.4g} {unit}) and 2 u")
+        return tuple(value.tolist()), tuple(u.tolist())
+
+    def _save(self, journal: Logbook, numbers: dict[str, int]) -> None:
+        """Save to flash; the registers are looked at last thing before, and after it."""
+        self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
+        now, endurance = self._read()
+        _require(now, numbers, "changed by themselves before they were saved")
+        journal.note(WriteStep.SAVING, endurance=endurance, beside=self._beside())
+        after = self.sensor.save_to_flash()
+        now, _ = self._read()
+        _require(now, numbers, "changed while they were saved")
+        journal.note(WriteStep.SAVED, endurance_after=after)
+        self._tell(f"saved to flash: ENDURANCE {endurance} before, {after} after")
+
+    def _break_off(self, journal: Logbook, error: BaseException) -> None:
+        """After an error or a Ctrl-C: keep what is in flash, else set the old offsets back; say which."""
+        # Twice suppressed: a second Ctrl-C in the first part must not keep the second from setting back.
+        with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
+            self._keep_what_is_saved(journal)
+        with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
+            if journal.operation.open:
+                self._set_back(journal, str(error) or type(error).__name__)
+        told = self._told()
+        if isinstance(error, AdisGonioError):
+            raise type(error)(f"{error}; {told}") from error
+        self._tell(told)
+
+    def _keep_what_is_saved(self, journal: Logbook) -> None:
+        """Bring the journal to its end where flash and registers hold the new offsets already."""
+        if WriteStep.SAVING not in journal.steps:
+            return
+        self.sensor.bus.sleep_s(FLASH_UPDATE_S)
+        now, endurance = self._read()
+        new = journal.operation.new
+        if endurance != journal.operation.endurance and all(now[name] == new[name] for name in new):
+            if WriteStep.SAVED not in journal.steps:
+                journal.note(WriteStep.SAVED, endurance_after=endurance)
+            journal.note(WriteStep.DONE)
+
+    def _set_back(self, journal: Logbook, why: str) -> None:
+        found = journal.operation.found
+        back = Undo(self.sensor, registers(found), _words(found))
+        with contextlib.suppress(KeyboardInterrupt):
+            back.put_back()
+        if not back.left and self._holds(found):
+            journal.note(WriteStep.SET_BACK, why=why)
+
+    # -- inside ---------------------------------------------------------------------------------------
+
+    def _outcome(self, endurance: int, bias: tuple[tuple[float, ...], tuple[float, ...]]) -> WriteResult:
+        self.session = load(self.path)
+        now, after = self._read()
+        standing = standing_of(self.known, now, after, self.others)
+        return WriteResult(standing, endurance, after, tuple(self._checks), *bias, self._part.unit)
+
+    def _told(self) -> str:
+        """What the sensor holds now, as far as it still says so."""
+        try:
+            self.session = load(self.path)
+            return self.standing().text
+        except AdisGonioError:
+            return (
+                "what the sensor holds cannot be read now: `adis-gonio write` with --status says it later"
+            )
+
+    def _angle(self, view: ArchiveView) -> float | None:
+        given = self.settings.angle_deg
+        if given is not None or self._bench.stage is None or self.session.plane != "xy":
+            return given
+        return next((p.angle_deg for p in view.plan().positions if p.angle_deg is not None), None)
+
+    def _measure(self, what: str) -> Rest:
+        self._tell(f"{what}: {self.settings.dwell_s:g} s")
+        rest = self._part.measure(self.sensor, self.settings.dwell_s, self.settings.patience_s)
+        self._require_supply(rest.supply_v)
+        return rest
+
+    def _read(self) -> tuple[dict[str, int], int]:
+        """Read the offset registers and ENDURANCE; two readings agree, since a supply dip spoils one."""
+        names = self._part.registers
+        rows = registers((*names, "ENDURANCE"))
+        words = self.sensor.read_checked(rows)
+        numbers = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
+        return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
+
+    def _beside(self) -> dict[str, int]:
+        """Offsets of the other half of the sensor, which a flash update takes along."""
+        rows = registers(self._part.others)
+        words = self.sensor.read_words(rows)
+        return {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
+
+    def _holds(self, numbers: dict[str, int]) -> bool:
+        now, _ = self._read()
+        return all(now[name] == number for name, number in numbers.items())
+
+    def _require_explained(self, now: dict[str, int]) -> None:
+        """Refuse registers that are neither the session's nor what its journal left there."""
+        recorded, known = recorded_offsets(self.session, self._part.registers), self.known
+        standing = standing_of(known, now, 0)
+        written = set(known[-1].new) if known and standing.registers in ("old", "new", "half") else set()
+        for name, number in recorded.items():
+            if name not in written and now[name] != number:
+                raise SessionError(
+                    f"{name} was {number} when {self.path.name} was recorded and is {now[name]}: another"
+                    f" part or changed since; if it is this one, set it back: registers URL {name}={number}"
+                )
+
+    @staticmethod
+    def _require_supply(supply_v: float) -> None:
+        low, high = SUPPLY_LIMITS_V
+        if not low <= supply_v <= high:
+            raise ChipError(f"the supply is {supply_v:.2f} V, the part needs {low} to {high} V")
+
+    @contextlib.contextmanager
+    def _journal(self, planned: Operation, **facts: Any) -> Iterator[Logbook]:
+        last = max((one.number for one in (*self.known, *self.others)), default=0)
+        operation = replace(planned, number=last + 1)
+        with Archive.open_existing(self.path) as archive:
+            now_s = self.sensor.bus.now_s()
+            dwell = max((attempt.number for attempt in archive.dwells()), default=0)
+            archive.begin_run(now_s, self._bench.clock_offset(archive, now_s), dwell)
+            journal = Logbook(archive, operation, self.sensor.bus.now_s)
+            journal.note(
+                WriteStep.PLANNED,
+                op=operation.op,
+                old=operation.old,
+                new=operation.new,
+                found=operation.found,
+                save=operation.save,
+                url=self.sensor.bus.url,
+                **facts,
+            )
+            yield journal
+
+
+def _words(numbers: dict[str, int]) -> dict[str, int]:
+    return {row.name: row.word(numbers[row.name]) for row in registers(numbers)}
+
+
+def _listed(numbers: dict[str, int]) -> str:
+    return ", ".join(f"{name} = {number}" for name, number in numbers.items())
+
+
+def _require(now: dict[str, int], numbers: dict[str, int], what: str) -> None:
+    odd = [name for name, number in numbers.items() if now[name] != number]
+    if odd:
+        raise VerifyError(f"{', '.join(odd)} {what}; look at the supply")

@@ -1,0 +1,398 @@
+"""What the noise of a part at rest is: coefficients with uncertainties, or limits of what is not there.
+
+The noise of a part at rest in words and as a table.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from adis_gonio.base.jsonable import json_object
+from adis_gonio.base.numbers import counted, format_number, format_unit
+from adis_gonio.base.uncertainty import INADEQUATE, SLOW_NOISE, Value, finite_or_none
+from adis_gonio.fitting.allan.noise_processes import FLOOR_OF_B, KINDS, AllanCurve, Kind
+from adis_gonio.fitting.allan.spectral_likelihood import Profile, SpectralLine
+
+_NAMES: dict[str, dict[Kind, str]] = {
+    "gyro": {
+        "quantization": "quantization",
+        "white": "angle_random_walk",
+        "flicker": "bias_instability",
+        "walk": "rate_random_walk",
+    },
+    "accelerometer": {
+        "quantization": "quantization",
+        "white": "velocity_random_walk",
+        "flicker": "bias_instability",
+        "walk": "acceleration_random_walk",
+    },
+}
+_UNITS: dict[str, dict[Kind, str]] = {
+    "dps": {"quantization": "deg", "white": "dps/√Hz", "flicker": "dps", "walk": "dps/√s"},
+    "mg": {"quantization": "mg·s", "white": "mg/√Hz", "flicker": "mg", "walk": "mg/√s"},
+    "counts": {
+        "quantization": "counts·s",
+        "white": "counts/√Hz",
+        "flicker": "counts",
+        "walk": "counts/√s",
+    },
+}
+_MPS_PER_MG_S = 9.80665e-3
+_ALSO: dict[tuple[str, Kind], tuple[str, float]] = {
+    ("dps", "white"): ("deg/√h", 60.0),
+    ("dps", "flicker"): ("deg/h", 3600.0),
+    ("dps", "walk"): ("deg/h/√h", 3600.0 * 60.0),
+    ("mg", "white"): ("m/s/√h", 60 * _MPS_PER_MG_S),
+    ("mg", "walk"): ("m/s/h/√h", 3600 * 60 * _MPS_PER_MG_S),
+}
+
+
+@dataclass(frozen=True)
+class NoiseParameter:
+    """One noise process of one axis.
+
+    Attributes
+    ----------
+    kind : {"quantization", "white", "flicker", "walk"}
+    name : str
+        Such as `angle_random_walk`. `bias_instability` is the floor of the Allan deviation.
+    unit : str
+    profile : Profile
+        What the likelihood says, in `unit`.
+    """
+
+    kind: Kind
+    name: str
+    unit: str
+    profile: Profile
+    also: tuple[str, float] | None = None
+    """Another unit that the field uses, and its size."""
+
+    @property
+    def present(self) -> bool:
+        """The data refuse that it is absent."""
+        return self.profile.present
+
+    @property
+    def value(self) -> Value | None:
+        """Value with u, ν, k and U, the longer arm of the interval; None where it may be absent."""
+        if not self.present:
+            return None
+        found = self.profile
+        arm = max(found.high - found.value, found.value - found.low)
+        return Value(found.value, found.u, self.unit, found.dof, factor=arm / found.u)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Profile-likelihood interval of 95 %; begins at 0 where the process may be absent."""
+        return self.profile.low, self.profile.high
+
+    def as_dict(self) -> dict[str, Any]:
+        """Value, u, ν, k, U (null where it is not there), interval, upper limit, what would have shown."""
+        value, found = self.value, self.profile
+        empty = {"value": None, "u": None, "dof": None, "k": None, "U": None, "unit": self.unit}
+        document: dict[str, Any] = {
+            "present": self.present,
+            **(empty if value is None else value.as_dict()),
+            "interval_95": [found.low, finite_or_none(found.high)],
+            "upper_95": finite_or_none(found.high),
+            "p_value": found.p_value,
+            "detectable": finite_or_none(found.detectable),
+        }
+        if self.kind == "flicker":
+            document["ieee_952_b"] = None if value is None else found.value / FLOOR_OF_B
+        if self.also is not None:
+            unit, size = self.also
+            document["also"] = {
+                "unit": unit,
+                "value": None if value is None else size * found.value,
+                "u": None if value is None else size * found.u,
+                "upper_95": finite_or_none(size * found.high),
+            }
+        return document
+
+
+def parameters(part: str, unit: str, profiles: dict[Kind, Profile]) -> tuple[NoiseParameter, ...]:
+    """The processes of an axis under the names that a part's have."""
+    return tuple(
+        NoiseParameter(
+            kind, _NAMES[part][kind], _UNITS[unit][kind], profiles[kind], _ALSO.get((unit, kind))
+        )
+        for kind in KINDS
+        if kind in profiles
+    )
+
+
+@dataclass(frozen=True)
+class AxisNoise:
+    """Noise of one axis.
+
+    Attributes
+    ----------
+    axis : str
+        `x`, `y` or `z`.
+    parameters : tuple of NoiseParameter
+        In the order of `processes.KINDS`; without quantization behind the chip's filter.
+    ramp : Value
+        Slope of the records' lines, weighted mean, per second: a drift that is no noise.
+    slow_p_value : float
+        That neither flicker nor walk is there.
+    adequacy : float
+        Chance of a spectrum so far from the fitted one.
+    band_hz : (float, float)
+        Frequencies that were fitted.
+    lines : tuple of SpectralLine
+        Sinusoids that were taken off.
+    step : float
+        Step of the converter; its rounding is accounted for and no part of the coefficients. 0 unknown.
+    curve : AllanCurve
+    notes : tuple of str
+        What a reader has to know, one line each.
+    """
+
+    axis: str
+    parameters: tuple[NoiseParameter, ...]
+    ramp: Value
+    slow_p_value: float
+    adequacy: float
+    band_hz: tuple[float, float]
+    lines: tuple[SpectralLine, ...]
+    step: float
+    curve: AllanCurve
+    notes: tuple[str, ...]
+
+    def __getitem__(self, name: str) -> NoiseParameter:
+        """Parameter by its name or kind."""
+        for parameter in self.parameters:
+            if name in (parameter.name, parameter.kind):
+                return parameter
+        raise KeyError(name)
+
+    @property
+    def ramps(self) -> bool:
+        """The line is more than noise."""
+        return self.ramp.U is not None and abs(self.ramp.value) > self.ramp.U
+
+    def as_dict(self) -> dict[str, Any]:
+        """The axis as JSON."""
+        return json_object(
+            parameters={parameter.name: parameter for parameter in self.parameters},
+            ramp={**self.ramp.as_dict(), "present": self.ramps},
+            slow_noise_p_value=self.slow_p_value,
+            adequacy_p_value=self.adequacy,
+            band_hz=self.band_hz,
+            lines=self.lines,
+            converter_step=self.step,
+            allan=self.curve,
+            notes=self.notes,
+        )
+
+
+@dataclass(frozen=True)
+class AllanResult:
+    """Noise of the gyros or accelerometers of a session at rest.
+
+    Attributes
+    ----------
+    part : {"gyro", "accelerometer"}
+    unit : str
+        `dps`, `mg` or `counts`.
+    title, sensor, source : str
+        Of the session.
+    simulated : bool
+        The file says that nothing was measured.
+    period_s : float
+        Time between samples.
+    filter_m : int
+        The chip's filter that the densities are behind.
+    filter_known : bool
+        False where the file does not say and the spectrum chose it.
+    positions : tuple of int
+        Dwell of each record.
+    samples : tuple of int
+        Length of each record.
+    axes : tuple of AxisNoise
+    notes : tuple of str
+    """
+
+    part: str
+    unit: str
+    title: str
+    sensor: str
+    source: str
+    simulated: bool
+    period_s: float
+    filter_m: int
+    filter_known: bool
+    positions: tuple[int, ...]
+    samples: tuple[int, ...]
+    axes: tuple[AxisNoise, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Time of all records."""
+        return self.period_s * sum(self.samples)
+
+    @property
+    def longest_s(self) -> float:
+        """Time of the longest record."""
+        return self.period_s * max(self.samples)
+
+    def __getitem__(self, axis: str) -> AxisNoise:
+        """Noise of an axis by its letter."""
+        for found in self.axes:
+            if found.axis == axis:
+                return found
+        raise KeyError(axis)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON document of `adis-gonio allan`."""
+        return {
+            "part": self.part,
+            "unit": self.unit,
+            "title": self.title,
+            "sensor": self.sensor,
+            "source": self.source,
+            "sample_rate_hz": 1 / self.period_s,
+            "filter_m": self.filter_m,
+            "filter_known": self.filter_known,
+            "records": [
+                {"position": position, "samples": n, "duration_s": n * self.period_s}
+                for position, n in zip(self.positions, self.samples, strict=True)
+            ],
+            "duration_s": self.duration_s,
+            "axes": {found.axis: found.as_dict() for found in self.axes},
+            "notes": list(self.notes),
+        }
+
+    def summary(self) -> str:
+        """Table of 80 columns with what there is to say, as `adis-gonio allan` prints it."""
+        return "\n".join(table_lines(self))
+
+    def __repr__(self) -> str:
+        held = "; ".join(
+            f"{found.axis}: "
+            + ", ".join(f"{p.name} {p.profile.value:.3g} {p.unit}" for p in found.parameters if p.present)
+            for found in self.axes
+        )
+        return f"AllanResult({self.part}, {math.floor(self.duration_s)} s at rest; {held})"
+
+
+PARTS = {"gyro": "gyros", "accelerometer": "accelerometers"}
+_FEW_DOF = 3.0
+HEAD = ("", "value", "u", "95 % interval", "ν", "unit")
+_WIDTHS = (26, 9, 9, 18, 7)
+_MANY_DOF = 9999
+
+
+def name_shown(parameter: NoiseParameter) -> str:
+    """Such as `angle random walk`."""
+    return parameter.name.replace("_", " ")
+
+
+def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[int]) -> Iterator[str]:
+    """What a reader of an axis has to know; `loud` are the positions of records that were left out."""
+    if loud:
+        which = ", ".join(map(str, loud[:8])) + (", …" if len(loud) > 8 else "")
+        yield f"{counted(len(loud), 'record')} left out, louder than the quietest (positions {which})"
+    if coarse:
+        yield (
+            f"the noise is below half a step of the converter ({format_number(axis.step)}): what is seen is"
+            " its rounding"
+        )
+    if narrowed and axis.adequacy >= INADEQUATE:
+        yield f"above {format_number(axis.band_hz[1])} Hz the spectrum is of another kind and was left out"
+    if axis.adequacy < INADEQUATE:
+        yield f"the spectrum is not that of these noises (p = {axis.adequacy:.1g}): u is too small"
+    for line in axis.lines:
+        yield (
+            f"a sinusoid of {format_number(line.frequency_hz, 4)} Hz, amplitude"
+            f" {format_number(line.amplitude)}, taken off: a vibration, or its alias"
+        )
+    flicker, walk = axis["flicker"], axis["walk"]
+    if not flicker.present and not walk.present and axis.slow_p_value < SLOW_NOISE:
+        yield (
+            "there is slow noise, and the records are too short to tell bias instability from random walk:"
+            " let it lie still for four times as long"
+        )
+    for parameter in (flicker, walk):
+        if parameter.present and parameter.profile.dof < _FEW_DOF:
+            yield (
+                f"{name_shown(parameter)} rests on {format_number(parameter.profile.dof, 2)} degrees of"
+                " freedom: a longer record makes it sure"
+            )
+    if axis.ramps:
+        yield f"drifts by {format_number(axis.ramp.value)} {format_unit(axis.ramp.unit)}, which is no noise"
+
+
+def missing(parameter: NoiseParameter) -> str:
+    """What stands for a value that is not there: the limit, and what the records would have shown."""
+    found = parameter.profile
+    limit = f"not present: at most {format_number(found.high)} (95 %)"
+    if parameter.kind == "white":
+        return limit
+    return f"{limit}; {format_number(found.detectable)} would have shown"
+
+
+def cells(parameter: NoiseParameter) -> Sequence[tuple[str, ...]]:
+    """Rows of `HEAD` for a process that is present: in its unit, and in the other one of the field."""
+    found, rows = parameter.profile, []
+    for unit, size in ((parameter.unit, 1.0), *((parameter.also,) if parameter.also else ())):
+        rows.append(
+            (
+                name_shown(parameter) if size == 1.0 else "",
+                format_number(size * found.value, 4),
+                format_number(size * found.u, 2),
+                f"{format_number(size * found.low)} … {format_number(size * found.high)}",
+                _dof_shown(found.dof) if size == 1.0 else "",
+                format_unit(unit),
+            )
+        )
+    return rows
+
+
+def _dof_shown(dof: float) -> str:
+    return f"> {_MANY_DOF}" if dof > _MANY_DOF else format_number(dof, 2)
+
+
+def headline(result: AllanResult) -> str:
+    """What was recorded, in a line."""
+    records = counted(len(result.samples), "record")
+    rate_hz = format_number(1 / result.period_s, 4)
+    held = f"{format_number(result.duration_s, 4)} s in {records} at {rate_hz} Hz"
+    return f"{held}, filter M = {result.filter_m}" if result.filter_m or result.filter_known else held
+
+
+def table_lines(result: AllanResult) -> Iterator[str]:
+    """The result as lines of at most 80 columns."""
+    name = result.title or result.source or "session"
+    yield from _folded(f"Noise at rest of the {PARTS[result.part]} of {name} ({result.sensor})", "")
+    for text in (headline(result), *result.notes):
+        yield from _folded(text)
+    for axis in result.axes:
+        yield ""
+        yield _row((axis.axis.upper(), *HEAD[1:]))
+        for parameter in axis.parameters:
+            if parameter.present:
+                for row in cells(parameter):
+                    yield _row(("  " + row[0], *row[1:]))
+            elif parameter.kind != "quantization":
+                yield f"  {name_shown(parameter)} / {format_unit(parameter.unit)}"
+                yield f"    {missing(parameter)}"
+        for note in axis.notes:
+            yield from _folded(note)
+
+
+def _row(texts: tuple[str, ...]) -> str:
+    name, *numbers, unit = texts
+    shown = [f"{text:>{width}}" for text, width in zip(numbers, _WIDTHS[1:], strict=True)]
+    return f"{name:<{_WIDTHS[0]}}{''.join(shown)} {unit}".rstrip()
+
+
+def _folded(text: str, indent: str = "  ") -> list[str]:
+    return textwrap.wrap(text, 80, initial_indent=indent, subsequent_indent=indent + "  ")

@@ -1,0 +1,520 @@
+"""Sinusoids in a record at rest (a vibrating table, hum): taken off, and their surroundings masked.
+
+A record at rest as DCT-II ordinates: the lowest one by one, the higher ones as means of narrow bins.
+
+Restricted maximum likelihood of the noise processes on DCT-II ordinates, with profiles and tests.
+
+Ordinates are independent and normal with variances linear in the squared coefficients θ ≥ 0. The mean and a
+line of each record are no noise: the likelihood is that of what is orthogonal to them (REML), which for the
+line is a term of rank one. A coefficient that the noise lacks lies on the boundary θ = 0, where the
+likelihood ratio is ½χ²₀ + ½χ²₁ distributed (Self and Liang 1987).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, optimize, signal, stats
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.uncertainty import LINE_IN_NOISE, NORMAL_95, SLOW_NOISE
+from adis_gonio.fitting.allan.noise_processes import KINDS, line, ordinate_variances, variances
+
+MOST = 12
+_LOWEST = 24
+"""Cycles a record below which a line cannot be told from slow noise."""
+_WIDTH = 48
+"""Ordinates on either side from which the level is taken."""
+_LEAKS = 4
+"""Ordinates on either side that a line reaches behind Hann's window."""
+
+
+@dataclass(frozen=True)
+class SpectralLine(JsonRecord):
+    """A sinusoid of a record.
+
+    Attributes
+    ----------
+    frequency_hz : float
+        As it is sampled: a vibration above half of the rate shows as its alias.
+    amplitude : float
+        In the unit of the samples, behind the sensor's filter.
+    """
+
+    frequency_hz: float
+    amplitude: float
+
+
+def without_lines(
+    record: Floats, period_s: float, highest: float
+) -> tuple[Floats, list[SpectralLine], NDArray[np.intp]]:
+    """The record without its sinusoids, those, and the DCT-II ordinates about them.
+
+    Parameters
+    ----------
+    record : (n,) float
+        Without a line.
+    highest : float
+        Cycles a sample up to which sinusoids are looked for.
+    """
+    found: list[SpectralLine] = []
+    masked: list[NDArray[np.intp]] = []
+    taken = np.zeros(len(record) // 2 + 1, dtype=bool)
+    while len(found) < MOST:
+        peak = _peak(record, highest, taken)
+        if peak is None:
+            break
+        place, ratio = peak
+        record, amplitude = _taken_off(record, place)
+        reach = _LEAKS + int(min(math.sqrt(ratio) / 16, len(record) / 256))
+        middle = round(place)
+        taken[max(0, middle - reach) : middle + reach + 1] = True
+        masked.append(np.arange(2 * (middle - reach), 2 * (middle + reach) + 1))
+        found.append(SpectralLine(place / len(record) / period_s, amplitude))
+    return record, found, np.concatenate(masked) if masked else np.zeros(0, np.intp)
+
+
+def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[float, float] | None:
+    """Cycles a record of the strongest line, and how far it stands above the noise."""
+    n = len(record)
+    last = int(highest * n)
+    if last - _LOWEST < 4 * _WIDTH:
+        return None
+    lines = fft.rfft(record * signal.windows.hann(n, sym=False))[: last + 2]
+    power = lines.real**2 + lines.imag**2
+    level = _level(power[_LOWEST:last])
+    # What is left of a line that was taken off does not count again.
+    ratio = np.where(taken[_LOWEST:last], 0.0, power[_LOWEST:last] / level)
+    at = int(ratio.argmax())
+    # Exponential about its level, which is the mean of some ninety neighbours.
+    if ratio[at] < 1.35 * math.log(len(ratio) / LINE_IN_NOISE):
+        return None
+    k = at + _LOWEST
+    side = 1 if power[k + 1] > power[k - 1] else -1
+    towards = math.sqrt(power[k + side] / power[k])
+    return k + side * max(0.0, (2 * towards - 1) / (towards + 1)), float(ratio[at])
+
+
+def _level(power: Floats) -> Floats:
+    """Level of the noise at each ordinate: the higher one of the medians on both sides, as a mean."""
+    step = _WIDTH // 4
+    cells = power[: len(power) // step * step].reshape(-1, step)
+    medians = np.median(np.lib.stride_tricks.sliding_window_view(cells, 4, axis=0), axis=(1, 2)) / math.log(
+        2
+    )
+    cell = np.minimum(np.arange(len(power)) // step, len(cells) - 1)
+    before = np.clip(cell - 4, 0, len(medians) - 1)
+    after = np.clip(cell + 1, 0, len(medians) - 1)
+    # On a slope (the filter's, slow noise) the higher side counts.
+    level: Floats = np.maximum(np.maximum(medians[before], medians[after]), 1e-300)
+    return level
+
+
+def _taken_off(record: Floats, place: float) -> tuple[Floats, float]:
+    phase = 2 * np.pi * place / len(record) * np.arange(len(record))
+    columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+    values = np.linalg.solve(columns.T @ columns, columns.T @ record)
+    return np.asarray(record - columns @ values, np.float64), float(np.hypot(*values))
+
+
+SINGLES = 64
+"""Lowest ordinates that stand by themselves."""
+_RELATIVE, _ABSOLUTE = 1 / 32, 1 / 1024
+"""Widest bin: a part of its frequency, and in cycles a sample."""
+_POINTS = 16
+"""Ordinates of a bin at which its densities are computed."""
+
+
+@dataclass(frozen=True)
+class Ordinates:
+    """Ordinates of one or several records of an axis, by bins.
+
+    Attributes
+    ----------
+    frequency : (b,) float
+        Highest frequency of each bin in cycles a sample.
+    weight : (b,) float
+        Number of ordinates.
+    power : (b,) float
+        Mean of their squares.
+    shapes : (b, 4) float
+        Mean variance per squared coefficient of each of `processes.KINDS`.
+    rounding : (b,) float
+        Mean variance of the converter's rounding.
+    lines : tuple of (first, ordinate, line)
+        For each record: the bin of its first single ordinate, the (s,) single ordinates as they are, and
+        those of a line of slope 1 a sample.
+    """
+
+    frequency: Floats
+    weight: Floats
+    power: Floats
+    shapes: Floats
+    rounding: Floats
+    lines: tuple[tuple[int, Floats, Floats], ...]
+
+    def below(self, frequency: float) -> Ordinates:
+        """The same without the bins above a frequency; the line is known from the lowest ones."""
+        chosen = self.frequency <= frequency
+        place = np.cumsum(chosen) - 1
+        lines = []
+        for first, ordinate, slope in self.lines:
+            kept = int(chosen[first : first + len(ordinate)].sum())
+            lines.append((int(place[first]), ordinate[:kept], slope[:kept]))
+        return Ordinates(
+            self.frequency[chosen],
+            self.weight[chosen],
+            self.power[chosen],
+            self.shapes[chosen],
+            self.rounding[chosen],
+            tuple(lines),
+        )
+
+
+def ordinates(
+    record: Floats, filter_m: int, period_s: float, rounding: Floats, masked: NDArray[np.intp]
+) -> Ordinates:
+    """Ordinates of a record whose line has been taken off.
+
+    Parameters
+    ----------
+    record : (n,) float
+    rounding : (lags,) float
+        Autocovariance of the converter's rounding.
+    masked : (l,) int
+        Ordinates to leave out.
+    """
+    n = len(record)
+    lines = np.asarray(fft.dct(record, type=2, norm="ortho"), np.float64)[1:]
+    grid = _grid(n, filter_m, period_s)
+    starts = grid.starts
+    kept = np.ones(n - 1, dtype=bool)
+    kept[masked[(masked >= 1) & (masked < n)] - 1] = False
+    square = np.where(kept, lines**2, 0.0)
+    weight = np.add.reduceat(kept.astype(np.float64), starts - 1)
+    power = np.add.reduceat(square, starts - 1) / np.maximum(weight, 1.0)
+    rounded = grid.mean(ordinate_variances(rounding, n, grid.points))
+    singles = min(SINGLES, n - 1)
+    number = np.arange(1, singles + 1)
+    slope = np.where(kept[:singles], line(n, number.astype(np.float64)), 0.0)
+    return Ordinates(
+        grid.highest, weight, power, grid.shapes, rounded, ((0, lines[:singles].copy(), slope),)
+    )
+
+
+def together(parts: list[Ordinates]) -> Ordinates:
+    """Ordinates of several records as one."""
+    lines, at = [], 0
+    for part in parts:
+        lines += [(first + at, ordinate, slope) for first, ordinate, slope in part.lines]
+        at += len(part.weight)
+    return Ordinates(
+        np.concatenate([part.frequency for part in parts]),
+        np.concatenate([part.weight for part in parts]),
+        np.concatenate([part.power for part in parts]),
+        np.concatenate([part.shapes for part in parts]).reshape(-1, len(KINDS)),
+        np.concatenate([part.rounding for part in parts]),
+        tuple(lines),
+    )
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """What the bins of records of one length have in common, whatever was recorded.
+
+    Attributes
+    ----------
+    starts : (b,) int
+        First ordinate of each bin.
+    highest : (b,) float
+        Highest frequency in cycles a sample.
+    points : (p,) float
+        Ordinates at which densities are computed, `_POINTS` a bin at most.
+    first, count : (b,) int
+        A bin's first point, and how many it has.
+    shapes : (b, 4) float
+    """
+
+    starts: NDArray[np.intp]
+    highest: Floats
+    points: Floats
+    first: NDArray[np.intp]
+    count: NDArray[np.intp]
+    shapes: Floats
+
+    def mean(self, values: Floats) -> Floats:
+        """Mean (b,) over each bin's points of values (p,)."""
+        return np.asarray(np.add.reduceat(values, self.first) / self.count, np.float64)
+
+
+@lru_cache(maxsize=8)
+def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
+    """Axes, and most dwells of a session, are of one length."""
+    starts, stops = _bins(n)
+    count = np.minimum(_POINTS, stops - starts)
+    first = np.cumsum(count) - count
+    owner = np.repeat(np.arange(len(starts)), count)
+    step = np.arange(len(owner)) - first[owner]
+    points = starts[owner] + (step + 0.5) / count[owner] * (stops - starts)[owner] - 0.5
+    shapes = np.add.reduceat(variances(filter_m, n, points, period_s), first, axis=0) / count[:, None]
+    return _Grid(starts, (stops - 1) / (2 * n), points, first, count, shapes)
+
+
+def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First ordinate of each bin, and the one after its last."""
+    edges = list(range(1, min(SINGLES, n - 1) + 1))
+    at = edges[-1] + 1
+    while at < n:
+        edges.append(at)
+        at += max(1, int(min(at * _RELATIVE, 2 * n * _ABSOLUTE)))
+    starts = np.array(edges, dtype=np.intp)
+    return starts, np.append(starts[1:], n).astype(np.intp)
+
+
+_POWER_90 = 1.2815515655446004
+_STEPS, _CLOSE = 60, 1e-7
+_CELLS, _LEAST_CELL = 24, 16
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What the likelihood says of one coefficient (not squared).
+
+    Attributes
+    ----------
+    value : float
+        Maximum of the likelihood.
+    u : float
+        By the Fisher information; nan at zero.
+    low, high : float
+        Profile-likelihood interval of 95 %; `low` is 0 where the coefficient may be absent.
+    p_value : float
+        That it is absent.
+    detectable : float
+        Coefficient that this record would have shown with 90 % power.
+    """
+
+    value: float
+    u: float
+    low: float
+    high: float
+    p_value: float
+    detectable: float
+
+    @property
+    def present(self) -> bool:
+        """The data refuse that it is absent."""
+        return self.p_value < SLOW_NOISE
+
+    @property
+    def dof(self) -> float:
+        """Effective degrees of freedom of a standard deviation that is known so well."""
+        return self.value**2 / (2 * self.u**2) if self.u > 0 else math.nan
+
+
+class Likelihood:
+    """−2 log likelihood of squared coefficients, its slope and its information.
+
+    Parameters
+    ----------
+    data : Ordinates
+        Bins without ordinates are left out by their weight.
+    without : collection of int
+        Indices of coefficients that the model does not have.
+    """
+
+    def __init__(self, data: Ordinates, without: Collection[int] = ()) -> None:
+        self._data = data
+        self._has = np.array([k not in without for k in range(data.shapes.shape[1])])
+        self._least = 1e-12 * float(np.max(data.power, initial=1e-300))
+        typical = float(np.average(data.power, weights=data.weight))
+        # Scales: each process alone would make up the whole power.
+        self.scale = typical / np.average(data.shapes, axis=0, weights=data.weight)
+
+    def expected(self, theta: Floats) -> Floats:
+        """Variances (b,)."""
+        return np.asarray(
+            np.maximum(self._data.shapes @ theta + self._data.rounding, self._least), np.float64
+        )
+
+    def deviance(self, theta: Floats) -> float:
+        """−2 log likelihood less a constant."""
+        data = self._data
+        v = self.expected(theta)
+        total = float(data.weight @ (np.log(v) + data.power / v))
+        for first, c, d in data.lines:
+            own = v[first : first + len(c)]
+            a, b = float(np.sum(d**2 / own)), float(np.sum(c * d / own))
+            if a > 0:
+                total += math.log(a) - b**2 / a
+        return total
+
+    def slope_and_information(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Gradient (4,) of the deviance and expected information (4, 4) on θ."""
+        data = self._data
+        v = self.expected(theta)
+        relative = data.shapes / v[:, None]
+        slope = relative.T @ (data.weight * (1 - data.power / v))
+        information = relative.T @ (data.weight[:, None] * relative)
+        for first, c, d in data.lines:
+            here = slice(first, first + len(c))
+            own, shape = v[here], relative[here]
+            a, b = float(np.sum(d**2 / own)), float(np.sum(c * d / own))
+            if a <= 0:
+                continue
+            da, db = -shape.T @ (d**2 / own), -shape.T @ (c * d / own)
+            slope += da / a - 2 * b * db / a + b**2 * da / a**2
+            information += -2 * shape.T @ ((d**2 / own)[:, None] * shape) / a + np.outer(da, da) / a**2
+        return slope, information / 2
+
+    def maximum(self, start: Floats, fixed: dict[int, float] | None = None) -> tuple[Floats, float]:
+        """θ (4,) ≥ 0 of the largest likelihood and its deviance; projected Fisher scoring.
+
+        Parameters
+        ----------
+        fixed : dict
+            Coefficients that are held, by index.
+        """
+        held = fixed or {}
+        theta = np.where(self._has, np.maximum(start, 0.0), 0.0)
+        for index, value in held.items():
+            theta[index] = value
+        loose = self._has & np.array([index not in held for index in range(len(theta))])
+        best = self.deviance(theta)
+        for _ in range(_STEPS):
+            slope, information = self.slope_and_information(theta)
+            free = loose & ((theta > 0) | (slope < 0))
+            if not free.any():
+                break
+            step = self._step(slope, information, free)
+            theta, now = self._along(theta, step, best)
+            if best - now < _CLOSE:
+                return theta, min(best, now)
+            best = now
+        return theta, best
+
+    def _step(self, slope: Floats, information: Floats, free: np.ndarray) -> Floats:
+        step = np.zeros(len(slope))
+        scale = self.scale[free]
+        inner = information[np.ix_(free, free)] * np.outer(scale, scale)
+        step[free] = -scale * (np.linalg.pinv(inner, rcond=1e-13) @ (slope[free] * scale)) / 2
+        return step
+
+    def _along(self, theta: Floats, step: Floats, best: float) -> tuple[Floats, float]:
+        for _ in range(30):
+            trial = np.maximum(theta + step, 0.0)
+            now = self.deviance(trial)
+            if now <= best:
+                return trial, now
+            step = step / 2
+        return theta, best
+
+    def best(self) -> tuple[Floats, float]:
+        """The largest likelihood from several starts."""
+        white = np.array([0.0, self.scale[1], 0.0, 0.0])
+        starts = [white + share * self.scale * [0.0, 0.0, 1.0, 1.0] for share in (0.0, 0.01)]
+        starts.append(self.scale / 4)
+        return min((self.maximum(start) for start in starts), key=lambda found: found[1])
+
+    def u_squared(self, theta: Floats, index: int) -> float:
+        """Standard uncertainty of θ[index] by the Fisher information, beside what is not zero."""
+        _, information = self.slope_and_information(theta)
+        with_it = (theta > 0) | (np.arange(len(theta)) == index)
+        scale = np.where(with_it, self.scale, 0.0)
+        inverse = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-13)
+        return float(scale[index] * math.sqrt(max(inverse[index, index], 0.0)))
+
+    def slopes(self, theta: Floats) -> list[tuple[float, float]]:
+        """Slope of each record's line a sample, and its standard uncertainty."""
+        v, found = self.expected(theta), []
+        for first, c, d in self._data.lines:
+            own = v[first : first + len(c)]
+            a = float(np.sum(d**2 / own))
+            found.append((float(np.sum(c * d / own)) / a, 1 / math.sqrt(a)) if a > 0 else (0.0, math.inf))
+        return found
+
+    def adequacy(self, theta: Floats) -> float:
+        """Chance of a spectrum that is so far off the model, by the deviance of cells of ordinates."""
+        data = self._data
+        v = self.expected(theta)
+        order = np.argsort(data.frequency, kind="stable")
+        weight, ratio = data.weight[order], (data.power / v)[order]
+        filled = np.cumsum(weight)
+        width = max(float(filled[-1]) / _CELLS, _LEAST_CELL)
+        # Half of the cells by equal numbers, half by octaves of it, so that slow noise has its own.
+        edges = np.concatenate([np.arange(1, _CELLS) * width, _LEAST_CELL * 2.0 ** np.arange(_CELLS)])
+        edges = np.unique(edges[edges < filled[-1] - _LEAST_CELL])
+        cuts = np.unique(np.concatenate([[0], np.searchsorted(filled, edges) + 1]))
+        cuts = cuts[cuts < len(weight)]
+        sums = np.add.reduceat(weight, cuts)
+        mean = np.add.reduceat(weight * ratio, cuts) / np.maximum(sums, 1.0)
+        kept = sums >= _LEAST_CELL / 2
+        mean = np.maximum(mean[kept], 1e-12)
+        distance = float(np.sum(sums[kept] * (mean - 1 - np.log(mean))))
+        dof = int(kept.sum()) - int((theta > 0).sum())
+        return float(stats.chi2.sf(distance, dof)) if dof > 0 else 1.0
+
+
+def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> Profile:
+    """What the likelihood says of one coefficient at its maximum `theta` of deviance `least`."""
+    absent, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
+    ratio = max(deviance - least, 0.0)
+    p_value = 0.5 * float(stats.chi2.sf(ratio, 1)) if theta[index] > 0 else 1.0
+    u_squared = likelihood.u_squared(theta, index)
+    sigma = math.sqrt(theta[index])
+    u = u_squared / (2 * sigma) if sigma > 0 else math.nan
+    dof = max(sigma**2 / (2 * u**2), 1.0) if sigma > 0 else 1.0
+    # A likelihood ratio of few degrees of freedom is larger than χ² by the mean of ln χ² (Bartlett).
+    limit = NORMAL_95**2 * (1 + 1 / (3 * dof))
+
+    def beyond(squared: float) -> float:
+        at = theta.copy()
+        return likelihood.maximum(at, {index: squared})[1] - least - limit
+
+    top = theta[index] + NORMAL_95 * max(u_squared, 1e-12 * likelihood.scale[index])
+    high = _root_above(beyond, max(theta[index], 0.0), top)
+    low = 0.0
+    if p_value < SLOW_NOISE:
+        low = _root_below(beyond, float(theta[index]))
+    return Profile(
+        value=sigma,
+        u=u,
+        low=math.sqrt(low),
+        high=math.sqrt(high),
+        p_value=p_value,
+        detectable=_detectable(likelihood, absent, index),
+    )
+
+
+def _root_above(beyond: Callable[[float], float], begin: float, top: float) -> float:
+    for _ in range(60):
+        if beyond(top) > 0:
+            break
+        begin, top = top, 2 * top
+    return float(optimize.brentq(beyond, begin, top, rtol=1e-5))
+
+
+def _root_below(beyond: Callable[[float], float], top: float) -> float:
+    low = top
+    for _ in range(40):
+        low /= 2
+        if beyond(low) > 0:
+            return float(optimize.brentq(beyond, low, 2 * low, rtol=1e-5))
+    return 0.0
+
+
+def _detectable(likelihood: Likelihood, absent: Floats, index: int) -> float:
+    """Coefficient that would be claimed in nine of ten such records."""
+    at = absent.copy()
+    without = likelihood.u_squared(at, index)
+    size = (NORMAL_95 + _POWER_90) * without
+    for _ in range(8):
+        at[index] = size
+        size = NORMAL_95 * without + _POWER_90 * likelihood.u_squared(at, index)
+    return math.sqrt(size)

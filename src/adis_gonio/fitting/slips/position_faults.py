@@ -1,0 +1,258 @@
+"""Which angle may have been meant where another one is declared: what hands do to numbers.
+
+What may have gone wrong with a position, as patterns of error with priors: the whole list of hypotheses.
+
+| name | the part stands at θ + e with |
+|---|---|
+| `mistyped` | e in one dwell, so that θ + e is what hands make of θ, or a whole degree |
+| `misset` | e in one dwell, of any size: the stage was set elsewhere, or slipped there alone |
+| `swapped` | the declared angles of two dwells, each in the other's place |
+| `slipped` | e in this dwell and all that follow: the part slipped in its fixture, or the stage's scale |
+| `reversed` | declared turns of the opposite sign, from this dwell on |
+| `gravity_wrong` | e = 0; the reading itself is off: acceleration, tilt out of the plane |
+| `gyro_wrong` | e = 0; one turn's integral is off: lost scans, saturation |
+
+Priors are guesses of benches (chosen); a session that says anything has a likelihood beside which they are
+nothing, and where two names predict the same they alone decide, which the set of names then says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats, wrap_radians
+from adis_gonio.fitting.slips.position_model import Halts, Rows, common_zero
+
+DIGITS = "0123456789"
+LARGEST_DEG = 360.0
+
+
+def may_have_been_meant(declared_deg: float, others_deg: Iterable[float] = ()) -> tuple[float, ...]:
+    """Angles that become `declared_deg` by one mistake, without itself.
+
+    A sign, a quarter or half turn (90 for 270), two digits exchanged, one digit wrong, dropped or doubled,
+    a decimal point misplaced; or the angle of another position of the session.
+    """
+    text = f"{abs(declared_deg):g}"
+    sign = -1.0 if declared_deg < 0 else 1.0
+    written = {text[:k] + text[k + 1] + text[k] + text[k + 2 :] for k in range(len(text) - 1)}
+    written |= {text[:k] + text[k + 1 :] for k in range(len(text))}
+    written |= {text[:k] + digit + text[k:] for k in range(len(text) + 1) for digit in DIGITS}
+    written |= {
+        text[:k] + digit + text[k + 1 :] for k in range(len(text)) if text[k] != "." for digit in DIGITS
+    }
+    found = {sign * value for value in map(_number, written) if value is not None}
+    found |= {-declared_deg, 10 * declared_deg, declared_deg / 10}
+    found |= {declared_deg + turn for turn in (-180.0, -90.0, 90.0, 180.0)}
+    found |= set(others_deg)
+    return tuple(sorted(v + 0.0 for v in found if abs(v) <= LARGEST_DEG and v != declared_deg))
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+Name = Literal["mistyped", "misset", "swapped", "slipped", "reversed", "gravity_wrong", "gyro_wrong"]
+
+SHARE: dict[Name, float] = {
+    "mistyped": 0.02,
+    "misset": 0.005,
+    "swapped": 0.01,
+    "slipped": 0.01,
+    "reversed": 0.002,
+    "gravity_wrong": 0.01,
+    "gyro_wrong": 0.02,
+}
+"""Prior probability that a session has one of these, at one of all its places."""
+ACCUSED: frozenset[Name] = frozenset(
+    {"mistyped", "misset", "swapped", "slipped", "reversed", "gravity_wrong"}
+)
+"""Names that say something of a position; a gyro that errs accuses none."""
+LEAST_SLIP_RAD = math.radians(0.02)
+"""Size below which every slip is as likely as this one."""
+LISTED, WHOLE = 0.9, 0.07
+"""Part of mistakes that are on the list of `meant`, and part that are other whole degrees.
+
+Of errors in numbers that people copied 79 % were one wrong digit, 10 % two exchanged, 9 % no such thing
+(Verhoeff, Error Detecting Decimal Codes, 1969).
+"""
+PUSH_MG = (10.0, 50.0, 250.0)
+"""Standard deviations of what accelerates a reading."""
+NEAR_RAD = math.radians(6.0)
+"""A swap is looked at where gravity shows both angles as near as this, before anything is calibrated."""
+
+AmplitudePrior = Callable[[Floats, Floats], Floats]
+"""(estimates (g,), their standard uncertainties (g,)) → ln ∫ exp(−(a − estimate)²/2u²) p(a) da."""
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """One pattern of error, with the names that could stand for it.
+
+    Attributes
+    ----------
+    dwells : tuple of int
+        Rows of the dwells that it accuses; of a gyro's the dwell in which the turn ends.
+    error_rad : (n,) float
+        e at which the pattern is looked at.
+    columns : (m, q) float
+        Directions of the rows in which it is free; q is 0, 1 or 2.
+    unit : (n,) float
+        e per unit of the one free amplitude.
+    amplitude : float
+        Amplitude that `error_rad` has already.
+    names : mapping of Name to (float, AmplitudePrior or None)
+        ln of the prior, and of the amplitude; None where nothing is free.
+    """
+
+    dwells: tuple[int, ...]
+    error_rad: Floats
+    columns: Floats
+    unit: Floats
+    amplitude: float
+    names: dict[Name, tuple[float, AmplitudePrior | None]]
+    zero_rad: float
+
+    @property
+    def name(self) -> Name:
+        """The first of the names."""
+        return next(iter(self.names))
+
+
+def patterns_of(rows: Rows, before_rad: Floats) -> list[Pattern]:
+    """All patterns beside errors (n,) that are known already."""
+    seen = wrap_radians(rows.seen_rad + before_rad)
+    zero = common_zero(seen[rows.declared])
+    found = list(_single(rows, seen, zero))
+    found += _slipped(rows, seen)
+    found += _swapped(rows, before_rad, seen, zero)
+    found += _reversed(rows, before_rad, zero)
+    found += _pushed(rows, zero)
+    found += _gyro(rows, zero)
+    return found
+
+
+def _declared(rows: Rows) -> list[int]:
+    return [int(k) for k in np.flatnonzero(rows.declared)]
+
+
+def _single(rows: Rows, seen: Floats, zero: float) -> Iterator[Pattern]:
+    places = _declared(rows)
+    others = np.degrees(rows.declared_rad[rows.declared])
+    for k in places:
+        unit = np.zeros(len(rows))
+        unit[k] = 1.0
+        amplitude = -float(wrap_radians(seen[k] - zero))
+        declared = float(np.degrees(rows.declared_rad[k]))
+        listed = np.radians(np.array(may_have_been_meant(declared, others)) - declared)
+        names: dict[Name, tuple[float, AmplitudePrior | None]] = {
+            "mistyped": (math.log(SHARE["mistyped"] / len(places)), partial(_typed, listed, declared)),
+            "misset": (math.log(SHARE["misset"] / len(places)), _any_size),
+        }
+        yield Pattern((k,), amplitude * unit, rows.stands @ unit[:, None], unit, amplitude, names, zero)
+
+
+def _slipped(rows: Rows, seen: Floats) -> Iterator[Pattern]:
+    n, declared = len(rows), rows.declared
+    prior = math.log(SHARE["slipped"] / max(n - 1, 1))
+    for k in range(1, n):
+        later = np.arange(n) >= k
+        if not (declared & later).any() or not (declared & ~later).any():
+            continue
+        zero = common_zero(seen[declared & ~later])
+        amplitude = -float(wrap_radians(np.array(common_zero(seen[declared & later]) - zero)))
+        unit = later.astype(float)
+        halts = rows.halts.get(k)
+        size = _any_size if halts is None else partial(_slipped_on, halts)
+        names: dict[Name, tuple[float, AmplitudePrior | None]] = {"slipped": (prior, size)}
+        yield Pattern((k,), amplitude * unit, rows.stands @ unit[:, None], unit, amplitude, names, zero)
+
+
+def _swapped(rows: Rows, before_rad: Floats, seen: Floats, zero: float) -> Iterator[Pattern]:
+    places = _declared(rows)
+    pairs = len(places) * (len(places) - 1) / 2
+    stands = rows.declared_rad + before_rad
+    left = wrap_radians(seen - zero)
+    for a, i in enumerate(places):
+        for j in places[a + 1 :]:
+            apart = float(wrap_radians(stands[j] - stands[i]))
+            error = np.zeros(len(rows))
+            error[i], error[j] = apart, -apart
+            near = np.abs(wrap_radians(left + error)[[i, j]]).max() < NEAR_RAD
+            if abs(apart) > LEAST_SLIP_RAD and near:
+                yield _fixed(rows, "swapped", (i, j), error, SHARE["swapped"] / pairs, zero)
+
+
+def _reversed(rows: Rows, before_rad: Floats, zero: float) -> Iterator[Pattern]:
+    n = len(rows)
+    stands = rows.declared_rad + before_rad
+    for k in range(1, n):
+        error = np.where(np.arange(n) >= k, -2 * (stands - stands[k - 1]), 0.0)
+        error[~rows.declared] = 0.0
+        if np.abs(wrap_radians(error)).max() > LEAST_SLIP_RAD:
+            own = common_zero(wrap_radians(rows.seen_rad + before_rad + error)[rows.declared])
+            yield _fixed(rows, "reversed", (k,), error, SHARE["reversed"] / (n - 1), own)
+
+
+def _fixed(
+    rows: Rows, name: Name, dwells: tuple[int, ...], error: Floats, prior: float, zero: float
+) -> Pattern:
+    none = np.zeros((len(rows.stands), 0))
+    return Pattern(dwells, error, none, np.zeros(len(rows)), 0.0, {name: (math.log(prior), None)}, zero)
+
+
+def _pushed(rows: Rows, zero: float) -> Iterator[Pattern]:
+    n = len(rows)
+    for k in range(n):
+        columns = np.zeros((len(rows.stands), 2))
+        columns[k, 0] = columns[n + k, 1] = 1.0
+        names: dict[Name, tuple[float, AmplitudePrior | None]] = {
+            "gravity_wrong": (math.log(SHARE["gravity_wrong"] / n), None)
+        }
+        yield Pattern((k,), np.zeros(n), columns, np.zeros(n), 0.0, names, zero)
+
+
+def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
+    n = len(rows)
+    for row, k in enumerate(rows.turn):
+        columns = np.zeros((len(rows.stands), 1))
+        columns[2 * n + row] = 1.0
+        names: dict[Name, tuple[float, AmplitudePrior | None]] = {
+            "gyro_wrong": (math.log(SHARE["gyro_wrong"] / len(rows.turn)), _any_size)
+        }
+        yield Pattern((int(k),), np.zeros(n), columns, np.zeros(n), 0.0, names, zero)
+
+
+# -- priors of amplitudes ------------------------------------------------------------------------------
+
+
+def _any_size(estimate: Floats, u: Floats) -> Floats:
+    """Each order of magnitude of a slip is as likely as another, up to half a turn."""
+    size = np.maximum(np.maximum(np.abs(wrap_radians(estimate)), u), LEAST_SLIP_RAD)
+    density = 1 / (2 * size * (1 + math.log(math.pi / LEAST_SLIP_RAD)))
+    return np.asarray(np.log(density * u * math.sqrt(2 * math.pi)))
+
+
+def _slipped_on(halts: Halts, estimate: Floats, u: Floats) -> Floats:
+    """Any size, and by how the part came there."""
+    return _any_size(estimate, u) + halts.log_odds(wrap_radians(estimate), u)
+
+
+def _typed(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
+    """On the list, a whole degree, or anywhere."""
+    spread = u * math.sqrt(2 * math.pi)
+    on_list = np.exp(-0.5 * (wrap_radians(listed_rad[:, None] - estimate) / u) ** 2).mean(axis=0)
+    meant = declared_deg + np.degrees(estimate)
+    off = np.radians(meant - np.rint(meant))
+    anywhere = spread / (2 * math.pi)
+    whole = np.where(u < math.radians(0.3), np.exp(-0.5 * (off / u) ** 2) / 360, anywhere)
+    return np.asarray(np.log(LISTED * on_list + WHOLE * whole + (1 - LISTED - WHOLE) * anywhere))

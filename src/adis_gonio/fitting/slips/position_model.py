@@ -1,0 +1,454 @@
+"""Where the part came to rest on its way: a stage that arrives, and then a part that slips, shows twice.
+
+What lasts from a position on may have happened during the move before it, or after the stage had arrived.
+In the second case the part rested where it was declared and then turned on by just the error. Of an error
+of the first or of the last position this is the only thing that tells a slip from a wrong entry: the
+angles themselves are the same.
+
+What a session knows of its positions: declared angles, gravity's readings, the gyro between them.
+
+The three angles as one linear model: gravity's and the gyro's rows against the declared angles.
+
+With ψ = α − φ the angle of gravity to X and φ = θ + e where the part stands (θ declared, e its error),
+around a calibration of the session's own that is near the truth:
+
+* *angle* of a reading: y = (ψ by the reading) + θ = α − e + (∂ψ/∂calibration) δ + noise
+* *length* of a reading: (|reading| − model)/G = (∂/∂calibration) δ + noise; no declared angle is in it
+* *gyro*: γ − Δθ = Δe + s·γ + g-sensitivity·∫force + noise
+
+δ are gains, misalignment, biases and whatever else of the catalogue's effects may be in the readings, each
+with its prior; s and the g-sensitivity are the gyro's. Effects that turn the part act on e.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats, wrap_radians
+from adis_gonio.fitting.gyros.turn_integration import Path, Sampling
+from adis_gonio.model.effects import Conditions, Enters, catalogue
+from adis_gonio.model.measurement import PlanarTurn
+
+SLOW_DPS = 3.0
+"""Mean rate of a tenth of a second below which a hand rests: its tremor is a degree per second or two."""
+LEAST_S = 0.15
+"""Shortest rest that is one; a hand that changes its grip, or looks at a mark, takes longer."""
+AFTERWARDS = 0.5
+"""Prior share of slips that come after the stage has arrived."""
+NEAR_MARK, ASTRAY = 0.05, 0.1
+"""Of the length of a move: where hands rest to correct themselves; how far beyond it they may be."""
+ORDINARY = (0.5, 0.45, 0.05)
+"""Share of the rests of any move that are near its end, anywhere on its way, anywhere at all."""
+REST_GAIN, LEAST_RAD = 0.02, math.radians(0.1)
+"""Uncertainty of the rest of a turn by a gyro, of its size and at least."""
+
+
+@dataclass(frozen=True)
+class Halts:
+    """Rests on the way of one turn.
+
+    Attributes
+    ----------
+    left_rad : (m,) float
+        How far the part was still turned after each, in the direction of declared angles.
+    turned_rad : float
+        The whole turn.
+    """
+
+    left_rad: Floats
+    turned_rad: float
+
+    def log_odds(self, error_rad: Floats, u_rad: Floats) -> Floats:
+        """Ln (g,) of how much more probable these rests are if the part slipped in this turn than if not.
+
+        Parameters
+        ----------
+        error_rad, u_rad : (g,) float
+            By how much it slipped, and the standard uncertainty of that.
+        """
+        m = len(self.left_rad)
+        if not m:
+            return np.full(len(error_rad), math.log(1 - AFTERWARDS))
+        spread = np.sqrt(2 * u_rad**2 + LEAST_RAD**2 + (REST_GAIN * error_rad) ** 2)
+        off = (self.left_rad[:, None] - error_rad) / spread
+        arrived = np.exp(-0.5 * off**2) / (spread * math.sqrt(2 * math.pi))
+        ratio = (arrived / self._ordinary()[:, None]).sum(axis=0) / m
+        return np.asarray(np.log(1 - AFTERWARDS + AFTERWARDS * ratio))
+
+    def _ordinary(self) -> Floats:
+        """Density (m,) of rests of a move at which nothing slips."""
+        size = max(abs(self.turned_rad), LEAST_RAD)
+        left = self.left_rad * np.sign(self.turned_rad) if self.turned_rad else self.left_rad
+        sd = math.hypot(NEAR_MARK * size, LEAST_RAD)
+        near = np.exp(-0.5 * (left / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
+        on_its_way = (left > -ASTRAY * size) & (left < (1 + ASTRAY) * size)
+        even = on_its_way / ((1 + 2 * ASTRAY) * size)
+        a, b, c = ORDINARY
+        return np.asarray(a * near + b * even + c / (2 * math.pi))
+
+
+def halts_of(path: Path, sampling: Sampling) -> Halts:
+    """Rests between the first and the last movement of a path, about z."""
+    rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
+    steps = np.diff(path.time_s, append=path.time_s[-1])
+    means = (rate + np.append(rate[1:], rate[-1])) / 2
+    turned = np.concatenate([[0.0], np.cumsum(means * steps)])[: len(rate)]
+    width = min(sampling.window, len(rate))
+    slow = np.abs(np.convolve(rate, np.full(width, 1 / width), mode="same")) < SLOW_DPS
+    moving = np.flatnonzero(~slow)
+    if not moving.size:
+        return Halts(np.zeros(0), math.radians(float(turned[-1])))
+    least = max(1, round(LEAST_S / sampling.period_s))
+    inner = slow[moving[0] : moving[-1] + 1]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inner, [False]]).astype(np.int8)))
+    begins, ends = edges[::2], edges[1::2]
+    # Just before it moves on: what a hand corrects after it has arrived is slow as well.
+    at = moving[0] + ends[ends - begins >= least] - (least + 1) // 2
+    return Halts(np.radians(turned[-1] - turned[at]), math.radians(float(turned[-1])))
+
+
+@dataclass(frozen=True)
+class Increments:
+    """How far the part was turned from each dwell to the next, by the gyro about the axis of rotation.
+
+    Attributes
+    ----------
+    angle_rad : (n - 1,) float
+        Integral of the rate less its zero, in the direction of declared angles; NaN where nobody watched
+        the whole turn.
+    u_rad : (n - 1,) float
+        Standard uncertainty by noise and by what the zero does between the dwells; without gain and
+        g-sensitivity, which the turns share.
+    force_gs : (n - 1, 2) float
+        Integral over the turn of what X and Y read less the course between the two dwells, in g·s: what a
+        g-sensitivity of 1 rad/s/g adds to the angle.
+    halts : tuple of (Halts or None)
+        Where the part rested on its way, n - 1 of them; None where only the whole turn is known. Empty: of
+        no turn.
+    """
+
+    angle_rad: Floats
+    u_rad: Floats
+    force_gs: Floats
+    halts: tuple[Halts | None, ...] = ()
+
+
+@dataclass(frozen=True)
+class Angles:
+    """n dwells of a turn in the plane, in the order in which they were recorded.
+
+    Attributes
+    ----------
+    position : (n,) int
+        Numbers of the dwells.
+    declared_rad : (n,) float
+        Declared angles; NaN where none is.
+    reading_mg : (n, 2) float
+        Means of X and Y.
+    covariance_mg2 : (n, 2, 2) float
+    conditions : Conditions
+        What surrounded the dwells, for the effects that may be in the readings besides.
+    gravity_mg : float
+        Local gravity.
+    fixture_rad : float or None
+        Standard uncertainty of a declared angle; None where it is not stated.
+    bias_mg : float
+        Standard deviation of a bias of this sensor before it is measured.
+    turns : Increments or None
+        None without gyros.
+    """
+
+    position: tuple[int, ...]
+    declared_rad: Floats
+    reading_mg: Floats
+    covariance_mg2: Floats
+    conditions: Conditions
+    gravity_mg: float
+    fixture_rad: float | None
+    bias_mg: float
+    turns: Increments | None = None
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+GAIN = 0.02
+"""Standard deviation of a gain (CHIP, B: ±2 %)."""
+SKEW_RAD = math.radians(0.75)
+"""Of the misalignment (CHIP, B: ±0.25° and ±0.5°)."""
+GYRO_GAIN = 0.01
+"""Of a gyro's gain (D: the sheets at hand have none)."""
+GYRO_FORCE_RAD = math.radians(0.1)
+"""Of a gyro's g-sensitivity in rad/s/g: twice the sheet's 0.05 °/s/g (CHIP, B)."""
+TYPICAL = 3.0
+"""Standard deviation of an effect that may be there, in the magnitudes that the catalogue calls typical."""
+BASE = 5
+"""Parameters of the calibration itself: gains, misalignment, biases."""
+_LOOKED_FOR = {"dwell", "cycles"}
+"""Choices of effects that are looked for here: in one dwell, or by cycles of the stage."""
+ROUNDS = 4
+TURNED_AWAY = 4.0
+"""Lengths beyond so many robust standard deviations hardly count in the first calibration."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of the linear model: n angles, n lengths, then the g turns that were watched.
+
+    Attributes
+    ----------
+    seen_rad : (n,) float
+        y of each dwell, within ±π.
+    length : (n,) float
+    gyro_rad : (g,) float
+        γ of each turn.
+    turn : (g,) int
+        Dwell in which each turn ends.
+    design : (2n + g, p) float
+        Columns: α, the calibration, effects, the gyro's.
+    prior_sd, prior_mean : (p,) float
+        Of δ about the calibration at which the rows were made.
+    effect : (p,) bool
+        Columns of effects, whose size is a guess.
+    stands : (2n + g, n) float
+        ∂row/∂e.
+    noise : (2n + g, 2n + g) float
+    reading : (2n + g, 2) float
+        ∂row/∂reading of its dwell on each axis, per G.
+    course : (n,) float
+        Time of each dwell as a share of the session.
+    declared_rad : (n,) float
+        θ; of a dwell without one what gravity shows.
+    declared : (n,) bool
+    halts : mapping of int to Halts
+        Rests on the way to a dwell, where they are known.
+    """
+
+    seen_rad: Floats
+    length: Floats
+    gyro_rad: Floats
+    turn: NDArray[np.intp]
+    design: Floats
+    prior_sd: Floats
+    prior_mean: Floats
+    effect: NDArray[np.bool_]
+    stands: Floats
+    noise: Floats
+    reading: Floats
+    course: Floats
+    declared_rad: Floats
+    declared: NDArray[np.bool_]
+    halts: Mapping[int, Halts]
+
+    def __len__(self) -> int:
+        return len(self.declared)
+
+    def without_gyro(self) -> Rows:
+        """The same without turns."""
+        n = 2 * len(self)
+        return replace(
+            self, gyro_rad=self.gyro_rad[:0], turn=self.turn[:0], design=self.design[:n],
+            stands=self.stands[:n], noise=self.noise[:n, :n], reading=self.reading[:n], halts={},
+        )  # fmt: skip
+
+    def observed(self, error_rad: Floats, zero_rad: float) -> Floats:
+        """What is left (m,) of the rows if the part stands at θ + `error_rad` (n,) and α is `zero_rad`."""
+        angle = wrap_radians(self.seen_rad + error_rad - zero_rad)
+        asked = (self.declared_rad + error_rad)[self.turn] - (self.declared_rad + error_rad)[self.turn - 1]
+        return np.concatenate([angle, self.length, wrap_radians(self.gyro_rad - asked)])
+
+
+def common_zero(angle_rad: Floats) -> float:
+    """The angle from which most others are least away (a median on the circle); 0 of none."""
+    if not len(angle_rad):
+        return 0.0
+    apart = np.abs(wrap_radians(angle_rad[:, None] - angle_rad[None, :])).sum(axis=0)
+    return float(angle_rad[int(np.argmin(apart))])
+
+
+@dataclass(frozen=True)
+class BelievedParameters:
+    """Gains, misalignment and biases (5,) as they are believed: K_x, K_y, Δφ in rad, b_x and b_y in mg."""
+
+    values: Floats
+
+    @classmethod
+    def nominal(cls) -> BelievedParameters:
+        """Of a perfect part."""
+        return cls(np.array([1.0, 1.0, 0.0, 0.0, 0.0]))
+
+    def moved(self, step: Floats) -> BelievedParameters:
+        """After a step (5,)."""
+        return BelievedParameters(self.values + step)
+
+
+@dataclass(frozen=True)
+class _Local:
+    """A reading model near the readings: directions along and across the circle."""
+
+    psi_rad: Floats
+    along: Floats
+    across: Floats
+    left_mg: Floats
+    base: Floats
+    ideal_mg: Floats
+
+
+def _local(angles: Angles, calibration: BelievedParameters) -> _Local:
+    model = PlanarTurn(angles.gravity_mg)
+    base = np.concatenate([[0.0], calibration.values[:3]])
+    psi = model.angle_rad(base, angles.reading_mg - calibration.values[3:])
+    zero = np.zeros(len(angles))
+    ideal = model.ideal(base, psi, zero)
+    tangent = model.tangent(base, psi, zero)[:, :, 0]
+    square = (tangent**2).sum(axis=1, keepdims=True)
+    across = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.sqrt(square) / angles.gravity_mg
+    columns = np.concatenate(
+        [model.columns(base, psi, zero)[:, :, 1:], np.tile(np.eye(2), (len(angles), 1, 1))], axis=2
+    )
+    left = angles.reading_mg - ideal - calibration.values[3:]
+    return _Local(psi, tangent / square, across, left, columns, ideal)
+
+
+def _base_sd(angles: Angles) -> Floats:
+    return np.array([GAIN, GAIN, SKEW_RAD, angles.bias_mg, angles.bias_mg])
+
+
+def calibrated_by_length(angles: Angles) -> BelievedParameters:
+    """A first calibration, by the lengths of the readings alone: no declared angle can spoil it."""
+    calibration = BelievedParameters.nominal()
+    sd, n = _base_sd(angles), len(angles)
+    for _ in range(ROUNDS):
+        near = _local(angles, calibration)
+        design = np.einsum("ni,nij->nj", near.across, near.base)
+        left = (near.across * near.left_mg).sum(axis=1)
+        noise = np.einsum("ni,nij,nj->n", near.across, angles.covariance_mg2, near.across)
+        spread = max(float(np.median(np.abs(left))) / 0.6745, 1e-4)
+        # A reading that a push has lengthened counts little.
+        weight = 1 / ((noise + 1e-4**2) * (1 + (left / (TURNED_AWAY * spread)) ** 2))
+        prior = BelievedParameters.nominal().values - calibration.values
+        precision = np.diag(sd**-2) + (design * weight[:, None]).T @ design
+        step = np.linalg.solve(precision, prior / sd**2 + design.T @ (weight * left))
+        calibration = calibration.moved(step)
+        if n < 2:
+            break
+    return calibration
+
+
+def _course(time_s: Floats) -> Floats:
+    gone = time_s - time_s.min()
+    return np.asarray(gone / max(float(gone.max()), 1e-300))
+
+
+def rows_at(angles: Angles, calibration: BelievedParameters) -> Rows:
+    """The linear model about a calibration."""
+    near, n = _local(angles, calibration), len(angles)
+    seen_by = near.psi_rad + (near.along * near.left_mg).sum(axis=1)
+    declared = np.isfinite(angles.declared_rad)
+    given = np.where(declared, angles.declared_rad, 0.0)
+    zero = common_zero(wrap_radians(seen_by + given)[declared])
+    theta = np.where(declared, given, zero - seen_by)
+    added, turned, sizes = _beside(replace(angles, declared_rad=theta), near)
+    reading = np.concatenate([near.base, added], axis=2)
+    by_angle = np.einsum("ni,nij->nj", near.along, reading)
+    by_length = np.einsum("ni,nij->nj", near.across, reading)
+    turn, gyro, gyro_u, force = _turns(angles)
+    g, still = len(turn), np.zeros((n, turned.shape[1]))
+    steps = np.zeros((g, n))
+    steps[np.arange(g), turn], steps[np.arange(g), turn - 1] = 1.0, -1.0
+    calibrating = np.zeros((g, reading.shape[2]))
+    design = np.block(
+        [
+            [np.ones((n, 1)), by_angle, turned, np.zeros((n, 3))],
+            [np.zeros((n, 1)), by_length, still, np.zeros((n, 3))],
+            [np.zeros((g, 1)), calibrating, -steps @ turned, gyro[:, None], force],
+        ]
+    )
+    sd = np.concatenate([[np.pi], _base_sd(angles), sizes, [GYRO_GAIN, GYRO_FORCE_RAD, GYRO_FORCE_RAD]])
+    mean = np.zeros(len(sd))
+    mean[1 : 1 + BASE] = BelievedParameters.nominal().values - calibration.values
+    effect = np.zeros(len(sd), dtype=np.bool_)
+    effect[1 + BASE : -3] = True
+    both = np.stack([near.along, near.across], axis=1)
+    pairs = np.einsum("nai,nij,nbj->nab", both, angles.covariance_mg2, both)
+    noise = np.zeros((2 * n + g, 2 * n + g))
+    own = np.arange(n)
+    for a in range(2):
+        for b in range(2):
+            noise[own + a * n, own + b * n] = pairs[:, a, b]
+    noise[2 * n + np.arange(g), 2 * n + np.arange(g)] = gyro_u**2
+    return Rows(
+        wrap_radians(seen_by + theta),
+        (near.across * near.left_mg).sum(axis=1),
+        gyro,
+        turn,
+        design,
+        sd,
+        mean,
+        effect,
+        np.concatenate([-np.eye(n), np.zeros((n, n)), steps]),
+        noise,
+        np.concatenate([near.along * angles.gravity_mg, near.across * angles.gravity_mg, np.zeros((g, 2))]),
+        _course(angles.conditions.time_s),
+        theta,
+        declared,
+        {}
+        if angles.turns is None
+        else {k: h for k, h in enumerate(angles.turns.halts, 1) if h is not None},
+    )
+
+
+def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
+    """Dwells in which watched turns end, with angle, u and force."""
+    if angles.turns is None:
+        return np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros((0, 2))
+    watched = np.flatnonzero(np.isfinite(angles.turns.angle_rad))
+    return (
+        watched + 1,
+        angles.turns.angle_rad[watched],
+        angles.turns.u_rad[watched],
+        angles.turns.force_gs[watched],
+    )
+
+
+def _beside(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
+    """Effects of the catalogue: columns on readings (n, 2, q) in mg and on ψ (n, r), sizes (q + r,)."""
+    conditions = _by_gravity(angles.conditions, near, angles)
+    added: list[Floats] = []
+    turned: list[Floats] = []
+    sizes: dict[bool, list[float]] = {False: [], True: []}
+    for kind in catalogue(PlanarTurn.part).values():
+        if kind.in_base or _LOOKED_FOR.intersection(kind.choices()):
+            continue
+        if kind.enters is Enters.SAMPLES or kind.within_dwell:
+            continue
+        if conditions.lacks(kind.needs):
+            continue
+        effect = kind(("x", "y")) if kind.by_axis else kind()
+        values = np.array([p.typical if p.shape else 0.0 for p in effect.parameters])
+        slopes = effect.derivative(values, near.ideal_mg, conditions)
+        attitude = effect.enters is Enters.ATTITUDE
+        for k, parameter in enumerate(effect.parameters):
+            if parameter.shape or not np.isfinite(slopes[..., k]).all():
+                continue
+            (turned if attitude else added).append(slopes[..., k])
+            sizes[attitude].append(TYPICAL * parameter.typical)
+    n = len(angles)
+    return (
+        np.stack(added, axis=2) if added else np.zeros((n, 2, 0)),
+        np.stack(turned, axis=1) if turned else np.zeros((n, 0)),
+        np.array([*sizes[False], *sizes[True]]),
+    )
+
+
+def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditions:
+    """Conditions at the angles that gravity shows: a declared one may be what is wrong."""
+    zero = common_zero(wrap_radians(near.psi_rad + angles.declared_rad))
+    stands = zero - near.psi_rad
+    before = np.concatenate([stands[:1], stands[:-1]])
+    return replace(conditions, angle_rad=stands, previous_angle_rad=before)

@@ -1,0 +1,176 @@
+"""The three angles of a session: readings as every fit has them, and the gyro between the dwells."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
+from adis_gonio.fitting.gyros.gyro_readings import path_between
+from adis_gonio.fitting.gyros.turn_integration import LONGEST_GAP_S, Path, Sampling, integrate, period_of
+from adis_gonio.fitting.slips.position_diagnosis import LARGEST, Diagnosis, diagnose
+from adis_gonio.fitting.slips.position_model import Angles, Halts, Increments, halts_of
+from adis_gonio.model.records import Dwell, Session
+
+BIAS_MG = 60.0
+"""Standard deviation of a bias before it is measured: one real ADIS16350 had +57, −21 and +46 mg (CHIP)."""
+INSTABILITY_DPS = 0.015
+"""What a gyro's zero does between dwells where no figure is known (the simulator's default, D)."""
+BLOCK_S = 0.25
+"""Means over this are independent, whatever the filter."""
+UNKNOWN_MG = 1.0
+"""Standard uncertainty taken for a reading of which nothing tells it."""
+
+
+def positions_of(session: Session) -> Diagnosis:
+    """What the three angles say of a session's positions; worked out once and kept with it.
+
+    Nothing is said of sessions in space, without declared angles, or of more than `LARGEST` dwells.
+
+    Raises
+    ------
+    DataError
+        As `adis_gonio.fitting.estimation.readings_of`.
+    """
+    kept: Diagnosis | None = vars(session).get("_positions")  # the session is frozen: it cannot go stale
+    if kept is None:
+        angles = angles_of(session)
+        kept = Diagnosis() if angles is None else diagnose(angles)
+        vars(session)["_positions"] = kept
+    return kept
+
+
+def in_context(session: Session, error: Exception) -> str:
+    """Message of a failed fit with its file, and with what is wrong with positions, which may be why."""
+    told = "; ".join((str(error), *positions_of(session).sentences))
+    return f"{session.source}: {told}" if session.source else told
+
+
+def angles_of(session: Session) -> Angles | None:
+    """Declared angles, readings and increments; None where no declared angle could be wrong."""
+    if session.plane != "xy" or session.free_attitudes or not 2 <= len(session.dwells) <= LARGEST:
+        return None
+    readings = readings_of(session)
+    if not readings.planar or not np.isfinite(readings.angle_rad).any():
+        return None
+    known = readings.known[:, None, None]
+    return Angles(
+        tuple(readings.position.tolist()),
+        readings.angle_rad,
+        readings.mean,
+        np.where(known, readings.covariance, UNKNOWN_MG**2 * np.eye(2)),
+        readings.conditions,
+        readings.gravity_mg,
+        readings.fixture_rad if readings.fixture_stated else None,
+        BIAS_MG,
+        _increments(session, readings),
+    )
+
+
+def _increments(session: Session, readings: Readings) -> Increments | None:
+    if session.gyro_unit == "counts" or session.accel_unit == "counts":
+        return None
+    by_position = {dwell.position: dwell for dwell in session.dwells if dwell.gyro is not None}
+    dwells = [by_position[p] for p in readings.position.tolist() if p in by_position]
+    turns = {(turn.before, turn.position): turn for turn in session.turns if turn.gyro is not None}
+    noted = _noted(session)
+    if not dwells or not (turns or noted):
+        return None
+    sampling, zero_dps2 = _sampling(session, dwells)
+    pairs = list(zip(readings.position[:-1].tolist(), readings.position[1:].tolist(), strict=True))
+    rows = np.full((len(pairs), 4), np.nan)
+    halts: list[Halts | None] = [None] * len(pairs)
+    for k, pair in enumerate(pairs):
+        if pair in turns and pair[0] in by_position and pair[1] in by_position:
+            ends = by_position[pair[0]], by_position[pair[1]]
+            path = path_between(session, turns[pair], *ends, _scale(session))
+            found = None if path is None else _turned(path, sampling, zero_dps2)
+            rows[k] = np.nan if found is None else found
+            halts[k] = None if path is None or found is None else halts_of(path, sampling)
+        if not np.isfinite(rows[k, 0]) and pair in noted:
+            rows[k] = (*noted[pair], 0.0, 0.0)
+    return Increments(np.radians(rows[:, 0]), np.radians(rows[:, 1]), rows[:, 2:], tuple(halts))
+
+
+def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
+    """Angle about z and its u in degrees between two dwells, as the bench had them while it watched.
+
+    The g-sensitivity is in that u.
+    """
+    dwells = session.facts.get("dwells") or []
+    number = {entry["attempt"]: k for k, entry in enumerate(dwells)}
+    return {
+        (number[entry["since"]], number[entry["attempt"]]): (entry["angle_deg"][2], entry["u_deg"])
+        for entry in session.facts.get("turned") or []
+        if entry["since"] in number and entry["attempt"] in number
+    }
+
+
+def _scale(session: Session) -> float:
+    return math.degrees(1.0) if session.gyro_unit == "radps" else 1.0
+
+
+def _sampling(session: Session, dwells: Sequence[Dwell]) -> tuple[Sampling, float]:
+    """How the gyros were sampled, and the variance of the mean of a dwell about z."""
+    configuration = session.facts.get("configuration") or {}
+    variant = VARIANTS.get(session.sensor)
+    range_dps = configuration.get("gyro_range_dps") or (math.inf if variant is None else 300.0)
+    drift = INSTABILITY_DPS if variant is None else variant.performance.gyro_instability_dps
+    period = period_of([dwell.time_s for dwell in dwells])
+    density = _density(session, dwells, period)
+    samples = float(np.mean([len(dwell) for dwell in dwells]))
+    sampling = Sampling(
+        period, int(configuration.get("filter_m", 0)), float(range_dps), density, np.full(3, drift)
+    )
+    return sampling, float(density[2, 2]) / samples
+
+
+def _density(session: Session, dwells: Sequence[Dwell], period_s: float) -> Floats:
+    """Spectral density (3, 3) of the noise at frequency zero, by the scatter of blocks within dwells."""
+    block = max(1, round(BLOCK_S / period_s)) if period_s > 0 else 1
+    squares, count = np.zeros((3, 3)), 0
+    for dwell in dwells:
+        whole = len(dwell) // block
+        if whole < 2 or dwell.gyro is None:
+            continue
+        means = dwell.gyro[: whole * block].reshape(whole, block, 3).mean(axis=1)
+        left = means - means.mean(axis=0)
+        squares += left.T @ left
+        count += whole - 1
+    return np.asarray(_scale(session) ** 2 * block * squares / max(count, 1))
+
+
+def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, float, float, float] | None:
+    """Angle about z and its u in degrees, and the force beyond that of rest in g·s; None if not watched."""
+    found = integrate(path, sampling)
+    if not isinstance(found, str):
+        angle, variance = float(found.turned_deg[2]), float(found.covariance_deg2[2, 2])
+        length, mean = found.length_s, found.force_g
+    elif _stayed(path, sampling):
+        length = float(path.time_s[-1] - path.time_s[0])
+        rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
+        angle = float(np.trapezoid(rate, path.time_s))
+        variance = float(sampling.density_dps2[2, 2]) * length * sampling.period_s
+        mean = path.force_g.mean(axis=0)
+    else:
+        return None
+    rest = path.rest_g.mean(axis=0)
+    zero = length**2 * (zero_dps2 / 2 + float(sampling.drift_dps[2]) ** 2)
+    beyond = np.nan_to_num(length * (mean - rest))  # of counts nobody knows how many g they are
+    return angle, math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])
+
+
+def _stayed(path: Path, sampling: Sampling) -> bool:
+    """True where the part was watched all the time and not turned."""
+    if float(np.diff(path.time_s).max()) > LONGEST_GAP_S:
+        return False
+    window = min(sampling.window, len(path.time_s))
+    whole = len(path.time_s) // window
+    rate = path.rate_dps[: whole * window] - path.zero_dps.mean(axis=0)
+    means = rate.reshape(whole, window, 3).mean(axis=1)
+    allowed = sampling.moving_dps + np.abs(path.zero_dps[1] - path.zero_dps[0])
+    return bool((np.abs(means) <= allowed).all())

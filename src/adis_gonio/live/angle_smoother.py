@@ -1,0 +1,438 @@
+"""Whether the part turns in the plane of X and Y, as the model of the angle supposes.
+
+The angle of the part as samples come in: gyros and gravity together, a fixed lag behind.
+
+A filter runs over steps of about 20 ms. What is told is the angle a lag ago, with all that has come since:
+the model of every step within the lag is made anew with what is now known of the disturbance around it.
+
+The angle of a whole recording: the same model, with all samples on both sides of every time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
+from adis_gonio.base.errors import UsageError
+from adis_gonio.live.gyro_steps import BEGIN_S, GyroKnowledge, Increment, Sensing, Stepper
+from adis_gonio.live.motion_model import (
+    AHEAD_S,
+    ANGLE,
+    BACK_S,
+    BEND,
+    G_X,
+    G_Y,
+    LEAST_STEPS,
+    LEVER_X,
+    LEVER_Y,
+    OPEN_DEG,
+    SCALE,
+    ZERO,
+    Disturbance,
+    MotionModel,
+    Passed,
+    StateEstimate,
+    TimeStep,
+    Turned,
+    advance,
+    backward,
+    coloured,
+    disturbance_of,
+    looked_back,
+    slow_drift_mg,
+)
+
+SPAN_S = 1.0
+REST_DPS = 1.0
+"""A gyro that varies by less within the span, in steps, is at rest as far as its zero goes."""
+REST_MG = 10.0
+ACROSS_DPS = 4.0
+"""A turn about X and Y above this, on the average of a second, is out of the plane if it is also more than
+`TILT` of the turn about Z: a bearing's wobble, axes that are not square."""
+TILT = 0.1
+"""Gravity that goes out of the plane by this part of itself within the span."""
+
+
+class PlaneWatch:
+    """Follows the two gyros across the axis, and gravity along it.
+
+    Their zeros are learnt at rest; before the first rest nothing is said of them.
+    """
+
+    def __init__(self, length_s: float) -> None:
+        self._rows: deque[Floats] = deque(maxlen=max(4, round(SPAN_S / length_s)))
+        self._zero: Floats | None = None
+
+    def see(self, rate_dps: Floats, accel_mg: Floats) -> float:
+        """Take a step; return how much of the angle's rate (°/s) the planar model neglects in it."""
+        self._rows.append(np.concatenate([rate_dps, accel_mg]))
+        if len(self._rows) == self._rows.maxlen:
+            self._learn(np.array(self._rows))
+        if self._zero is None:
+            return 0.0
+        x, y, z = accel_mg
+        about = rate_dps - self._zero
+        square = x * x + y * y
+        return float(abs(z * (x * about[0] + y * about[1])) / square) if square > 1.0 else 0.0
+
+    def forget(self) -> None:
+        """A gap lies between the last step and the next."""
+        self._rows.clear()
+
+    @property
+    def left(self) -> bool:
+        """True where the part was turned out of the plane within the span."""
+        if len(self._rows) < 4:
+            return False
+        rows = np.array(self._rows)
+        lengths = np.linalg.norm(rows[:, 3:], axis=1)
+        out = rows[:, 5] / np.maximum(lengths, 1.0)
+        if abs(float(out[-4:].mean() - out[:4].mean())) > TILT:
+            return True
+        if self._zero is None:
+            return False
+        about = np.abs(rows[:, :3].mean(axis=0) - self._zero)
+        return math.hypot(about[0], about[1]) > ACROSS_DPS + TILT * float(about[2])
+
+    def _learn(self, rows: Floats) -> None:
+        spread = rows.std(axis=0)
+        if spread[:3].max() > REST_DPS or spread[3:].max() > REST_MG:
+            return
+        mean = rows[:, :3].mean(axis=0)
+        if self._zero is None:
+            self._zero = mean
+        self._zero = self._zero + (mean - self._zero) / len(rows)
+
+
+LAG_S = 0.5
+"""Default: what a lag more than this adds is small (docs/results/smoother.md)."""
+LONGEST_LAG_S = 10.0
+DOUBT = 4.0
+"""A calibration of the gyros is given up where the zero rate is off by so many of its uncertainties."""
+SATURATED_MG = 100.0
+"""Disturbance of gravity where the part turns faster than its gyro can tell (D): a radius of 40 mm."""
+_NOTES = ("gap", "saturated", "out_of_plane")
+
+Corrected = Callable[[Floats, "float | None"], Floats]
+"""Makes gravity (3,) in mg, in the part's orthogonal frame, of a reading (3,) in mg at a temperature."""
+
+
+@dataclass(frozen=True)
+class SmoothedAngle:
+    """The angle at one time.
+
+    Attributes
+    ----------
+    time_s : float
+        When it was so, as the samples' times count: the chip's filter delay is taken off.
+    angle_deg, u_deg : float
+        Within ±180°, 0 where gravity stands on X; standard uncertainty by noise, motion and drift.
+    rate_dps : float
+        Rate of turn then, without the gyro's errors as far as they are known.
+    zero_dps, zero_u_dps : float
+        Zero rate of the gyro beside its calibration, and its standard uncertainty.
+    accel_mg : (3,) float
+        What the accelerometers showed in the step of that time.
+    notes : tuple of str
+        What happened within a second before, or since: `gap`, `saturated`, `out_of_plane`; and
+        `gyro_calibration` where the gyros' calibration cannot be this part's.
+    """
+
+    time_s: float
+    angle_deg: float
+    u_deg: float
+    rate_dps: float
+    zero_dps: float
+    zero_u_dps: float
+    accel_mg: Floats
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A step that is behind the lag: for `offline`."""
+
+    time_s: float
+    drift_deg: float
+    passed: Passed
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A step with what the accelerometers show, turned back by the gyros since the segment began."""
+
+    turned: Turned
+    level: complex
+    segment: int
+    notes: tuple[str, ...]
+
+
+class AngleSmoother:
+    """Takes samples and tells the angle a lag behind them.
+
+    Parameters
+    ----------
+    sensing : Sensing
+    gyros : GyroKnowledge, optional
+        By default those of a part that nobody has calibrated.
+    lag_s : float
+        0 for the filter alone.
+    corrected : callable, optional
+        Corrects accelerometers; without it the angle is that of the readings as they come.
+    bend : float
+        How much the slope of gravity's angle may be off: `motion.BEND` without a calibration.
+    keeps : bool
+        Keep every step, for `finish`.
+
+    Raises
+    ------
+    UsageError
+        The lag is negative or above 10 s.
+    """
+
+    def __init__(
+        self,
+        sensing: Sensing,
+        gyros: GyroKnowledge | None = None,
+        *,
+        lag_s: float = LAG_S,
+        corrected: Corrected | None = None,
+        bend: float = BEND,
+        keeps: bool = False,
+    ) -> None:
+        if not 0 <= lag_s <= LONGEST_LAG_S:
+            raise UsageError(f"the lag is {lag_s:g} s: take 0 to {LONGEST_LAG_S:g}")
+        self._sensing = sensing
+        self._gyros = gyros or GyroKnowledge()
+        self._corrected = corrected
+        self._model = MotionModel(sensing, self._gyros, bend)
+        step_s = sensing.step_samples * sensing.period_s
+        self._lag = round(lag_s / step_s)
+        self._back = max(2 * LEAST_STEPS, round(BACK_S / step_s))
+        self._ahead = round(AHEAD_S / step_s)
+        self._seen: deque[_Seen] = deque()
+        self._waiting: tuple[Increment, Increment | None] | None = None
+        self._stepper = Stepper(sensing)
+        self._plane = PlaneWatch(step_s)
+        self._state: StateEstimate | None = None
+        self._done = 0
+        """How many of the steps kept are behind the lag."""
+        self._phase_rad, self._segment = 0.0, 0
+        self._restarted = self._doubted = False
+        self._kept: list[Kept] | None = [] if keeps else None
+
+    # -- taking samples ------------------------------------------------------------------------------
+
+    def feed(
+        self, time_s: Floats, accel_mg: Floats, gyro_dps: Floats, temperature_c: Floats | None = None
+    ) -> None:
+        """Take samples: times (n,) that increase, readings (n, 3), rates (n, 3), temperatures (n,)."""
+        for increment in self._stepper.feed(time_s, accel_mg, gyro_dps, temperature_c):
+            self._arrive(increment)
+
+    def restart(self) -> None:
+        """The link broke: the part may have been turned, or switched off, and the clock set back.
+
+        What was learnt of its faults is kept; its angle is that of gravity again.
+        """
+        self._stepper = Stepper(self._sensing)
+        self._waiting = None
+        self._restarted = True
+
+    def _arrive(self, increment: Increment) -> None:
+        if self._waiting is None:
+            self._waiting = (increment, None)
+            return
+        present, before = self._waiting
+        self._waiting = (increment, present)
+        self._take(present, before, increment)
+
+    def _take(self, present: Increment, before: Increment | None, after: Increment) -> None:
+        """A step whose neighbours are known, so that the change of its rate is."""
+        turned = self._turned(present, before, after)
+        broken = turned.lost or present.gap_s > BEGIN_S or present.saturated
+        if broken:
+            self._segment += 1
+            self._plane.forget()
+        if self._state is None:
+            self._state = self._model.begin(
+                math.degrees(math.atan2(turned.gravity.imag, turned.gravity.real))
+            )
+        self._seen.append(_Seen(turned, self._level(turned), self._segment, self._notes(present, turned)))
+        while len(self._seen) - self._done > self._lag:
+            self._pass(self._state)
+        while self._done > self._back + 1:
+            self._seen.popleft()
+            self._done -= 1
+
+    def _pass(self, state: StateEstimate) -> None:
+        """Let the filter go on by a step."""
+        passed = advance(state, self._step_of(self._done, state))
+        self._state = self._believed(passed.filtered)
+        if self._kept is not None:
+            at = self._seen[self._done].turned
+            self._kept.append(Kept(self._time_s(at), self._drift_deg(at), passed))
+        self._done += 1
+
+    def _believed(self, state: StateEstimate) -> StateEstimate:
+        """The state, without the gyros' calibration from where it excludes the zero rate that is seen."""
+        stated = self._gyros
+        if self._doubted or stated.calibration is None or abs(state.mean[ZERO]) < DOUBT * stated.zero_dps:
+            return state
+        self._doubted = True
+        open_ = GyroKnowledge()
+        wider = {ZERO: open_.zero_dps, SCALE: open_.scale, G_X: open_.g_dps_per_g, G_Y: open_.g_dps_per_g}
+        covariance = state.covariance.copy()
+        for k, u in wider.items():
+            covariance[k, k] += u * u
+        return StateEstimate(state.mean, covariance)
+
+    def finish(self) -> list[Kept]:
+        """No sample comes any more: all steps, where they are kept."""
+        while self._state is not None and self._done < len(self._seen):
+            self._pass(self._state)
+        return self._kept or []
+
+    def _turned(self, present: Increment, before: Increment | None, after: Increment) -> Turned:
+        lost = self._restarted or present.unseen_deg2 > (OPEN_DEG / 2) ** 2
+        self._restarted = False
+        warm = present.temperature_c
+        accel = present.accel_mg
+        gravity = accel if self._corrected is None else self._corrected(accel, warm)
+        rate = self._gyros.corrected(present.rate_dps, accel, warm)
+        length_s = present.length_s
+        turn = present.turned_deg
+        force = accel
+        if length_s > 0 and before is not None:
+            force = 0.5 * (accel + before.accel_mg)
+            turn = self._gyros.corrected(turn / length_s, force, warm) * length_s
+        earlier = present if before is None or present.gap_s > BEGIN_S else before
+        later = present if after.gap_s > BEGIN_S else after
+        span_s = later.time_s - earlier.time_s
+        spin = math.radians(float(later.rate_dps[2] - earlier.rate_dps[2])) / span_s if span_s > 0 else 0.0
+        across = self._plane.see(present.rate_dps, accel)
+        return Turned(
+            present, float(turn[2]), complex(gravity[0], -gravity[1]), force[:2] / 1000.0,
+            float(rate[2]), spin, across, lost,
+        )  # fmt: skip
+
+    def _level(self, turned: Turned) -> complex:
+        """Gravity turned back by the gyros, without what is known of gyro and lever by now."""
+        assert self._state is not None
+        known = self._state.mean
+        drift_dps = known[ZERO] + turned.force_g @ known[[G_X, G_Y]]
+        turn = turned.turn_deg * (1 - known[SCALE]) - drift_dps * turned.increment.length_s
+        self._phase_rad = wrap_radians(self._phase_rad + math.radians(float(turn)))
+        by_x, by_y = turned.lever_mg
+        felt = turned.gravity - by_x * float(known[LEVER_X]) - by_y * float(known[LEVER_Y])
+        return felt * complex(math.cos(self._phase_rad), -math.sin(self._phase_rad))
+
+    def _notes(self, present: Increment, turned: Turned) -> tuple[str, ...]:
+        said = {
+            "gap": turned.lost or present.gap_s > 0,
+            "saturated": present.saturated,
+            "out_of_plane": self._plane.left,
+        }
+        return tuple(name for name, holds in said.items() if holds)
+
+    # -- the model of a step -------------------------------------------------------------------------
+
+    def _disturbance(self, place: int) -> Disturbance:
+        seen = self._seen[place]
+        if seen.turned.increment.saturated:
+            return coloured(self._sensing.step_noise_mg2, SATURATED_MG**2, 0.9, 0.8)
+        first, last = max(0, place - self._back), min(len(self._seen), place + self._ahead + 1)
+        # A step is judged by as many after it as come within the lag, however samples come in blocks.
+        last = min(last, place + self._lag + 1)
+        span = [self._seen[k] for k in range(first, last)]
+        alike = [k for k, one in enumerate(span) if one.segment == seen.segment]
+        level = np.array([span[k].level for k in alike])
+        return disturbance_of(level, alike.index(place - first), self._sensing.step_noise_mg2)
+
+    def _step_of(self, place: int, before: StateEstimate) -> TimeStep:
+        return self._model.step(self._seen[place].turned, self._disturbance(place), before)
+
+    # -- telling -------------------------------------------------------------------------------------
+
+    def angle(self) -> SmoothedAngle | None:
+        """The angle a lag ago, with all that has come since; None before the first lag is over."""
+        if self._state is None or not self._done:
+            return None
+        state, passed = self._state, list[Passed]()
+        for place in range(self._done, len(self._seen)):
+            passed.append(advance(state, self._step_of(place, state)))
+            state = passed[-1].filtered
+        return self._told(looked_back(self._state, passed))
+
+    def _told(self, state: StateEstimate) -> SmoothedAngle:
+        at = self._seen[self._done - 1].turned
+        mean, variance = state.mean, np.diag(state.covariance)
+        said = [one.notes for one in self._seen]
+        notes = tuple(name for name in _NOTES if any(name in one for one in said))
+        if self._doubted:
+            notes = (*notes, "gyro_calibration")
+        drift_dps = mean[ZERO] + at.force_g @ mean[[G_X, G_Y]]
+        return SmoothedAngle(
+            self._time_s(at),
+            wrap_degrees(float(mean[ANGLE])),
+            math.hypot(math.sqrt(max(float(variance[ANGLE]), 0.0)), self._drift_deg(at)),
+            at.rate_dps * (1 - float(mean[SCALE])) - float(drift_dps),
+            float(mean[ZERO]),
+            math.sqrt(max(float(variance[ZERO]), 0.0)),
+            at.increment.accel_mg,
+            notes,
+        )
+
+    def _time_s(self, at: Turned) -> float:
+        return at.increment.time_s - self._sensing.delay_s
+
+    def _drift_deg(self, at: Turned) -> float:
+        """What the accelerometers' 1/f noise that no state has does to the angle."""
+        return math.degrees(slow_drift_mg(self._sensing.drift_mg) / max(abs(at.gravity), 1.0))
+
+
+@dataclass(frozen=True)
+class SmoothedTurn:
+    """Angles of a recording.
+
+    Attributes
+    ----------
+    time_s, angle_deg, u_deg : (m,) float
+        As `SmoothedAngle` has them, one a step; angles are unwrapped.
+    """
+
+    time_s: Floats
+    angle_deg: Floats
+    u_deg: Floats
+
+
+def smooth(
+    sensing: Sensing,
+    time_s: Floats,
+    accel_mg: Floats,
+    gyro_dps: Floats,
+    gyros: GyroKnowledge | None = None,
+    *,
+    corrected: Corrected | None = None,
+    bend: float = BEND,
+) -> SmoothedTurn:
+    """Smooth samples (n,), (n, 3) in mg, (n, 3) in °/s.
+
+    The disturbance of every step is that of the second before it and the half second after.
+    """
+    smoother = AngleSmoother(sensing, gyros, lag_s=0.5, corrected=corrected, bend=bend, keeps=True)
+    smoother.feed(time_s, accel_mg, gyro_dps)
+    kept = smoother.finish()
+    states = backward([one.passed for one in kept])
+    variance = np.array([state.covariance[ANGLE, ANGLE] for state in states])
+    drift = np.array([one.drift_deg for one in kept])
+    return SmoothedTurn(
+        np.array([one.time_s for one in kept]),
+        np.array([state.mean[ANGLE] for state in states]),
+        np.sqrt(np.maximum(variance, 0.0) + drift**2),
+    )

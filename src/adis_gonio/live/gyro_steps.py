@@ -1,0 +1,274 @@
+"""What is known of the gyros' errors before the part is watched: as a calibration says, or as parts are.
+
+Samples to steps: means of a few samples, with the turn from one step's middle to the next by the gyros.
+
+Within a step the accelerometers are turned back by the gyros to the step's middle, so that motion does not
+smear them. The chip's filter delays gyros and accelerometers alike: the integral of filtered rates is the
+filtered angle, and both belong to the same time, a delay before the sample.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+
+ZERO_DPS = 3.0
+"""Zero rate of a gyro that nobody has calibrated (D)."""
+TURN_ON_DPS = 0.2
+"""What a calibrated zero may have become since: another start, another temperature (D)."""
+GAIN_U = 0.01
+"""Relative error of a gain that nobody has calibrated (D: the sheets at hand have none)."""
+G_DPS_PER_G = 0.05
+"""Sensitivity to acceleration (CHIP, B)."""
+WALK_DPS_PER_RT_S = 0.003
+"""Random walk of a zero (D): an Allan floor of 0.015 °/s within half a minute."""
+
+
+class GyroCorrection(Protocol):
+    """What a calibration of the gyros does: `calibration.GyroCalibration`, for one."""
+
+    def correct(self, rate_dps: Floats, force_g: Floats, temperature_c: Floats | None) -> Floats:
+        """Rates (n, 3) in °/s without the calibrated errors."""
+
+
+@dataclass(frozen=True)
+class GyroKnowledge:
+    """Standard uncertainties of what is left of a gyro's errors about the axis that is watched.
+
+    Attributes
+    ----------
+    zero_dps, scale, g_dps_per_g : float
+        Of zero rate, gain, and sensitivity to acceleration along each axis of the plane.
+    walk_dps_per_rt_s : float
+        Random walk of the zero rate.
+    calibration : GyroCorrection or None
+        Corrects rates first.
+    """
+
+    zero_dps: float = ZERO_DPS
+    scale: float = GAIN_U
+    g_dps_per_g: float = G_DPS_PER_G
+    walk_dps_per_rt_s: float = WALK_DPS_PER_RT_S
+    calibration: GyroCorrection | None = None
+
+    @classmethod
+    def of(cls, calibration: GyroCorrection | None, u: Mapping[str, float | None] | None) -> GyroKnowledge:
+        """By a calibration and its standard uncertainties by name (`gyro_bias_z`, `gyro_scale_z`, …).
+
+        What it does not state is as in a part that nobody has calibrated.
+        """
+        if calibration is None:
+            return cls()
+        told = {name: value for name, value in (u or {}).items() if value is not None}
+        zero = told.get("gyro_bias_z", TURN_ON_DPS)
+        across = [told.get(f"g_sensitivity_z{axis}", G_DPS_PER_G) for axis in "xy"]
+        return cls(
+            math.hypot(zero, TURN_ON_DPS),
+            told.get("gyro_scale_z", GAIN_U),
+            max(across),
+            calibration=calibration,
+        )
+
+    def corrected(self, rate_dps: Floats, accel_mg: Floats, temperature_c: float | None) -> Floats:
+        """A rate (3,) without the calibrated errors."""
+        if self.calibration is None:
+            return rate_dps
+        warm = None if temperature_c is None else np.array([temperature_c])
+        return np.asarray(self.calibration.correct(rate_dps[None], accel_mg[None] / 1000.0, warm)[0])
+
+
+STEP_S = 0.02
+"""Aim of a step: short against a tremor of 12 Hz, long against a sample."""
+GAP_PERIODS = 1.5
+"""Times between samples above so many periods are gaps."""
+HAND_DPS_PER_RT_S = 50.0
+"""What a hand may do to the rate while nobody looks, as a random walk (D): a turn of 90° in 1.5 s."""
+BEGIN_S = 0.05
+"""In a gap longer than this a hand may begin to turn; in a shorter one it goes on as it did."""
+OVER_RANGE = 0.98
+"""Part of the gyro's range above which a sample is not believed."""
+SATURATED_DPS = 200.0
+"""What the rate may be beyond what a saturated gyro shows (D)."""
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """How a sensor measures, as far as the angle in motion depends on it.
+
+    Attributes
+    ----------
+    period_s : float
+        Between samples.
+    noise_mg, gyro_noise_dps : float
+        White noise (rms) of a sample ahead of the filter.
+    filter_m : int
+        M of the chip's filter; 0 none.
+    gyro_range_dps : float or None
+        None where it is not known: saturation is not seen then.
+    drift_mg : float
+        Allan floor of the accelerometers; 0 not known.
+    gravity_mg : float
+        Local gravity.
+    """
+
+    period_s: float
+    noise_mg: float
+    gyro_noise_dps: float
+    filter_m: int = 0
+    gyro_range_dps: float | None = None
+    drift_mg: float = 0.0
+    gravity_mg: float = 1000.0
+
+    @property
+    def step_samples(self) -> int:
+        """Samples of a step: no fewer than a boxcar of the filter, so that steps are nearly independent."""
+        return max(1, 1 << self.filter_m, round(STEP_S / self.period_s))
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of the filter."""
+        return ((1 << self.filter_m) - 1) * self.period_s
+
+    @property
+    def step_noise_mg2(self) -> float:
+        """Variance of the mean of a step."""
+        return self.noise_mg**2 / self.step_samples
+
+    @property
+    def angle_walk_deg2_per_s(self) -> float:
+        """What the gyro's white noise adds to the angle's variance in a second."""
+        return self.gyro_noise_dps**2 * self.period_s
+
+
+@dataclass(frozen=True)
+class Increment:
+    """A step of samples, against the step before.
+
+    Attributes
+    ----------
+    time_s : float
+        Middle of the step, as the samples' times count.
+    length_s : float
+        Since the middle of the step before.
+    turned_deg : (3,) float
+        Integral of the gyros over that time.
+    unseen_deg2 : float
+        Variance of the turn about Z that the gyros did not see: between samples, in gaps, in saturation.
+    rate_dps, accel_mg : (3,) float
+        Means; the accelerometers at the middle of the step.
+    gap_s : float
+        Longest gap since the step before; 0 none.
+    saturated : bool
+        The gyro of Z was at the end of its range.
+    temperature_c : float or None
+    """
+
+    time_s: float
+    length_s: float
+    turned_deg: Floats
+    unseen_deg2: float
+    rate_dps: Floats
+    accel_mg: Floats
+    gap_s: float
+    saturated: bool
+    temperature_c: float | None = None
+
+
+class Stepper:
+    """Makes steps of samples that come in blocks of any length; the steps do not depend on the blocks."""
+
+    def __init__(self, sensing: Sensing) -> None:
+        self._sensing = sensing
+        self._count = sensing.step_samples
+        self._rows = np.empty((0, 8))
+        self._last: Floats | None = None
+        """Time, turn (3,), rates (3,) of the sample before these."""
+        self._middle: tuple[float, Floats] | None = None
+        self._unseen, self._gap, self._stuck = 0.0, 0.0, 0
+        self._walk = 0.0
+        self._rate_before: float | None = None
+
+    def feed(
+        self, time_s: Floats, accel_mg: Floats, gyro_dps: Floats, temperature_c: Floats | None = None
+    ) -> list[Increment]:
+        """Take samples (n,), (n, 3), (n, 3); return the steps that they complete."""
+        warm = np.full(len(time_s), np.nan) if temperature_c is None else temperature_c
+        self._rows = np.concatenate([self._rows, np.column_stack([time_s, accel_mg, gyro_dps, warm])])
+        found = []
+        while len(self._rows) >= self._count:
+            rows, self._rows = self._rows[: self._count], self._rows[self._count :]
+            found.append(self._step(rows))
+        return found
+
+    def _step(self, rows: Floats) -> Increment:
+        time_s, accel, rates = rows[:, 0], rows[:, 1:4], rows[:, 4:7]
+        turn = self._turns(time_s, rates)
+        middle_s, mean_turn = float(time_s.mean()), turn.mean(axis=0)
+        before = self._middle or (middle_s, mean_turn)
+        self._middle = (middle_s, mean_turn)
+        length_s = middle_s - before[0]
+        saturated = self._saturation(rates[:, 2], length_s)
+        back = np.exp(-1j * np.radians(turn[:, 2] - mean_turn[2]))
+        level = complex(((accel[:, 0] - 1j * accel[:, 1]) * back).mean())
+        rate = rates.mean(axis=0)
+        self._follow(float(rate[2]), length_s)
+        known = not math.isnan(rows[-1, 7])
+        step = Increment(
+            middle_s,
+            length_s,
+            mean_turn - before[1],
+            self._unseen,
+            rate,
+            np.array([level.real, -level.imag, accel[:, 2].mean()]),
+            self._gap,
+            saturated,
+            float(rows[:, 7].mean()) if known else None,
+        )
+        self._unseen, self._gap = 0.0, 0.0
+        self._last[1:4] -= mean_turn  # type: ignore[index]  # turns stay small over hours
+        self._middle = (middle_s, np.zeros(3))
+        return step
+
+    def _turns(self, time_s: Floats, rates: Floats) -> Floats:
+        """Turn (n, 3) at each sample since some time, by trapezes."""
+        if self._last is None:
+            self._last = np.concatenate([time_s[:1], np.zeros(3), rates[0]])
+        times = np.concatenate([self._last[:1], time_s])
+        all_rates = np.vstack([self._last[4:7], rates])
+        lengths = np.diff(times)
+        pieces = 0.5 * (all_rates[1:] + all_rates[:-1]) * lengths[:, None]
+        turn = np.asarray(self._last[1:4] + np.cumsum(pieces, axis=0))
+        self._miss(lengths)
+        self._last = np.concatenate([time_s[-1:], turn[-1], rates[-1]])
+        return turn
+
+    def _miss(self, lengths_s: Floats) -> None:
+        """The rate between two samples is a bridge of a random walk: its integral has q L³/12."""
+        hand = np.where(lengths_s > BEGIN_S, max(self._walk, HAND_DPS_PER_RT_S**2), self._walk)
+        self._unseen += float((hand * lengths_s**3).sum()) / 12
+        gaps = lengths_s[lengths_s > GAP_PERIODS * self._sensing.period_s]
+        if gaps.size:
+            self._gap = max(self._gap, float(gaps.max()))
+
+    def _saturation(self, rate_dps: Floats, length_s: float) -> bool:
+        limit = self._sensing.gyro_range_dps
+        saturated = limit is not None and bool(np.abs(rate_dps).max() >= OVER_RANGE * limit)
+        self._stuck = self._stuck + 1 if saturated else 0
+        if saturated:
+            # What is missed keeps its sign: variances of k steps add up to (k SATURATED_DPS length)².
+            self._unseen += (SATURATED_DPS * length_s) ** 2 * (2 * self._stuck - 1)
+        return saturated
+
+    def _follow(self, rate_dps: float, length_s: float) -> None:
+        """How much the rate walks, over the last second."""
+        if self._rate_before is not None and length_s > 0:
+            share = min(1.0, length_s)
+            seen = (rate_dps - self._rate_before) ** 2 / length_s
+            self._walk += share * (seen - self._walk)
+        self._rate_before = rate_dps

@@ -1,0 +1,434 @@
+"""What disturbs gravity: how much, how it hangs together in time, and single shocks.
+
+The accelerometers, turned back by the gyros, would stand still if there were gravity alone. What they do
+instead within the last second, both components together, is the disturbance: the sensor's white noise, an
+autoregressive process of second order (tremor at 8 to 12 Hz, a table that rings, or just slow) and shocks.
+The process is given by its autocovariances (Yule and Walker).
+
+1/f noise of the accelerometers, as first-order processes of the linear model, and what is slower.
+
+Each octave of 1/f noise has half the square of the Allan floor. The fastest octaves change while the
+filter averages: as states they are averaged as they should be, and what is left of them counts in u. Two
+octaves make a state: processes with corners a factor of four apart add up to 1/f within some per cent. What
+is slower is the same through the seconds that count, and is added to u.
+
+The linear Gaussian model: filter forwards, smoother backwards, one scalar observation a step.
+
+    x(k) = F x(k−1) + s + w,  w ~ N(0, Q);    y(k) = h·x(k) + v,  v ~ N(0, r)
+
+The way back is that of Rauch, Tung and Striebel in the form of Bierman ("Fixed interval smoothing with
+discrete measurements", 1973): it carries what later observations say as an adjoint vector and matrix,
+and needs no inverse, so that parts of the state that do not move, or have no variance, are no special case.
+
+The part's turn in the plane as a linear model: what moves, what is not known, what gravity shows.
+
+The state: angle (deg), zero rate of the gyro (°/s), relative error of its gain, its sensitivity to
+acceleration along X and Y (°/s/g), where the part is from the stage's axis (mm, X and Y), and the
+disturbance of gravity (mg across it; twice, now and a step ago: an autoregressive process of second order),
+and the fast octaves of the accelerometers' 1/f noise across gravity (mg; `drift`).
+
+The gyro is an input, known but for its errors, which enter with measured factors, so that all stays linear.
+The gain's error walks as the part turns: accelerometers that are not calibrated, or not perfectly, bend
+the scale of the angle by what gravity shows here and there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats, wrap_degrees
+from adis_gonio.live.gyro_steps import TURN_ON_DPS, GyroKnowledge, Increment, Sensing
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+
+BACK_S, AHEAD_S = 1.0, 0.5
+"""Span that shows the disturbance of a step; of what comes after it only what has come."""
+LEAST_STEPS = 8
+START_MG = 20.0
+"""Level before the first steps have shown it (D): a part held in the hand."""
+SHOCK = 16.0
+"""A step whose square is so many times the span's is a shock, and counts by itself: one Gaussian step in
+nine million."""
+STATIONARY = 0.97
+_MEDIAN = 2 * math.log(2)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Of one step, on each component, in mg².
+
+    Attributes
+    ----------
+    white_mg2 : float
+        Of this step alone: sensor and shock.
+    coloured_mg2 : float
+        Variance of the autoregressive process.
+    first, second : float
+        Its coefficients.
+    drive_mg2 : float
+        Variance of what drives it.
+    """
+
+    white_mg2: float
+    coloured_mg2: float = 0.0
+    first: float = 0.0
+    second: float = 0.0
+    drive_mg2: float = 0.0
+
+
+def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
+    """Disturbance of a step by the steps around it.
+
+    Parameters
+    ----------
+    level : (n,) complex
+        What the accelerometers show in the plane, turned back by the gyros, in mg; equal steps.
+    at : int
+        The step's place among them.
+    sensor_mg2 : float
+        Variance of a step's mean by the sensor's own noise.
+    """
+    if len(level) < LEAST_STEPS:
+        return coloured(sensor_mg2, START_MG**2, 0.5, 0.0)
+    left = _without_course(level)
+    squares = left.real**2 + left.imag**2
+    middle = len(squares) // 2
+    typical = max(float(np.partition(squares, middle)[middle]) / _MEDIAN, 0.5 * sensor_mg2)
+    calm = squares <= 2 * SHOCK * typical
+    shock = 0.0 if calm[at] else 0.5 * float(squares[at])
+    left = np.where(calm, left, 0.0)
+    count = int(calm.sum())
+    free = 2 * max(count - 2, 1)
+    zeroth = float(squares[calm].sum()) / free
+    excess = zeroth - sensor_mg2
+    if excess <= 2 * zeroth * math.sqrt(2 / free):
+        return Disturbance(max(sensor_mg2, zeroth) + shock)
+    first = float((left[1:] * left[:-1].conj()).sum().real) / free / excess
+    second = float((left[2:] * left[:-2].conj()).sum().real) / free / excess
+    return coloured(sensor_mg2 + shock, excess, first, second)
+
+
+def coloured(white_mg2: float, variance_mg2: float, first: float, second: float) -> Disturbance:
+    """Disturbance of a process given by its variance and two autocorrelations, made stationary."""
+    r1 = min(max(first, -STATIONARY), STATIONARY)
+    r2 = min(max(second, 2 * r1**2 - STATIONARY), STATIONARY)
+    one = r1 * (1 - r2) / (1 - r1**2)
+    two = (r2 - r1**2) / (1 - r1**2)
+    drive = variance_mg2 * max(1 - one * r1 - two * r2, 0.0)
+    return Disturbance(white_mg2, variance_mg2, one, two, drive)
+
+
+def _without_course(level: Floats) -> Floats:
+    """Without mean and slope: what a gyro's zero and slow changes make is not disturbance."""
+    place, square = _places(len(level))
+    centred = level - level.sum() / len(level)
+    return np.asarray(centred - place * ((place @ centred) / square))
+
+
+@lru_cache(maxsize=256)
+def _places(count: int) -> tuple[Floats, float]:
+    place = np.arange(count, dtype=np.float64) - (count - 1) / 2
+    return place, float(place @ place)
+
+
+OCTAVES = 17
+"""Between two hertz and a day, for a calibration of yesterday."""
+CORNERS_HZ = 2.0 ** np.array([0.5, -1.5, -3.5])
+"""Of the processes: the middles of six octaves from the fastest on."""
+DRIFT_STATES = len(CORNERS_HZ)
+_EACH = 2
+
+
+def slow_drift_mg(floor_mg: float) -> float:
+    """Standard deviation, on an axis, of the octaves that no state has."""
+    return floor_mg * math.sqrt((OCTAVES - _EACH * DRIFT_STATES) / 2)
+
+
+def drift_process_mg2(floor_mg: float) -> float:
+    """Variance of each process by the Allan floor."""
+    return floor_mg**2 * _EACH / 2
+
+
+def drift_memory(length_s: float, turn_deg: float) -> Floats:
+    """What is left (DRIFT_STATES,) after a time and a turn.
+
+    The noise stays with the sensor's axes: what lies across gravity becomes, as the part turns, the noise
+    of the other axis.
+    """
+    kept: Floats = np.exp(-2 * np.pi * CORNERS_HZ * length_s)
+    return kept * math.cos(math.radians(turn_deg))
+
+
+@dataclass(frozen=True)
+class StateEstimate:
+    """Mean (k,) and covariance (k, k)."""
+
+    mean: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True)
+class TimeStep:
+    """One step of the model.
+
+    Attributes
+    ----------
+    transition : (k, k) float
+        F.
+    shift : (k,) float
+        s.
+    process : (k, k) float
+        Q.
+    design : (k,) float
+        h.
+    observed : float or None
+        y; None where nothing was observed.
+    variance : float
+        r, above 0.
+    """
+
+    transition: Floats
+    shift: Floats
+    process: Floats
+    design: Floats
+    observed: float | None
+    variance: float
+
+
+@dataclass(frozen=True)
+class Passed:
+    """What the filter kept of a step.
+
+    Attributes
+    ----------
+    predicted, filtered : StateEstimate
+        Before the step's observation and after it.
+    innovation, innovation_variance : float
+        Observed minus predicted, and its variance; 0 and inf where nothing was observed.
+    gain : (k,) float
+    step : TimeStep
+    """
+
+    predicted: StateEstimate
+    filtered: StateEstimate
+    innovation: float
+    innovation_variance: float
+    gain: Floats
+    step: TimeStep
+
+
+def advance(state: StateEstimate, step: TimeStep) -> Passed:
+    """One step of the filter."""
+    f = step.transition
+    covariance = f @ state.covariance @ f.T + step.process
+    predicted = StateEstimate(f @ state.mean + step.shift, 0.5 * (covariance + covariance.T))
+    if step.observed is None:
+        return Passed(predicted, predicted, 0.0, np.inf, np.zeros(len(state.mean)), step)
+    seen = predicted.covariance @ step.design
+    variance = float(step.design @ seen) + step.variance
+    innovation = step.observed - float(step.design @ predicted.mean)
+    gain = seen / variance
+    filtered = StateEstimate(
+        predicted.mean + gain * innovation, predicted.covariance - np.outer(gain, seen)
+    )
+    return Passed(predicted, filtered, innovation, variance, gain, step)
+
+
+def forward(state: StateEstimate, steps: Sequence[TimeStep]) -> list[Passed]:
+    """The filter over many steps."""
+    passed = []
+    for step in steps:
+        passed.append(advance(state, step))
+        state = passed[-1].filtered
+    return passed
+
+
+def backward(passed: Sequence[Passed]) -> list[StateEstimate]:
+    """Every step's state with all observations of these steps."""
+    adjoint = _Adjoint(len(passed[0].gain)) if passed else None
+    smoothed = []
+    for one in reversed(passed):
+        assert adjoint is not None
+        smoothed.append(adjoint.applied(one.filtered))
+        adjoint.pass_back(one)
+    return smoothed[::-1]
+
+
+def looked_back(state: StateEstimate, later: Sequence[Passed]) -> StateEstimate:
+    """A filtered state with the observations of the steps after it: the fixed lag."""
+    adjoint = _Adjoint(len(state.mean))
+    for one in reversed(later):
+        adjoint.pass_back(one)
+    return adjoint.applied(state)
+
+
+class _Adjoint:
+    """What later observations say of a state, on the way back."""
+
+    def __init__(self, size: int) -> None:
+        self._vector = np.zeros(size)
+        self._matrix = np.zeros((size, size))
+
+    def applied(self, state: StateEstimate) -> StateEstimate:
+        p = state.covariance
+        covariance = p - p @ self._matrix @ p
+        return StateEstimate(state.mean - p @ self._vector, 0.5 * (covariance + covariance.T))
+
+    def pass_back(self, one: Passed) -> None:
+        """From after a step to before it."""
+        h, f = one.step.design, one.step.transition
+        if np.isfinite(one.innovation_variance):
+            # C = I − gain hᵀ, written out.
+            by_gain = self._matrix @ one.gain
+            self._vector = (
+                self._vector
+                - h * float(one.gain @ self._vector)
+                - h * (one.innovation / one.innovation_variance)
+            )
+            self._matrix = (
+                self._matrix
+                - np.outer(h, by_gain)
+                - np.outer(by_gain, h)
+                + np.outer(h, h) * (float(one.gain @ by_gain) + 1 / one.innovation_variance)
+            )
+        self._vector = f.T @ self._vector
+        self._matrix = f.T @ self._matrix @ f
+
+
+ANGLE, ZERO, SCALE, G_X, G_Y, LEVER_X, LEVER_Y, NOW, BEFORE = range(9)
+DRIFT = slice(9, 9 + DRIFT_STATES)
+SIZE = 9 + DRIFT_STATES
+LEVER_MM = 50.0
+"""Spread of the part's distance from the axis (D)."""
+BEND = 0.012
+"""Spread of the raw angle's slope by bias, gains and Δφ of accelerometers that nobody has calibrated: bias
+10 mg, gains ±2 %, ±0.25° (CHIP, B and D)."""
+OPEN_DEG = 90.0
+"""Standard deviation of an angle of which nothing is known."""
+LEAST_MG = 50.0
+"""Gravity shorter than this across the axis shows no angle."""
+ACROSS_S = 0.5
+"""A turn out of the plane keeps its way so long (D)."""
+_MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
+
+
+@dataclass(frozen=True)
+class Turned:
+    """A step as the model takes it, corrected by what is calibrated.
+
+    Attributes
+    ----------
+    increment : Increment
+    turn_deg : float
+        About Z.
+    gravity : complex
+        x − i y of gravity in the plane, in mg: its phase is the angle.
+    force_g : (2,) float
+        What X and Y read on the way, in g.
+    rate_dps, spin_rad_s2 : float
+        Rate of turn, and its change.
+    across_dps : float
+        What the planar model neglects of the angle's rate: gravity out of the plane times turns about X, Y.
+    lost : bool
+        Nobody watched the part since the step before for so long that its angle is open; it may have been
+        switched off.
+    """
+
+    increment: Increment
+    turn_deg: float
+    gravity: complex
+    force_g: Floats
+    rate_dps: float
+    spin_rad_s2: float
+    across_dps: float
+    lost: bool = False
+
+    @property
+    def gravity_deg(self) -> float:
+        """Angle by gravity alone."""
+        return math.degrees(math.atan2(self.gravity.imag, self.gravity.real))
+
+    @property
+    def lever_mg(self) -> tuple[complex, complex]:
+        """What a millimetre along X and Y adds to `gravity`."""
+        spin = math.radians(self.rate_dps)
+        square = spin * spin * _MG_PER_MM
+        change = self.spin_rad_s2 * _MG_PER_MM
+        return complex(square, change), complex(change, -square)
+
+
+class MotionModel:
+    """Makes steps of the linear model.
+
+    Parameters
+    ----------
+    sensing : Sensing
+    gyros : GyroKnowledge
+    bend : float
+        How much the slope of gravity's angle may be off, as a standard deviation.
+    """
+
+    def __init__(self, sensing: Sensing, gyros: GyroKnowledge, bend: float = BEND) -> None:
+        self._sensing = sensing
+        self._gyros = gyros
+        self._bend = bend
+        self._drift_mg2 = drift_process_mg2(sensing.drift_mg)
+
+    def begin(self, angle_deg: float) -> StateEstimate:
+        """What is known before the first step: nothing of the angle."""
+        gyros = self._gyros
+        u = np.array([
+            OPEN_DEG, gyros.zero_dps, math.hypot(gyros.scale, self._bend), gyros.g_dps_per_g,
+            gyros.g_dps_per_g, LEVER_MM, LEVER_MM, START_MG, START_MG,
+            *[math.sqrt(self._drift_mg2)] * DRIFT_STATES,
+        ])  # fmt: skip
+        mean = np.zeros(SIZE)
+        mean[ANGLE] = angle_deg
+        return StateEstimate(mean, np.diag(u**2))
+
+    def step(self, turned: Turned, disturbance: Disturbance, before: StateEstimate) -> TimeStep:
+        """The model of a step; its observation is that turn of gravity which is next to the prediction."""
+        length_s = turned.increment.length_s
+        f = np.eye(SIZE)
+        seen_deg = turned.gravity_deg
+        f[ANGLE, ZERO] = -length_s
+        f[ANGLE, SCALE] = -turned.turn_deg
+        f[ANGLE, G_X], f[ANGLE, G_Y] = -length_s * turned.force_g
+        f[NOW, NOW], f[NOW, BEFORE] = disturbance.first, disturbance.second
+        f[BEFORE, NOW], f[BEFORE, BEFORE] = 1.0, 0.0
+        shift = np.zeros(SIZE)
+        shift[ANGLE] = turned.turn_deg
+        process = np.zeros((SIZE, SIZE))
+        process[ANGLE, ANGLE] = (
+            self._sensing.angle_walk_deg2_per_s * length_s
+            + turned.increment.unseen_deg2
+            + turned.across_dps**2 * length_s * ACROSS_S
+        )
+        process[ZERO, ZERO] = self._gyros.walk_dps_per_rt_s**2 * length_s
+        process[SCALE, SCALE] = 2 * self._bend**2 * abs(math.radians(turned.turn_deg))
+        process[NOW, NOW] = disturbance.drive_mg2
+        kept = drift_memory(length_s, turned.turn_deg)
+        f[DRIFT, DRIFT] = np.diag(kept)
+        process[DRIFT, DRIFT] = np.diag(self._drift_mg2 * (1 - kept**2))
+        if turned.lost:
+            f[ANGLE, :] = f[NOW, :] = f[BEFORE, :] = 0.0
+            shift[ANGLE], process[ANGLE, ANGLE] = seen_deg, OPEN_DEG**2
+            process[NOW, NOW] = process[BEFORE, BEFORE] = disturbance.coloured_mg2
+            process[ZERO, ZERO] += TURN_ON_DPS**2
+        length_mg = abs(turned.gravity)
+        if length_mg < LEAST_MG:
+            return TimeStep(f, shift, process, np.zeros(SIZE), None, math.inf)
+        per_mg = math.degrees(1.0 / length_mg)
+        along = turned.gravity / length_mg
+        design = np.zeros(SIZE)
+        design[ANGLE] = 1.0
+        for k, lever in zip((LEVER_X, LEVER_Y), turned.lever_mg, strict=True):
+            design[k] = per_mg * (lever * along.conjugate()).imag
+        design[NOW] = design[DRIFT] = per_mg
+        predicted = float(f[ANGLE] @ before.mean) + shift[ANGLE]
+        observed = predicted + wrap_degrees(seen_deg - predicted)
+        return TimeStep(f, shift, process, design, observed, per_mg**2 * disturbance.white_mg2)

@@ -1,0 +1,532 @@
+"""The archive's tables: SQL, type and range of every column, rows as plain data, and their checksum.
+
+A checksum shows damage, but not a value that somebody wrote with a checksum that fits. `checked_row` is
+the door: nothing of a session file goes on without it. Kinds of records that are not listed are read by
+no program, and their values may be anything.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+import numpy as np
+
+from adis_gonio.base import __version__
+from adis_gonio.base.jsonable import json_value
+from adis_gonio.base.shapes import (
+    Shape,
+    ShapeError,
+    anything,
+    blob,
+    choice,
+    fields,
+    list_of,
+    mapping_of,
+    moment,
+    nullable,
+    number,
+    text,
+    truth_value,
+    whole,
+)
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
+from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
+from adis_gonio.record.blocks import GENERIC, UNITS, Block
+from adis_gonio.record.plans import MOST_POSITIONS, Plan, Position
+
+Phase = Literal["before", "dwell", "after"]
+Outcome = Literal["complete", "interrupted"]
+
+JsonDict = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Move:
+    """A move of the stage by the program, at `bus_s` on the clock of the bus.
+
+    Attributes
+    ----------
+    angle_deg, approach, direction
+        As in `Position`: an angle in the plane, or a direction in space.
+    turned_deg : float or None
+        Turn about the vertical, as in `Position`; the move goes on after `bus_s`.
+    """
+
+    bus_s: float
+    angle_deg: float | None
+    approach: int
+    direction: tuple[float, float, float] | None = None
+    turned_deg: float | None = None
+
+    @property
+    def aim(self) -> list[float] | dict[str, float] | None:
+        """What the archive keeps beside the angle."""
+        if self.turned_deg is not None:
+            return {"turned_deg": self.turned_deg}
+        return None if self.direction is None else list(self.direction)
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One try at a dwell.
+
+    Attributes
+    ----------
+    place : int
+        Which position of the plan, from 0.
+    outcome : {"complete", "interrupted"}
+    reason : str
+        What interrupted it; empty for a complete dwell.
+    started_utc : str
+        Wall clock, ISO 8601, UTC.
+    started_bus_s, ended_bus_s : float
+        Clock of the bus.
+    blocks : sequence of (phase, Block)
+        Every scan that was read, in order; those of phase `dwell` are the dwell's samples.
+    moves : sequence of Move
+        What moved the stage for it.
+    status : int or None
+        Word of STATUS after it.
+    """
+
+    place: int
+    position: Position
+    outcome: Outcome
+    started_utc: str
+    started_bus_s: float
+    ended_bus_s: float
+    blocks: Sequence[tuple[Phase, Block]]
+    moves: Sequence[Move] = ()
+    reason: str = ""
+    status: int | None = None
+
+
+@dataclass(frozen=True)
+class StoredAttempt:
+    """Row of `attempts`: an attempt without its samples.
+
+    Attributes
+    ----------
+    number : int
+        Number of the attempt, from 1, in the order in which they were made.
+    run : int
+        Which opening of the session it belongs to.
+    offset_s : float
+        Added to times on the bus's clock it gives seconds since the session began.
+    """
+
+    number: int
+    run: int
+    offset_s: float
+    place: int
+    position: Position
+    outcome: Outcome
+    reason: str
+    started_utc: str
+    started_bus_s: float
+    ended_bus_s: float
+    registers: tuple[str, ...]
+    variant: str
+    gyro_range_dps: int | None
+    status: int | None
+    blocks: int
+
+
+@dataclass(frozen=True)
+class Record:
+    """Row of `records`."""
+
+    run: int
+    utc: str
+    bus_s: float
+    kind: str
+    value: Any
+
+
+@dataclass(frozen=True)
+class Header:
+    """What stands from the beginning of a session.
+
+    Attributes
+    ----------
+    url, variant : str
+        Bus and part.
+    plan : Plan
+        The plan to begin with; an extension is a record.
+    settings : mapping
+        JSON form of the runner's settings.
+    title, note, operator, serial, stage : str
+        What the operator wrote down; a session of older programs has the last three empty.
+    simulated : bool
+        True where the bus has a world whose truth is known.
+    """
+
+    url: str
+    variant: str
+    plan: Plan
+    settings: Mapping[str, Any]
+    gravity_mps2: float
+    fixture_sigma_deg: float | None
+    title: str = ""
+    note: str = ""
+    operator: str = ""
+    serial: str = ""
+    stage: str = ""
+    simulated: bool = False
+    created_utc: str = ""
+    software: str = field(default=f"adis-gonio {__version__}")
+
+
+def utc_now() -> str:
+    """Wall clock, ISO 8601, UTC, to the millisecond."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def to_json(value: Any) -> str:
+    """JSON text; numpy's scalars and arrays become numbers and lists.
+
+    Raises
+    ------
+    ValueError
+        NaN or an infinity, which JSON does not have.
+    """
+    return json.dumps(value, ensure_ascii=False, allow_nan=False, default=_plain)
+
+
+def checksum(*values: Any) -> int:
+    """CRC-32 of a row's values; bytes count as they are, the rest as JSON."""
+    plain = [value for value in values if not isinstance(value, bytes)]
+    crc = zlib.crc32(json.dumps(plain).encode())
+    for value in values:
+        if isinstance(value, bytes):
+            crc = zlib.crc32(value, crc)
+    return crc
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} has no JSON form")
+
+
+APPLICATION_ID = 0x4144474F
+"""`ADGO` in the file's header; `file` and SQLite see whose it is."""
+SCHEMA_VERSION = 1
+
+LARGEST_S = 1e10
+"""Three hundred years: clocks that count from 1970 are far below it."""
+LARGEST_VALUE = 1e9
+"""Of a sample or a parameter in its unit."""
+LEAST_FIXTURE_DEG = 1e-9
+"""Of the uncertainty of an angle, if it is not 0."""
+_MOST = 10**9
+"""Rows and counts."""
+
+_COUNT = whole(0, _MOST)
+_TIME = number(-LARGEST_S, LARGEST_S)
+_LENGTH = number(0.0, LARGEST_S)
+_ANGLE = number(-1e6, 1e6)
+_VALUE = number(-LARGEST_VALUE, LARGEST_VALUE)
+_APPROACH = choice(-1, 0, 1)
+_USE = choice("fit", "check")
+_VECTOR = list_of(number(-1e6, 1e6), 3, 3)
+_TEXTS = list_of(text, 0, 10_000)
+_TEMPERATURE, _SUPPLY = nullable(number(-273.15, 1000.0)), nullable(number(0.0, 100.0))
+_REGISTER_NUMBERS = mapping_of(whole(-0x8000, 0xFFFF))
+_OFFSETS = fields({}, {name: whole(*BY_NAME[name].range) for name in (*ACCEL_OFF, *GYRO_OFF)})
+_SCAN = list_of(choice(*BY_NAME, *UNITS), 0, len(BY_NAME))
+_RANGE = nullable(choice(*GYRO_LSB_DPS))
+_NUMBERING = {"smpl_prd": whole(0, 0xFF), "filter_m": whole(0, 6)}
+
+_POSITION = fields(
+    {"angle_deg": nullable(_ANGLE), "approach": _APPROACH, "use": _USE, "direction": nullable(_VECTOR)},
+    {
+        "wait_s": _LENGTH,
+        "temperature_c": _TEMPERATURE,
+        "supply_v": _SUPPLY,
+        "turned_deg": nullable(_ANGLE),
+    },
+)
+_PLAN = fields(
+    {
+        "name": text,
+        "plane": choice("xy", "none"),
+        "positions": list_of(_POSITION, 1, 10 * MOST_POSITIONS),
+    },
+    {"turns": whole(0, 10_000)},
+)
+_SETTINGS = fields(
+    {},
+    {
+        "dwell_s": _LENGTH,
+        "settle_s": _LENGTH,
+        "still_timeout_s": _LENGTH,
+        **_NUMBERING,
+        "gyro_range_dps": _RANGE,
+        "data_ready": nullable(truth_value),
+        "registers": _SCAN,
+        "turns": truth_value,
+    },
+    others=anything,
+)
+
+
+def _fixture(value: Any) -> None:
+    # Between 0 and the least angle, its square would leave the numbers that there are.
+    if value not in ("free", 0):
+        nullable(number(LEAST_FIXTURE_DEG, 1e6))(value)
+
+
+META = fields(
+    {
+        "url": text,
+        "variant": choice(*VARIANTS, GENERIC),
+        "plan": _PLAN,
+        "settings": _SETTINGS,
+        "gravity_mps2": number(1e-6, 1e6),
+        "fixture_sigma_deg": _fixture,
+    },
+    {
+        "simulated": truth_value,
+        "created_utc": moment,
+        **dict.fromkeys(("title", "note", "operator", "serial", "stage", "software"), text),
+    },
+)
+"""Facts of the table `meta` by key: the fields of `Header`."""
+
+_DOUBT = {"kind": text, "message": text}
+_SUMMARY = fields(
+    {
+        "dwells": _COUNT,
+        "adequate": truth_value,
+        "tested": truth_value,
+        "found": _TEXTS,
+        "uncertain": _TEXTS,
+        "confounded": list_of(list_of(text, 1, 10_000), 0, 10_000),
+        "error": fields(
+            dict.fromkeys(
+                ("residual_rms_mg", "heldout_rms_mg", "angle_rms_deg", "chi2_per_dof"), nullable(_VALUE)
+            ),
+            others=anything,
+        ),
+    },
+    others=anything,
+)
+
+
+def _summary(value: Any) -> None:
+    """Nothing, or where a session stood in the advisor's eyes."""
+    if value not in (None, {}):
+        _SUMMARY(value)
+
+
+RECORDS: Mapping[str, Shape] = {
+    "plan": _PLAN,
+    **dict.fromkeys(("registers-before", "registers-configured", "registers-after"), _REGISTER_NUMBERS),
+    "configuration": fields(
+        {},
+        {
+            **_NUMBERING,
+            "gyro_range_dps": _RANGE,
+            "sample_rate_hz": number(1e-6, 1e9),
+            **dict.fromkeys(("data_ready", "linear_g", "origin"), truth_value),
+        },
+        others=anything,
+    ),
+    "truth": mapping_of(_VALUE),
+    "noise": list_of(number(0.0, LARGEST_VALUE), 3, 3),
+    "scanning": fields({"how": text, "caveat": text}, others=anything),
+    "problem": fields({}, others=anything),
+    "advised": fields(
+        {"planned": _COUNT, "ended": text, "summary": _summary},
+        {"round": _COUNT, "positions": _COUNT, "reasons": _TEXTS},
+        others=anything,
+    ),
+    "turned": fields({"attempt": _COUNT, "since": _COUNT, "angle_deg": _VECTOR, "u_deg": _ANGLE}),
+    "reversed": truth_value,
+    "skipped": _COUNT,
+    "withdrawn": _COUNT,
+    "kept": list_of(_COUNT, 0, _MOST),
+    "dropped": fields({"attempt": _COUNT, "scans": _COUNT}),
+    "doubt": fields({"attempt": _COUNT, **_DOUBT}),
+    "contradiction": fields({"place": _COUNT, "dwells": list_of(_COUNT, 0, _MOST), **_DOUBT}),
+    "conditions": fields({"temperature_c": _TEMPERATURE, "supply_v": _SUPPLY}),
+    "offsets": fields(
+        {
+            "number": _COUNT,
+            "step": choice("planned", "written", "verified", "saving", "saved", "done", "set-back"),
+        },
+        {
+            "op": choice("write", "undo", "autonull"),
+            **dict.fromkeys(("old", "new", "found", "beside"), _OFFSETS),
+            "save": truth_value,
+            **dict.fromkeys(("endurance", "endurance_after"), nullable(_COUNT)),
+        },
+        others=anything,
+    ),
+}
+"""Values of records by kind."""
+
+
+def _aim(value: Any) -> None:
+    """Nothing, a direction in space, or a turn."""
+    if isinstance(value, dict):
+        fields({"turned_deg": _ANGLE})(value)
+    else:
+        nullable(_VECTOR)(value)
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """A column of a table: name, SQL, and shape of its values (of JSON, of the value that it states)."""
+
+    name: str
+    sql: str
+    shape: Shape
+    json: bool = False
+
+
+_RUN = _ATTEMPT = whole(1, _MOST)
+_KEY, _INTEGER, _REAL, _TEXT = "INTEGER PRIMARY KEY", "INTEGER NOT NULL", "REAL NOT NULL", "TEXT NOT NULL"
+_OF_RUN, _OF_ATTEMPT = f"{_INTEGER} REFERENCES runs", f"{_INTEGER} REFERENCES attempts"
+
+
+def _one_of(name: str, *allowed: str) -> TableColumn:
+    """TableColumn of one of a few texts."""
+    listed = ", ".join(f"'{text}'" for text in allowed)
+    return TableColumn(name, f"{_TEXT} CHECK ({name} IN ({listed}))", choice(*allowed))
+
+
+TABLES: Mapping[str, tuple[TableColumn, ...]] = {
+    "meta": (
+        TableColumn("key", "TEXT PRIMARY KEY", text),
+        TableColumn("value", _TEXT, anything, json=True),
+    ),
+    "runs": (
+        TableColumn("run", _KEY, _RUN),
+        TableColumn("started_utc", _TEXT, text),
+        TableColumn("bus_s", _REAL, _TIME),
+        TableColumn("clock_offset_s", _REAL, _TIME),
+        TableColumn("continues", _INTEGER, _COUNT),
+        TableColumn("software", _TEXT, text),
+    ),
+    "records": (
+        TableColumn("record", _KEY, whole(1, _MOST)),
+        TableColumn("run", _OF_RUN, _RUN),
+        TableColumn("utc", _TEXT, text),
+        TableColumn("bus_s", _REAL, _TIME),
+        TableColumn("kind", _TEXT, text),
+        TableColumn("value", _TEXT, anything, json=True),
+    ),
+    "attempts": (
+        TableColumn("attempt", _KEY, _ATTEMPT),
+        TableColumn("run", _OF_RUN, _RUN),
+        TableColumn("place", _INTEGER, _COUNT),
+        TableColumn("angle_deg", "REAL", nullable(_ANGLE)),
+        TableColumn("approach", _INTEGER, _APPROACH),
+        _one_of("use", "fit", "check"),
+        _one_of("outcome", "complete", "interrupted"),
+        TableColumn("reason", _TEXT, text),
+        TableColumn("started_utc", _TEXT, text),
+        TableColumn("started_bus_s", _REAL, _TIME),
+        TableColumn("ended_bus_s", _REAL, _TIME),
+        TableColumn("registers", _TEXT, _SCAN, json=True),
+        TableColumn("variant", _TEXT, choice("", *VARIANTS, GENERIC)),
+        TableColumn("gyro_range_dps", "INTEGER", _RANGE),
+        TableColumn("status", "INTEGER", nullable(whole(0, 0xFFFF))),
+        TableColumn("blocks", _INTEGER, _COUNT),
+    ),
+    "blocks": (
+        TableColumn("attempt", _OF_ATTEMPT, _ATTEMPT),
+        TableColumn("sequence", _INTEGER, _COUNT),
+        _one_of("phase", "before", "dwell", "after"),
+        TableColumn("scans", _INTEGER, _COUNT),
+        TableColumn("lost", _INTEGER, _COUNT),
+        TableColumn("words", "BLOB NOT NULL", blob),
+        TableColumn("time_s", "BLOB NOT NULL", blob),
+    ),
+    "moves": (
+        TableColumn("move", _KEY, whole(1, _MOST)),
+        TableColumn("attempt", _OF_ATTEMPT, _ATTEMPT),
+        TableColumn("bus_s", _REAL, _TIME),
+        TableColumn("angle_deg", "REAL", nullable(_ANGLE)),
+        TableColumn("approach", _INTEGER, _APPROACH),
+        TableColumn("direction", _TEXT, _aim, json=True),
+    ),
+}
+"""Columns of each table; a checksum of the row follows them."""
+
+
+def statements() -> list[str]:
+    """SQL that makes an empty archive, one statement each, to be run in one transaction.
+
+    `database` compares the text with that of an archive: it has to stay the same to the last space.
+    """
+    create = []
+    for table, columns in TABLES.items():
+        width = max(len(column.name) for column in columns)
+        lines = [f"{column.name:{width}} {column.sql}" for column in columns]
+        lines.append(f"{'crc32':{width}} {_INTEGER}")
+        lines += ["PRIMARY KEY (attempt, sequence)"] if table == "blocks" else []
+        create.append(f"CREATE TABLE {table} (\n    " + ",\n    ".join(lines) + "\n)")
+    guards = [
+        f"CREATE TRIGGER {table}_no_{verb.lower()} BEFORE {verb} ON {table}"
+        f" BEGIN SELECT RAISE(ABORT, 'a session file is append-only'); END"
+        for table in TABLES
+        for verb in ("UPDATE", "DELETE")
+    ]
+    return [
+        *create,
+        *guards,
+        f"PRAGMA application_id = {APPLICATION_ID}",
+        f"PRAGMA user_version = {SCHEMA_VERSION}",
+    ]
+
+
+def checked_row(table: str, row: Sequence[Any]) -> dict[str, Any]:
+    """Values of a row by column, without its checksum; JSON texts become values.
+
+    Raises
+    ------
+    ShapeError
+        A value has another type or lies outside its range; the message begins with the column.
+    """
+    return {column.name: _checked(column, value) for column, value in zip(TABLES[table], row, strict=True)}
+
+
+def checked_value(name: str, shape: Shape, value: Any) -> Any:
+    """A value, if it has its shape.
+
+    Raises
+    ------
+    ShapeError
+        It has not; the message begins with the name.
+    """
+    try:
+        shape(value)
+    except ShapeError as error:
+        raise ShapeError(f"{name}{error}") from None
+    return value
+
+
+def _checked(column: TableColumn, value: Any) -> Any:
+    if column.json:
+        checked_value(column.name, text_of_json, value)
+        try:
+            value = json_value(value)
+        except ValueError as error:
+            raise ShapeError(f"{column.name}: {error}") from None
+    return checked_value(column.name, column.shape, value)
+
+
+def text_of_json(value: Any) -> None:
+    """Text, however long: a plan of many positions is one."""
+    if not isinstance(value, str):
+        raise ShapeError(" is no text")

@@ -1,0 +1,700 @@
+"""The head of a samples file: its text, its number format, and which column is which.
+
+Text is UTF-8, with or without a byte order mark, or UTF-16, as Excel's "Unicode text" has it. A byte that
+is no UTF-8 is read as Windows-1252, where the degree sign and the superscript two of older programs stand:
+digits are the same in both.
+
+Cells are separated by the delimiter that makes most names of the header known. In a file separated by
+commas a fraction has a point, as the format says. Elsewhere the numbers of the whole file have to prove it:
+`0,5` or `1234,5` can only be a decimal comma and `1.2345` only a decimal point, while `1,234` may be
+either. A file without proof is refused, and so is a file that proves both.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import difflib
+import gzip
+import re
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import IO, Any, cast
+
+from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, checked_gravity_mps2
+from adis_gonio.record.samples_columns import (
+    AXES,
+    COLUMNS,
+    GYROS,
+    KEYS,
+    CsvColumn,
+    recognised,
+    split_unit,
+    with_formulas,
+)
+
+CHUNK = 1 << 20
+"""Bytes that are read at a time: what stands in memory as text is some twenty times that."""
+
+_FOREIGN = {
+    b"PK\x03\x04": "an Excel or LibreOffice workbook (or a zip): save the sheet as CSV",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook: save the sheet as CSV",
+    b"PAR1": "a Parquet file: write it as CSV",
+    b"\x89HDF": "an HDF5 file: write it as CSV",
+    b"%PDF": "a PDF file: take the file that it was printed from",
+}
+_HTML = re.compile(
+    rb"(?>\xef\xbb\xbf|\s|<!--.*?-->|<\?xml.*?\?>)*+<(?:!doctype\s+html|html|head|body)\b",
+    re.IGNORECASE | re.DOTALL,
+)
+"""The first tag of a page, after comments and an XML declaration."""
+LONGEST_LINE = 1 << 16
+"""Characters: rows have hundreds; a file without line ends would fill the memory."""
+MOST_GROWTH, SMALL = 200, 1 << 24
+"""Unpacked bytes for each byte of a gzip file, and unpacked bytes that are always allowed.
+
+Samples pack to a tenth or a thirtieth of their size, equal rows to a thousandth.
+"""
+_REPLACEMENT = "�"
+
+
+def _as_windows_1252(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeDecodeError):
+        raise error
+    rest = error.object[error.start : error.end]
+    return rest.decode("cp1252", errors="replace"), error.end
+
+
+codecs.register_error("adis_gonio.windows-1252", _as_windows_1252)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Neighbouring lines.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first line, counted from 1.
+    lines : list of str
+        Without their ends.
+    share : float
+        Part of the file that has been read, 0 to 1.
+    last : bool
+    cut : bool
+        True in the last chunk where the last line has no end.
+    """
+
+    first: int
+    lines: list[str]
+    share: float
+    last: bool = False
+    cut: bool = False
+
+
+def chunks_of(path: Path) -> Iterator[Chunk]:
+    """Lines of a file, chunk by chunk.
+
+    Raises
+    ------
+    DataError
+        Not readable, damaged gzip, empty, binary or another kind of file.
+    """
+    first, carry = 1, ""
+    for text, share in _texts(path):
+        # A carriage return at the end may be one half of a line's end.
+        text = carry + text
+        held = len(text) - len(text.rstrip("\r"))
+        *lines, carry = _plain_ends(text[: len(text) - held]).split("\n")
+        carry += "\r" * held
+        _refuse_long(path, first, [*lines, carry])
+        if lines:
+            yield Chunk(first, lines, share)
+            first += len(lines)
+    *lines, rest = _plain_ends(carry).split("\n")
+    _refuse_long(path, first, [*lines, rest])
+    yield Chunk(first, [*lines, rest] if rest else lines, 1.0, last=True, cut=bool(rest))
+
+
+def _refuse_long(path: Path, first: int, lines: list[str]) -> None:
+    if max(map(len, lines)) > LONGEST_LINE:
+        row = first + next(k for k, line in enumerate(lines) if len(line) > LONGEST_LINE)
+        raise DataError(
+            f"{path.name}, row {row}: has more than {LONGEST_LINE} characters; not a samples CSV"
+        )
+
+
+def _plain_ends(text: str) -> str:
+    if "\r" not in text:
+        return text
+    # Text that was opened twice for translation ends its lines with two carriage returns.
+    return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _texts(path: Path) -> Iterator[tuple[str, float]]:
+    try:
+        with path.open("rb") as raw:
+            size = max(path.stat().st_size, 1)
+            zipped = raw.read(2) == b"\x1f\x8b"
+            raw.seek(0)
+            yield from _decoded(
+                path, cast("IO[bytes]", gzip.GzipFile(fileobj=raw)) if zipped else raw, raw, size
+            )
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise DataError(f"{path.name}: damaged or truncated gzip file ({error}); copy it again") from error
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _decoded(path: Path, file: IO[bytes], raw: IO[bytes], size: int) -> Iterator[tuple[str, float]]:
+    data = file.read(CHUNK)
+    for magic, kind in _FOREIGN.items():
+        if data.startswith(magic):
+            raise DataError(f"{path.name}: not a samples CSV: it is {kind}")
+    if _HTML.match(data):
+        raise DataError(
+            f"{path.name}: not a samples CSV: it is an HTML page; download the file itself, not the page "
+            "that shows it"
+        )
+    decoder = codecs.getincrementaldecoder(_encoding(data))("adis_gonio.windows-1252")
+    blank, unpacked = True, 0
+    while data:
+        unpacked += len(data)
+        if unpacked > MOST_GROWTH * raw.tell() + SMALL:
+            raise DataError(
+                f"{path.name}: not a samples CSV: it unpacks to more than {MOST_GROWTH} times its size, as "
+                "equal rows do; unpack it first if these are samples"
+            )
+        text = decoder.decode(data)
+        _refuse_binary(path, text)
+        blank = blank and not text.strip()
+        yield text, min(raw.tell() / size, 1.0)
+        data = file.read(CHUNK)
+    yield decoder.decode(b"", final=True), 1.0
+    if blank:
+        raise DataError(f"{path.name}: the file is empty")
+
+
+def _encoding(head: bytes) -> str:
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    # ASCII as UTF-16 without a mark: every second byte is zero.
+    for place, name in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if len(head) >= 4 and not any(head[place:200:2]) and all(head[1 - place : 200 : 2]):
+            return name
+    return "utf-8-sig"
+
+
+def _refuse_binary(path: Path, text: str) -> None:
+    if "\x00" in text or _REPLACEMENT in text:
+        raise DataError(
+            f"{path.name}: not a samples CSV: it holds binary data; give a .csv, a .csv.gz or a file "
+            "written by calibrate or simulate"
+        )
+
+
+# -- cells and numbers ----------------------------------------------------------------------------
+
+SPACE = " "
+"""Stands for runs of white space."""
+DELIMITERS = ("\t", ";", ",", SPACE)
+_IN_WORDS = {"\t": "tab", ";": "semicolon", ",": "comma", SPACE: "space"}
+
+# Possessive (++): digits are never tried again in another split, which takes hours in a cell of thousands.
+_NUMBER = r"[+-]?(?:\d++{0}?\d*+|{0}\d+)(?:[eE][+-]?\d+)?"
+_GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{1}\d{{3}})+(?:{0}\d*)?"
+_FORMS = {
+    mark: (
+        re.compile(_NUMBER.format(re.escape(mark))),
+        re.compile(_GROUPED.format(re.escape(mark), re.escape(other))),
+    )
+    for mark, other in ((".", ","), (",", "."))
+}
+_UNDECIDED = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+_TOKENS = re.compile(r"\s+(?![\[(])")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a file writes its rows.
+
+    Attributes
+    ----------
+    delimiter : str
+        One of `DELIMITERS`.
+    decimal : str
+        Point or comma.
+    grouped : bool
+        True where it is proved, so that the other mark may stand between thousands.
+    """
+
+    delimiter: str = ","
+    decimal: str = "."
+    grouped: bool = False
+
+    def cells(self, line: str) -> list[str]:
+        """Cells of one line, without quotes.
+
+        Raises
+        ------
+        ValueError
+            A quote that does not end.
+        """
+        if self.delimiter == SPACE:
+            return line.split()
+        if '"' not in line:
+            return line.split(self.delimiter)
+        try:
+            return next(csv.reader([line], delimiter=self.delimiter, strict=True, skipinitialspace=True))
+        except (csv.Error, StopIteration):
+            raise ValueError("a quotation mark does not end, or stands within a cell") from None
+
+    def number(self, cell: str) -> float:
+        """Number of a cell.
+
+        Raises
+        ------
+        ValueError
+            It is none in this dialect.
+        """
+        text = cell.strip().replace("−", "-")
+        plain, grouped = _FORMS[self.decimal]
+        if self.grouped and grouped.fullmatch(text):
+            text = text.replace("," if self.decimal == "." else ".", "")
+        elif not plain.fullmatch(text) and text.lower().lstrip("+-") not in ("nan", "inf", "infinity"):
+            raise ValueError(text)
+        return float(text.replace(",", "."))
+
+    @property
+    def delimiter_in_words(self) -> str:
+        """Name of what separates the cells."""
+        return _IN_WORDS.get(self.delimiter, f"'{self.delimiter}'")
+
+    def with_decimal(self, mark: str, *, proved: bool) -> Dialect:
+        """The same with the mark of its fractions."""
+        return replace(self, decimal=mark, grouped=proved)
+
+
+def header_cells(line: str, delimiter: str) -> list[str]:
+    """Cells of a header; where white space separates, a unit in brackets stays with its name."""
+    if delimiter == SPACE:
+        return [cell.strip('"') for cell in _TOKENS.split(line.strip())]
+    try:
+        cells = [cell.strip() for cell in Dialect(delimiter).cells(line)]
+    except ValueError:
+        cells = [cell.strip().strip('"') for cell in line.split(delimiter)]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def proved_mark(cells: Iterable[str]) -> str:
+    """The mark that a cell proves to be decimal; empty where none does."""
+    for cell in cells:
+        text = cell.strip()
+        if ("." not in text and "," not in text) or _UNDECIDED.fullmatch(text):
+            continue
+        for mark, other in ((".", ","), (",", ".")):
+            plain, grouped = _FORMS[mark]
+            if mark in text and plain.fullmatch(text):
+                return mark
+            # Two marks of a kind can only stand between thousands.
+            if (mark in text or text.count(other) > 1) and grouped.fullmatch(text):
+                return mark
+    return ""
+
+
+_SEPARATORS = ("\t", ";", ",", "|", ":", "^", "~")
+"""What Excel's first line `sep=…` may state."""
+_EXPECTED = "time_s,position,angle_deg,ax,ay"
+MOST_HEAD_LINES = 10_000
+MOST_HEAD_CHARACTERS = 10_000_000
+"""Before the first row."""
+MOST_COLUMNS = 1000
+_PREAMBLE_LINES = 200
+"""Lines in which a header is looked for, behind what a logger prints when it starts."""
+
+
+@dataclass(frozen=True)
+class Head:
+    """What stands before the rows.
+
+    Attributes
+    ----------
+    path : Path
+    line : int
+        Number of the last line of the head; rows follow.
+    width : int
+        Cells of the header.
+    dialect : Dialect
+        Its decimal mark is still to be decided where `keys` does not state it.
+    columns : dict of str to CsvColumn
+        Those that are read, by the format's names.
+    keys : dict of str to object
+        Values that the leading lines state.
+    notes : tuple of str
+        What has to be said of the leading lines and of the header.
+    """
+
+    path: Path
+    line: int
+    width: int
+    dialect: Dialect
+    columns: dict[str, CsvColumn]
+    keys: dict[str, Any]
+    notes: tuple[str, ...]
+
+    def settings(self, *, unit_told: bool) -> dict[str, Any]:
+        """Fields of the `Session`; units of the header go with those of the keys.
+
+        Raises
+        ------
+        DataError
+            Header and key state different units, and the user has not told the right one.
+        """
+        values = {name: value for name, value in self.keys.items() if name != "decimal"}
+        for key, axes, table in (("accel_unit", AXES, "accelerations"), ("gyro_unit", GYROS, "rates")):
+            unit = next((c.unit for c in self.columns.values() if c.name in axes), "")
+            if not unit:
+                continue
+            if values.get(key, unit) != unit and not (key == "accel_unit" and unit_told):
+                raise DataError(
+                    f"{self.path.name}, row {self.line}: the header says {table} in {unit}, the line "
+                    f"'# {key}: {values[key]}' says otherwise; take one of them out"
+                )
+            values.setdefault(key, unit)
+        return values
+
+
+def head_of(path: Path, wanted: Mapping[str, str]) -> Head:
+    """Head of a file.
+
+    Parameters
+    ----------
+    path : Path
+    wanted : mapping of str to str
+        Column of the format → column of the header, as told by the user.
+
+    Raises
+    ------
+    DataError
+        No header, a column that is missing, stands there twice or has a unit that is not known.
+    UsageError
+        `wanted` names a column that is not there.
+    """
+    top = _leading(path, wanted)
+    delimiter, cells = _split(top.text, top.separator, wanted)
+    if not any(map(recognised, cells)) and not wanted and top.comments:
+        # A header behind a comment sign, as numpy.savetxt writes it.
+        line, under = top.comments[-1]
+        other, names_there = _split(under.lstrip("# "), top.separator, wanted)
+        if sum(recognised(cell) is not None for cell in names_there) > 1:
+            delimiter, cells, top.line = other, names_there, line
+            del top.comments[-1]
+    line, skipped = top.line, top.skipped
+    if not line or not cells:
+        raise DataError(f"{path.name}: no header row; expected one like '{_EXPECTED}'")
+    if len(cells) > MOST_COLUMNS:
+        raise DataError(f"{path.name}, row {line}: a header of {len(cells)} columns; not a samples CSV")
+    columns, notes = _Assignment(path, line, cells).columns(wanted)
+    if skipped:
+        shown = ", ".join(f"'{other[:40].strip()}'" for _, other in skipped[:3])
+        more = ", …" if len(skipped) > 3 else ""
+        notes.append(f"rows before the header in row {line} were skipped: {shown}{more}")
+    dialect = Dialect(delimiter)
+    keys, remarks = _read_keys(path.name, top.comments, dialect, len(cells))
+    return Head(path, line, len(cells), dialect, columns, keys, (*remarks, *notes))
+
+
+@dataclass
+class _Top:
+    """Lines of a file down to its header.
+
+    Attributes
+    ----------
+    comments, skipped : list of (int, str)
+        Lines that begin with `#`, and other lines above the header, with their numbers.
+    line, text : int, str
+        Number and text of the header; 0 and empty without any line.
+    separator : str or None
+        What `sep=` states.
+    """
+
+    comments: list[tuple[int, str]] = field(default_factory=list)
+    skipped: list[tuple[int, str]] = field(default_factory=list)
+    line: int = 0
+    text: str = ""
+    separator: str | None = None
+
+    def without_header(self) -> _Top:
+        """Take the first line for the header, which was not found, with the comments above it."""
+        if self.skipped:
+            self.line, self.text = self.skipped[0]
+            self.comments = [comment for comment in self.comments if comment[0] < self.line]
+        self.skipped = []
+        return self
+
+
+def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
+    """Read down to the header.
+
+    The header is the first line without `#` that names a time and two accelerations, if one of the first
+    does: a logger prints text when it starts, and a log may begin in the middle of a row. Else it is the
+    first line, for an error that shows it.
+    """
+    top, characters = _Top(), 0
+    for chunk in chunks_of(path):
+        for number, line in enumerate(chunk.lines, chunk.first):
+            bare = line.strip()
+            characters += len(bare)
+            if number > MOST_HEAD_LINES or characters > MOST_HEAD_CHARACTERS:
+                raise DataError(
+                    f"{path.name}: no header within {MOST_HEAD_LINES} lines and {MOST_HEAD_CHARACTERS} "
+                    f"characters; expected one like '{_EXPECTED}'"
+                )
+            if bare.lower().startswith("sep="):
+                top.separator = line[4:5] if line[4:5] in _SEPARATORS else None
+            elif bare.startswith(("#", '"#')):
+                top.comments.append((number, bare))
+            elif bare.strip(';,\t" '):
+                if _names_samples(line, top.separator, wanted):
+                    top.line, top.text = number, line
+                    return top
+                top.skipped.append((number, line))
+            if top.skipped and number >= top.skipped[0][0] + _PREAMBLE_LINES:
+                return top.without_header()
+    return top.without_header()
+
+
+def _names_samples(line: str, separator: str | None, wanted: Mapping[str, str]) -> bool:
+    """True if the line names a time and two accelerations, or one of the columns that the user names."""
+    _, cells = _split(line, separator, wanted)
+    if any(_alike(cell, text.strip()) for cell in cells for text in wanted.values()):
+        return True
+    return {"time_s", "ax", "ay"} <= {found[0] for found in map(recognised, cells) if found is not None}
+
+
+def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
+    """Delimiter and cells of a header: those that make most names known."""
+    if separator is not None:
+        return separator, header_cells(line, separator)
+    named = {text.strip().lower() for text in wanted.values()}
+
+    def quality(split: tuple[str, list[str]]) -> tuple[int, int]:
+        delimiter, cells = split
+        known = sum((recognised(cell) is not None) + (cell.lower() in named) for cell in cells)
+        return known, len(cells) if delimiter != SPACE else 0
+
+    return max(((delimiter, header_cells(line, delimiter)) for delimiter in DELIMITERS), key=quality)
+
+
+def _read_keys(
+    file: str, lines: Sequence[tuple[int, str]], dialect: Dialect, columns: int
+) -> tuple[dict[str, Any], list[str]]:
+    """Values and notes of the leading lines with `#`.
+
+    A spreadsheet writes these lines as rows too, in the dialect and with the number of columns of the rows.
+
+    Raises
+    ------
+    DataError
+        A key that stands there twice, or an unknown value of one.
+    """
+    values: dict[str, Any] = {}
+    notes: list[str] = []
+    for number, line in lines:
+        name, colon, text = _bare(line, dialect, columns).partition(":")
+        name, text = name.strip().lower(), with_formulas(text.strip())
+        if not colon:
+            continue
+        if name == "note":
+            notes.append(text)
+        elif name not in KEYS:
+            notes.append(f"key '{name}' in row {number} is not known and was ignored")
+        elif name in values:
+            raise DataError(f"{file}, row {number}: key '{name}' stands there twice")
+        elif text:
+            try:
+                values[name] = KEYS[name].read(text)
+            except ValueError as error:
+                reason = str(error)
+                if not reason.startswith("expected"):
+                    reason = "expected a number, with a decimal point"
+                raise DataError(f"{file}, row {number}: {name} '{text}' is not known: {reason}") from error
+    try:
+        checked_gravity_mps2(values.get("gravity_mps2", STANDARD_GRAVITY_MPS2))
+    except UsageError as error:
+        notes.append(f"gravity_mps2 is taken as it stands, but {str(error).split(';')[0]}")
+    return values, notes
+
+
+def _bare(line: str, dialect: Dialect, columns: int) -> str:
+    """A line without its `#`, and without what a spreadsheet has added to it."""
+    if line.startswith('"'):
+        try:
+            line = dialect.cells(line)[0]
+        except (ValueError, IndexError):
+            line = line.strip('"')
+    elif dialect.delimiter != SPACE and (
+        line.endswith(2 * dialect.delimiter) or line.count(dialect.delimiter) == columns - 1
+    ):
+        line = line.rstrip(dialect.delimiter)
+    return line.lstrip("#")
+
+
+@dataclass(frozen=True)
+class _Assignment:
+    """Cells of a header on their way to columns."""
+
+    path: Path
+    line: int
+    cells: list[str]
+
+    def _fail(self, message: str) -> DataError:
+        return DataError(f"{self.path.name}, row {self.line}: {message}")
+
+    def columns(self, wanted: Mapping[str, str]) -> tuple[dict[str, CsvColumn], list[str]]:
+        told = dict(self._told(mine, theirs) for mine, theirs in wanted.items())
+        found = told | self._by_name(told)
+        if not found:
+            raise self._unknown()
+        chosen, notes = self._with_units(found)
+        self._refuse_missing(chosen)
+        gyros = [name for name in GYROS if name in chosen]
+        if gyros and len(gyros) < 3:
+            missing = next(name for name in GYROS if name not in chosen)
+            if any(chosen[name].plain for name in gyros):
+                raise self._fail(f"column '{missing}' is missing beside '{gyros[0]}'")
+            notes.append(f"rates about {', '.join(gyros)} alone were ignored: '{missing}' is missing")
+            chosen = {name: column for name, column in chosen.items() if name not in GYROS}
+        return chosen, [*self._ignored(found), *_renamed(chosen), *notes]
+
+    def _told(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
+        """A column that the user names."""
+        known = recognised(mine)
+        if known is None:
+            raise UsageError(f"columns: '{mine}' is no column of the format; known: {', '.join(COLUMNS)}")
+        there = [k for k, cell in enumerate(self.cells) if cell == theirs] or [
+            k for k, cell in enumerate(self.cells) if _alike(cell, theirs)
+        ]
+        if len(there) != 1:
+            what = "no column is called" if not there else "several columns are called"
+            shown = ", ".join(f"'{cell}'" for cell in self.cells)
+            raise UsageError(f"columns: {what} '{theirs}' in {self.path.name}; there are {shown}")
+        unit = known[1] or split_unit(self.cells[there[0]])[1]
+        return known[0], CsvColumn(
+            known[0], there[0], self.cells[there[0]], unit, plain=mine.endswith("_s")
+        )
+
+    def _by_name(self, told: Mapping[str, CsvColumn]) -> dict[str, CsvColumn]:
+        taken = {column.place for column in told.values()}
+        found: dict[str, CsvColumn] = {}
+        for k, cell in enumerate(self.cells):
+            known = None if k in taken else recognised(cell)
+            if known is None or known[0] in told:
+                continue
+            column = CsvColumn(known[0], k, cell, known[1], known[2])
+            other = found.get(column.name)
+            if other is not None and other.plain == column.plain:
+                if column.plain:
+                    raise self._fail(f"column '{cell}' stands there twice")
+                raise self._fail(
+                    f"both '{other.text}' and '{cell}' may be {column.name}; say which: "
+                    f"--columns {column.name}={cell}"
+                )
+            if other is None or column.plain:
+                found[column.name] = column
+        return found
+
+    def _with_units(self, found: Mapping[str, CsvColumn]) -> tuple[dict[str, CsvColumn], list[str]]:
+        """Columns with the format's spelling of their units; what is optional and unknown is left out."""
+        chosen: dict[str, CsvColumn] = {}
+        notes = []
+        for name, column in found.items():
+            known_unit = COLUMNS[name].unit(column.unit)
+            if known_unit is not None:
+                chosen[name] = replace(column, unit=known_unit[0], scale=known_unit[1])
+                continue
+            known = ", ".join(COLUMNS[name].units)
+            if name in ("time_s", *AXES):
+                raise self._fail(
+                    f"unit '{column.unit}' of column '{column.text}' is not known; known are {known}: "
+                    "convert, or name the column without it"
+                )
+            why = f"its unit is not one of {known}" if known else f"{name} has no unit"
+            notes.append(f"column '{column.text}' was ignored: {why}")
+        for axes in (AXES, GYROS):
+            units = {column.unit for name, column in chosen.items() if name in axes}
+            if len(units) > 1:
+                listed = ", ".join(f"'{c.text}'" for name, c in chosen.items() if name in axes)
+                raise self._fail(f"columns {listed} do not have one unit; convert them to the same one")
+        return chosen, notes
+
+    def _refuse_missing(self, chosen: Mapping[str, CsvColumn]) -> None:
+        missing = [name for name in ("time_s", "ax", "ay") if name not in chosen]
+        if not missing:
+            return
+        spare = [cell for cell in self.cells if cell and recognised(cell) is None]
+        hint = ""
+        if spare:
+            likely = ",".join(f"{name}={_likely(name, spare)}" for name in missing)
+            shown = ", ".join(f"'{cell[:40]}'" for cell in spare[:12])
+            hint = f"; not known are {shown}: say which it is, such as --columns '{likely}'"
+        raise self._fail(f"column '{missing[0]}' is missing{hint}")
+
+    def _unknown(self) -> DataError:
+        cells = [cell for cell in self.cells if cell]
+        if cells and all(_numeric(cell) for cell in cells):
+            return self._fail(
+                f"no header row: the first row holds numbers; put a row such as '{_EXPECTED}' above it"
+            )
+        shown = ", ".join(f"'{cell[:40]}'" for cell in cells[:12])
+        example = ",".join(f"{n}={c[:40]}" for n, c in zip(("time", "ax", "ay"), cells, strict=False))
+        return self._fail(
+            f"not a samples CSV: no known column in the header ({shown}); expected time_s, ax, ay and "
+            f"others; say which are which, such as --columns '{example}'"
+        )
+
+    def _ignored(self, found: Mapping[str, CsvColumn]) -> list[str]:
+        taken = {column.place for column in found.values()}
+        left = [cell or f"column {k + 1}" for k, cell in enumerate(self.cells) if k not in taken]
+        if not left:
+            return []
+        notes = [f"columns that were ignored: {', '.join(left)}"]
+        for cell in left:
+            near = difflib.get_close_matches(cell.lower(), set(COLUMNS) - set(found), n=1, cutoff=0.8)
+            notes += [f"is the ignored column '{cell}' meant to be {near[0]}?"] if near else []
+        return notes
+
+
+def _likely(name: str, spare: Sequence[str]) -> str:
+    """The unknown column that ends as an axis does, or begins as a time does; dots where there is none."""
+    for cell in spare:
+        text = split_unit(cell)[0].lower()
+        if text.endswith(name[1]) if name in AXES else text.startswith(("t", "z")):
+            return cell
+    return "…"
+
+
+def _alike(cell: str, theirs: str) -> bool:
+    return theirs.lower() in (cell.lower(), split_unit(cell)[0].lower())
+
+
+def _numeric(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _renamed(chosen: Mapping[str, CsvColumn]) -> list[str]:
+    """What stands for what, where the file has names of its own."""
+    own = [column for column in chosen.values() if column.text.strip().lower() != column.name]
+    if not own:
+        return []
+    listed = ", ".join(f"{column.name} from '{column.text}'" for column in own)
+    return [f"columns were read as: {listed}"]

@@ -1,0 +1,319 @@
+"""Sessions as samples CSV and JSON, templates to fill in, and a recording written while it is measured.
+
+Numbers are written with the fewest digits that give the same float again, so that what is written is read
+back without a change.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from itertools import chain
+from pathlib import Path
+from typing import IO, Any, Self
+
+import numpy as np
+
+from adis_gonio.base.errors import DataError, OutputError, SessionError, UsageError
+from adis_gonio.base.output import ends_in, exists_error, replacing, write_utf8
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session
+from adis_gonio.record.blocks import GENERIC, Block, session_columns
+from adis_gonio.record.plans import Plan
+from adis_gonio.record.samples_columns import COLUMNS, KEYS, without_formulas
+
+
+def write_samples_csv(session: Session, path: str | Path) -> None:
+    """Write a session as samples CSV, gzipped where the name ends in `.gz`.
+
+    Numbers are written with the fewest digits that give the same float again. Columns that no dwell has
+    are left out.
+
+    Raises
+    ------
+    DataError
+        If dwells differ in their columns (one has gyros, another has not) or the session has no dwell.
+    """
+    path = Path(path)
+    dwells = session.sampled
+    if not dwells:
+        raise DataError(f"{path.name}: the session has no dwell to write")
+    names = _columns_to_write(dwells, path.name)
+    if session.free_turn:  # without the column the file is one continuous recording
+        names.remove("position")
+    stated = {name: getattr(session, name, None) for name in KEYS}
+    lines = _leading_lines({name: value for name, value in stated.items() if value not in (None, "")})
+    lines += [f"# note: {without_formulas(' '.join(note.split()))}" for note in session.notes]
+    data = _file_text(lines, names, chain.from_iterable(_rows(names, dwell) for dwell in dwells)).encode(
+        "utf-8", "replace"
+    )
+    if ends_in(path, ".gz"):
+        data = gzip.compress(data, compresslevel=6, mtime=0)
+    path.write_bytes(data)
+
+
+def _leading_lines(values: Mapping[str, Any]) -> list[str]:
+    """Lines of keys; one without a value, to be filled in, for None or an empty text."""
+    texts = {name: "" if value is None else KEYS[name].text(value) for name, value in values.items()}
+    return [f"# {name}: {without_formulas(text)}".rstrip() for name, text in texts.items()]
+
+
+def _file_text(leading: list[str], names: list[str], rows: Iterable[Iterable[str]]) -> str:
+    return "\n".join([*leading, ",".join(names), *map(",".join, rows), ""])
+
+
+def _columns_to_write(dwells: tuple[Dwell, ...], file: str) -> list[str]:
+    """Columns in the file's order; those that no dwell has are left out."""
+    columns = [dwell.columns() for dwell in dwells]
+    first = [{name: COLUMNS[name].text(values[0]) for name, values in c.items()} for c in columns]
+    names = []
+    for name, column in COLUMNS.items():
+        lacking = [
+            dwell.position
+            for dwell, texts in zip(dwells, first, strict=True)
+            if texts.get(name, "") == column.default
+        ]
+        if len(lacking) == len(dwells):
+            continue
+        if lacking and not column.per_dwell:
+            raise DataError(f"{file}: position {lacking[0]} has no '{name}', others have")
+        names.append(name)
+    return names
+
+
+def _rows(names: list[str], dwell: Dwell) -> Iterator[tuple[str, ...]]:
+    """Texts of the rows of a dwell."""
+    columns, texts = dwell.columns(), []
+    for name in names:
+        column, values = COLUMNS[name], columns[name].tolist()
+        if column.per_dwell:
+            texts.append([column.text(values[0])] * len(values))
+        else:
+            texts.append(list(map(column.text, values)))
+    return zip(*texts, strict=True)
+
+
+# No line of help has a colon: it would be a key.
+_HELP = (
+    "-- One row is one averaged reading; for more samples repeat the row with its position and angle.",
+    "-- time_s is the time of the reading in seconds from any origin, row after row later.",
+    "-- accel_unit is lsb, mg, g, mps2 or counts; reading_u_mg the standard uncertainty of a reading.",
+    "-- fixture_sigma_deg is the standard uncertainty of a stage angle in degrees; empty is not stated.",
+    "-- Columns that the format does not know may be added; they are ignored. A spreadsheet may save it.",
+)
+
+
+def template_text(
+    plan: Plan,
+    *,
+    sensor: str = "adis16354",
+    accel_unit: AccelUnit = "mg",
+    gravity_mps2: float = STANDARD_GRAVITY_MPS2,
+    fixture_sigma_deg: float | None = None,
+) -> str:
+    """A file to fill in by hand, as text: keys, what they mean, and one row a position of a plan.
+
+    Times and readings are left empty, and whoever fills them in changes nothing else.
+
+    Raises
+    ------
+    UsageError
+        Readings in LSB of a sensor whose LSB is not known.
+    """
+    if sensor == "generic" and accel_unit == "lsb":
+        raise UsageError("a generic sensor has no LSB that is known: give --unit mg, g, mps2 or counts")
+    planar = plan.plane == "xy"
+    keys: dict[str, Any] = {
+        **dict.fromkeys(("title", "operator", "serial", "stage")),
+        "sensor": sensor,
+        "accel_unit": accel_unit,
+        "gravity_mps2": gravity_mps2,
+        "fixture_sigma_deg": fixture_sigma_deg if planar else math.inf,
+        "plane": plan.plane,
+        "reading_u_mg": None,
+    }
+    names = ["time_s", "position"]
+    names += ["angle_deg", "approach", "ax", "ay"] if planar else ["ax", "ay", "az"]
+    names += ["use"] if any(position.use == "check" for position in plan.positions) else []
+    rows = []
+    for number, position in enumerate(plan.positions):
+        angle = math.nan if position.angle_deg is None else float(f"{position.angle_deg:.10g}")
+        values = {
+            "position": number, "angle_deg": angle, "approach": position.approach, "use": position.use
+        }  # fmt: skip
+        rows.append([COLUMNS[name].text(values[name]) if name in values else "" for name in names])
+    return _file_text([*_leading_lines(keys), *(f"# {line}" for line in _HELP)], names, rows)
+
+
+def write_template(path: Path, text: str) -> None:
+    """Write a new file.
+
+    Raises
+    ------
+    SessionError
+        The file exists, or cannot be written.
+    """
+    try:
+        with path.open("x", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+    except FileExistsError:
+        raise exists_error(path) from None
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def export_csv(session: Session, path: str | Path) -> None:
+    """Write the samples CSV (gzipped where the name ends in `.gz`).
+
+    What the format has no key for (registers, configuration, truth) stays behind; `export_json` has it.
+
+    Raises
+    ------
+    UsageError
+        The file exists.
+    SessionError
+        It cannot be written.
+    DataError
+        As `write_samples_csv`.
+    """
+    with _new_file(path) as beside:
+        write_csv(session, beside)
+
+
+def write_csv(session: Session, path: Path) -> None:
+    """Write the samples CSV to a file that is still called otherwise; `DataError` names the session."""
+    try:
+        write_samples_csv(session, path)
+    except DataError as error:
+        told = str(error).removeprefix(f"{path.name}: ")
+        raise DataError(f"{session.source or 'session'}: {told}") from None
+
+
+def export_json(session: Session, path: str | Path) -> None:
+    """Write everything that the session holds, samples included, as one JSON document.
+
+    Raises
+    ------
+    UsageError
+        The file exists.
+    SessionError
+        It cannot be written.
+    DataError
+        A value has no JSON form.
+    """
+    with _new_file(path) as beside:
+        try:
+            text = json.dumps(session_dict(session), ensure_ascii=False, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise DataError(f"{session.source or 'session'}: has no JSON form: {error}") from None
+        write_utf8(beside, text + "\n")
+
+
+def session_dict(session: Session) -> dict[str, Any]:
+    """JSON form of a session; units as in `Session`, `fixture_sigma_deg` is "free" where it is infinite."""
+    stated = {name: getattr(session, name) for name in KEYS if hasattr(session, name)}
+    if session.free_attitudes:
+        stated["fixture_sigma_deg"] = "free"
+    return {
+        **stated,
+        "source": session.source,
+        "notes": list(session.notes),
+        "facts": session.facts,
+        "dwells": [_dwell_dict(dwell) for dwell in session.sampled],
+    }
+
+
+def _dwell_dict(dwell: Dwell) -> dict[str, Any]:
+    declared = {name: getattr(dwell, name) for name in ("position", "angle_deg", "approach", "use")}
+    series = {n: getattr(dwell, n) for n in ("time_s", "accel", "gyro", "temperature_c", "supply_v")}
+    return declared | {name: None if values is None else values.tolist() for name, values in series.items()}
+
+
+@contextmanager
+def _new_file(path: str | Path) -> Iterator[Path]:
+    """Path beside a file that does not exist yet, which takes its place at the end."""
+    path = Path(path)
+    if path.exists():
+        raise exists_error(path)
+    try:
+        with replacing(path) as beside:
+            yield beside
+    except OutputError as error:
+        raise SessionError(str(error)) from None
+
+
+class SamplesRecorder:
+    """Writes scans to a samples CSV (`.csv` or `.csv.gz`), a row a scan; use it as a context manager.
+
+    Accelerometers are written in LSB, as the sensor gave them (of a generic one in mg); gyros in °/s,
+    temperature in °C, supply in V. Registers that the format has no column for are left out.
+
+    Attributes
+    ----------
+    path : Path
+    notes : list of str
+        What the reader of the file has to know; written with its header, before the first row.
+
+    Raises
+    ------
+    UsageError
+        The file exists, or the scans lack an accelerometer.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        variant: str,
+        *,
+        gravity_mps2: float = STANDARD_GRAVITY_MPS2,
+        title: str = "",
+    ) -> None:
+        if path.exists():
+            raise exists_error(path)
+        if not ends_in(path, ".csv", ".csv.gz"):
+            raise UsageError(f"{path}: a recording is named .csv or .csv.gz")
+        self.path = path
+        self.rows = 0
+        self.lost = 0
+        self.notes: list[str] = []
+        self._header = [
+            f"# title: {' '.join(title.split()) or 'continuous recording'}",
+            f"# sensor: {variant}",
+            f"# accel_unit: {'mg' if variant == GENERIC else 'lsb'}",
+            f"# gravity_mps2: {gravity_mps2:.6g}",
+            "# fixture_sigma_deg: free",
+            "# plane: none",
+        ]
+        self._named = False
+        self._file: IO[str] = (
+            gzip.open(path, "xt", encoding="utf-8")  # noqa: SIM115 (closed by `close`)
+            if ends_in(path, ".gz")
+            else path.open("x", encoding="utf-8")
+        )
+
+    def add(self, block: Block) -> None:
+        """Append the scans of a block."""
+        columns = session_columns(block)
+        if not self._named:
+            notes = [f"# note: {' '.join(note.split())}" for note in self.notes]
+            self._file.write("\n".join([*self._header, *notes, ",".join(["time_s", *columns]), ""]))
+            self._named = True
+        whole = block.variant != GENERIC
+        formats = ["%d" if whole and name in ("ax", "ay", "az") else "%.6g" for name in columns]
+        table = np.column_stack([block.time_s, *columns.values()])
+        np.savetxt(self._file, table, fmt=["%.6f", *formats], delimiter=",")
+        self._file.flush()
+        self.rows += len(block)
+        self.lost += block.lost
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()

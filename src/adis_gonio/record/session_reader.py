@@ -1,0 +1,364 @@
+"""A session file as a `Session` for the fits, with the turns between its dwells or its free turn.
+
+Turns between dwells are read when somebody asks for them: a fit without gyros costs nothing more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base.errors import DataError
+from adis_gonio.base.numbers import counted
+from adis_gonio.device.sensor.registers import changed_settings
+from adis_gonio.model.records import METADATA, Dwell, Session, Turn
+from adis_gonio.record.archive import ArchiveView
+from adis_gonio.record.archive_tables import Header, JsonDict, StoredAttempt
+from adis_gonio.record.blocks import (
+    GENERIC,
+    WITHOUT_NEWS,
+    Alarms,
+    Block,
+    alarms_of,
+    die_temperatures,
+    join,
+    session_columns,
+    session_series,
+)
+from adis_gonio.record.plans import Plan
+
+FREE_TURN = "free-turn"
+"""Name of the plan."""
+GOES_ON = "the turn goes on"
+"""Reason of an attempt that is a piece of a free turn and not its last."""
+TURNED = "turned"
+"""Reason of an attempt that is a whole turn, and not a dwell; its scans are those before the next dwell."""
+
+
+@dataclass(frozen=True)
+class ArchivedTurns:
+    """Reads the turns between the dwells of a session file.
+
+    Attributes
+    ----------
+    path : Path
+    attempts : tuple of int
+        Attempts that are the session's dwells, in order: those of the time when it was read.
+    """
+
+    path: Path
+    attempts: tuple[int, ...]
+
+    def __call__(self) -> tuple[Turn, ...]:
+        """Turns, one less than dwells; none where the file is not there any more or is another by now.
+
+        Raises
+        ------
+        DataError
+            As `ArchiveView`.
+        """
+        if not self.path.is_file():
+            return ()
+        with ArchiveView(self.path) as view, view.snapshot():
+            stored = view.attempts()
+            plan = view.plan()
+            of_number = {attempt.number: attempt for attempt in stored}
+            if not set(self.attempts) <= set(of_number):
+                return ()
+            dwells = [of_number[number] for number in self.attempts]
+            made = []
+            for k, (before, after) in enumerate(pairwise(dwells)):
+                blocks = list(_between(view, stored, before, after))
+                declared = plan.positions[after.place].turned_deg if after.place < len(plan) else None
+                # A mark is reached from the place before it alone: of anything else nobody says how far.
+                declared = declared if after.place == before.place + 1 else None
+                made.append(_turn(k, blocks, after, declared))
+        return tuple(made)
+
+
+def _between(
+    view: ArchiveView, stored: Sequence[StoredAttempt], before: StoredAttempt, after: StoredAttempt
+) -> Iterator[Block]:
+    """Scans from the end of a dwell to the beginning of another, in order.
+
+    Attempts in between (interrupted ones, dwells that were repeated) belong to it with all their scans.
+    Those of another run than the second dwell's are of another stream: left out, and the gap tells. Whole
+    turns begin and end at a mark: the last one that was made counts, without what was tried before.
+    """
+    between = [a for a in stored if before.number < a.number < after.number and a.run == after.run]
+    whole = [k for k, attempt in enumerate(between) if attempt.reason == TURNED]
+    if whole:
+        for attempt in between[whole[-1] :]:
+            yield from view.blocks(attempt)
+        yield from _part(view, after, last=False)
+        return
+    if before.run == after.run:
+        yield from _part(view, before, last=True)
+    for attempt in between:
+        yield from view.blocks(attempt)
+    yield from _part(view, after, last=False)
+
+
+def _part(view: ArchiveView, attempt: StoredAttempt, *, last: bool) -> Iterator[Block]:
+    yield from view.blocks(attempt, "after" if last else "before")
+
+
+def _turn(number: int, blocks: list[Block], after: StoredAttempt, turned_deg: float | None) -> Turn:
+    blocks = [block for block in blocks if len(block)]
+    if not blocks:
+        return Turn(number, number + 1, np.empty(0), np.empty((0, 3)), turned_deg=turned_deg)
+    scans = join(blocks)
+    return Turn(
+        number,
+        number + 1,
+        scans.time_s + after.offset_s,
+        turned_deg=turned_deg,
+        temperatures_c=die_temperatures(scans),
+        **session_series(session_columns(scans)),
+    )
+
+
+def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
+    """The whole of the last complete turn, else of the longest one, and what broke that one off.
+
+    None where nothing was recorded.
+    """
+    chains: list[list[StoredAttempt]] = [[]]
+    for attempt in view.attempts():
+        if chains[-1] and chains[-1][-1].run != attempt.run:
+            chains.append([])
+        chains[-1].append(attempt)
+        if attempt.reason != GOES_ON:
+            chains.append([])
+    taken = view.withdrawn()
+    chains = [chain for chain in chains if chain and chain[-1].number not in taken]
+    whole = [chain for chain in chains if chain[-1].outcome == "complete"]
+    best = (
+        whole[-1]
+        if whole
+        else max(chains, key=lambda c: c[-1].ended_bus_s - c[0].started_bus_s, default=None)
+    )
+    if best is None:
+        return None, "nothing was recorded"
+    reason = "" if whole else best[-1].reason.replace(GOES_ON, "the program ended")
+    blocks = [(attempt, block) for attempt in best for block in view.blocks(attempt) if len(block)]
+    return (_joined(blocks) if blocks else None), reason
+
+
+def _joined(blocks: Sequence[tuple[StoredAttempt, Block]]) -> Dwell:
+    columns = [session_columns(block) for _, block in blocks]
+    whole = {name: np.concatenate([c[name] for c in columns]) for name in columns[0]}
+    time_s = np.concatenate([block.time_s + attempt.offset_s for attempt, block in blocks])
+    return Dwell(0, time_s, **session_series(whole))
+
+
+def read_session(path: str | Path) -> Session:
+    """Read a session file: its complete dwells, in the order in which they were recorded.
+
+    A session may be read while another program records it. Samples are in LSB (of a generic sensor in mg)
+    and °/s, times in seconds since the session began. `facts` holds `configuration`, `registers` (before,
+    configured, after), `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans,
+    STATUS and alarms of each), `reversed` (True where the stage's angles were taken with the other sign),
+    `doubts` (why the result cannot be right: what was kept against a guard), `remarks` (the operator's),
+    `scanning` (how scans were got), `problems`, `advised` (what an advisor asked for, round by round),
+    `turned` (the gyros' integrals between dwells, as the bench had them),
+    `offset_writes` (what `adis_gonio.bench.writeback` has written to the sensor since, step by step),
+    `complete`, and for simulated sessions alone `truth`, which no fit may use.
+
+    Raises
+    ------
+    DataError
+        The file is missing, of another kind, damaged, truncated or newer than this program, or has no
+        complete dwell.
+    SessionError
+        It cannot be read here, or holds no session yet.
+    """
+    with ArchiveView(path) as view, view.snapshot():
+        header, plan, stored = view.header(), view.plan(), view.dwells()
+        pending, skipped = view.pending(), view.skipped()
+        if plan.name == FREE_TURN:
+            return _free_turn(path, view)
+        if not stored:
+            raise DataError(f"{path}: no dwell is complete yet; resume the session")
+        dropped = {r.value["attempt"]: r.value["scans"] for r in view.records("dropped")}
+        joined = [join(view.blocks(attempt, "dwell")) for attempt in stored]
+        facts = _facts(view) | {
+            "advised": [record.value for record in view.records("advised")],
+            "turned": [record.value for record in view.records("turned")],
+            "reversed": bool(view.last("reversed")),
+            "doubts": view.doubts() + _changed_registers(view),
+            "complete": not pending,
+            "skipped": sorted(skipped),
+            "dwells": [
+                _facts_of(a, scans, dropped.get(a.number, 0))
+                for a, scans in zip(stored, joined, strict=True)
+            ],
+        }
+    sign = -1 if facts["reversed"] else 1
+    dwells = tuple(_dwell(k, *pair, sign) for k, pair in enumerate(zip(stored, joined, strict=True)))
+    turns = ArchivedTurns(Path(path).absolute(), tuple(attempt.number for attempt in stored))
+    notes = _notes(plan, pending, skipped, facts)
+    return _session(path, header, facts, notes, dwells=dwells, plane=plan.plane, turns_from=turns)
+
+
+def _free_turn(path: str | Path, view: ArchiveView) -> Session:
+    """One continuous turn; what a broken one has is taken, and said."""
+    recording, reason = recording_of(view)
+    if recording is None:
+        raise DataError(f"{path}: holds no turn yet; resume the session")
+    lost = sum(block.lost for a in view.attempts() for block in view.blocks(a))
+    facts = _facts(view) | {
+        "advised": [],
+        "reversed": False,
+        "doubts": _changed_registers(view),
+        "complete": not reason,
+        "skipped": [],
+        "dwells": [],
+        "broken_off": reason,
+    }
+    length_s = float(recording.time_s[-1] - recording.time_s[0])
+    notes = [doubt["message"] for doubt in facts["doubts"]]
+    if reason:
+        notes.append(
+            f"the turn was broken off after {length_s:.0f} s: {reason}; --resume records a new one"
+        )
+    if lost:
+        notes.append(f"{counted(lost, 'scan')} lost on the bus during the turn")
+    return _session(path, view.header(), facts, notes, dwells=(), recording=recording, free_turn=True)
+
+
+def _facts(view: ArchiveView) -> JsonDict:
+    """Facts of every session."""
+    header, truth = view.header(), view.last("truth")
+    return {
+        "url": header.url,
+        "note": header.note,
+        "simulated": header.simulated,
+        "software": header.software,
+        "started_utc": header.created_utc,
+        "settings": dict(header.settings),
+        "plan": view.plan().as_dict(),
+        "configuration": view.last("configuration"),
+        "registers": {when: view.last(f"registers-{when}") for when in ("before", "configured", "after")},
+        "runs": view.runs(),
+        "problems": [record.value for record in view.records("problem")],
+        "remarks": [record.value for record in view.records("remark")],
+        "scanning": view.last("scanning"),
+        "offset_writes": view.offset_writes(),
+        **({"truth": truth} if header.simulated and truth is not None else {}),
+    }
+
+
+def _session(
+    path: str | Path, header: Header, facts: JsonDict, notes: Sequence[str], **found: Any
+) -> Session:
+    """The session with its metadata."""
+    return Session(
+        sensor=header.variant,
+        accel_unit="mg" if header.variant == GENERIC else "lsb",
+        **{n: getattr(header, n) for n in ("gravity_mps2", "fixture_sigma_deg", "title", *METADATA)},
+        source=str(path),
+        notes=(*notes, *_of_writes(facts)),
+        facts=facts,
+        **found,
+    )
+
+
+def _of_writes(facts: JsonDict) -> tuple[str, ...]:
+    """What a write-back to the sensor means for the results; nothing where there was none."""
+    recorded = facts["registers"]["configured"]
+    if not facts["offset_writes"] or not recorded:
+        return ()
+    from adis_gonio.record.write_journal import operations, remarks_on
+
+    return remarks_on(operations(facts["offset_writes"]), recorded)
+
+
+def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwell:
+    return Dwell(
+        number,
+        scans.time_s + attempt.offset_s,
+        angle_deg=None if attempt.position.angle_deg is None else sign * attempt.position.angle_deg,
+        approach=sign * attempt.position.approach,
+        use=attempt.position.use,
+        temperatures_c=die_temperatures(scans),
+        **session_series(session_columns(scans)),
+    )
+
+
+def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
+    alarms = alarms_of(scans)
+    return {
+        "place": attempt.place,
+        "attempt": attempt.number,
+        "run": attempt.run,
+        "started_utc": attempt.started_utc,
+        "samples": len(scans),
+        "lost": scans.lost,
+        "dropped": dropped,
+        "status": attempt.status,
+        "alarms": None if alarms is None else alarms.as_dict(),
+    }
+
+
+def _changed_registers(view: ArchiveView) -> list[JsonDict]:
+    """Return the doubt about a session whose registers were not the same at its end as at its beginning."""
+    then, now = view.last("registers-configured"), view.last("registers-after")
+    changed = changed_settings(then or {}, now or {})
+    if not changed:
+        return []
+    # No range has code 0 or 7: such a reply comes from a line that is stuck.
+    level = {0x0000: "zeros", 0xFFFF: "ones"}.get((now or {}).get("SENS_AVG", 1))
+    if level is not None:
+        message = (
+            f"the sensor's registers could not be compared at the end of the session: replies were {level}"
+            ", the data line (MISO) was stuck; check the line, then measure again"
+        )
+        return [{"attempt": None, "kind": "registers", "message": message}]
+    told = ", ".join(f"{name} {before} → {after}" for name, (before, after) in changed.items())
+    message = (
+        f"the sensor's settings changed while the session was recorded ({told}): it restarted, or somebody"
+        " wrote to it, and dwells from before and after do not agree"
+    )
+    return [{"attempt": None, "kind": "registers", "message": message}]
+
+
+def _doubtful(plan: Plan, doubt: JsonDict) -> str:
+    if doubt["kind"] == "registers":
+        return str(doubt["message"])
+    if doubt["attempt"] is None:
+        where = plan.positions[doubt["place"]]
+        return f"{where} contradicted dwells before it and was skipped: {doubt['message']}"
+    return f"attempt {doubt['attempt']} was kept: {doubt['message']}"
+
+
+def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDict) -> tuple[str, ...]:
+    notes, dwells = [], facts["dwells"]
+    if pending:
+        notes.append(
+            f"unfinished session: {len(dwells)} of {counted(len(plan), 'position')} of plan"
+            f" '{plan.name}' done"
+        )
+    if facts["reversed"]:
+        notes.append("turned the other way: every angle of the plan was taken with the other sign")
+    notes += [_doubtful(plan, doubt) for doubt in facts["doubts"]]
+    if skipped:
+        notes.append(f"skipped: {', '.join(str(plan.positions[place]) for place in sorted(skipped))}")
+    lost = sum(dwell["lost"] for dwell in dwells)
+    if lost:
+        notes.append(f"{counted(lost, 'scan')} lost on the bus within the dwells")
+    dropped = sum(dwell["dropped"] for dwell in dwells)
+    if dropped:
+        notes.append(f"{counted(dropped, 'scan')} within the dwells left out: {WITHOUT_NEWS}")
+    if facts["scanning"] and facts["scanning"]["caveat"]:
+        notes.append(facts["scanning"]["caveat"])
+    for number, dwell in enumerate(dwells):
+        if dwell["alarms"] is not None:
+            where = plan.positions[dwell["place"]]
+            notes.append(f"dwell {number} ({where}): {Alarms(**dwell['alarms'])}")
+    return tuple(notes)

@@ -1,0 +1,226 @@
+"""What to measure next, in words; the measurements themselves are worked out in `proposals`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from adis_gonio.base.numbers import format_duration
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import Term
+from adis_gonio.model.effects import AXES, catalogue
+from adis_gonio.model.effects.gyro_terms import WHOLE_TURNS
+from adis_gonio.model.effects.stage_terms import BETWEEN
+from adis_gonio.tracing.findings import cycles_alike
+from adis_gonio.tracing.proposals import LEAST_SEPARATION, propose
+from adis_gonio.tracing.selection import Selection
+from adis_gonio.tracing.trace_result import NextDwell
+
+PLAIN = 100.0
+"""Standard uncertainties from which a figure says nothing more."""
+
+
+def advise(
+    data: Readings,
+    selection: Selection,
+    terms: Sequence[Term],
+    confounded: Sequence[Sequence[str]],
+) -> tuple[tuple[str, ...], tuple[NextDwell, ...]]:
+    """Advice in words, and as measurements; the most informative first.
+
+    Parameters
+    ----------
+    data : Readings
+        All dwells.
+    selection : Selection
+        Of those that were fitted.
+    terms : sequence of Term
+        All candidates of the session.
+    confounded : sequence of sequences of str
+        What the session cannot tell apart.
+    """
+    measurements = tuple(replace(m, sentence=_sentence([m])) for m in propose(data, selection, terms))
+    lines = list(sentences(measurements))
+    strong = [m for m in measurements if m.purpose == "decide" and m.separation >= LEAST_SEPARATION]
+    decided = {name for m in strong for name in (*m.one, *m.other)}
+    inside = {term.name for term in selection.terms}
+    remedies = {
+        name: (not data.planar and kind.remedy_in_space) or kind.remedy
+        for name, kind in catalogue(data.model.part).items()
+        if kind.remedy
+    }
+    groups = [c for c in confounded if c[0] in inside or not selection.adequate]
+    lines += _by_hand(groups, decided, remedies, alone=not data.model.freedom)
+    lines += _of_cycles(selection)
+    lines += _of_unnamed(selection.terms)
+    lines += _not_recorded(selection.data)
+    if not selection.adequate and not lines:
+        lines.append(
+            "repeat each position at another time and from the other side: what is left is larger than "
+            "the noise within the dwells, and no single cause explains it"
+        )
+    return tuple(lines), measurements
+
+
+def sentences(measurements: Sequence[NextDwell]) -> tuple[str, ...]:
+    """One sentence for all measurements that part the same."""
+    return tuple(_sentence(group) for group in _grouped(measurements))
+
+
+def place(measurement: NextDwell) -> str:
+    """Position and conditions, such as `45° from above, after waiting 5 min`."""
+    words = [where(measurement)]
+    if measurement.temperature_c is not None:
+        words.append(f"with the part at {measurement.temperature_c:.0f} °C")
+    if measurement.supply_v is not None:
+        words.append(f"with a supply of {measurement.supply_v:.2f} V")
+    if measurement.wait_s:
+        words.append(f"after waiting {format_duration(measurement.wait_s)}")
+    return ", ".join(words)
+
+
+def where(measurement: NextDwell) -> str:
+    """Position alone, such as `45° from above`."""
+    if measurement.angle_deg is not None:
+        side = " from above" if measurement.approach < 0 else ""
+        return f"{measurement.angle_deg:g}°{side}"
+    parts = enumerate(measurement.direction or ())
+    axes = [f"{'+' if part > 0 else '−'}{AXES[k]}" for k, part in parts if abs(part) > 0.3]
+    return f"an attitude that reads {' '.join(axes)}"
+
+
+def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
+    """Measurements that part the same, in order; all that only look for what was not to be seen."""
+    groups: dict[object, list[NextDwell]] = {}
+    for m in measurements:
+        key: object = (m.one, m.other)
+        if m.purpose == "cover":
+            key = "cover"
+        elif m.separation < LEAST_SEPARATION:
+            key = "faint"
+        groups.setdefault(key, []).append(m)
+    return list(groups.values())
+
+
+def _sentence(group: Sequence[NextDwell]) -> str:
+    first = group[0]
+    what = _joined([place(m) for m in group], "; " if any("," in place(m) for m in group) else ", ")
+    if first.purpose == "cover":
+        names = list(dict.fromkeys(name for m in group for name in (*m.one, *m.other)))
+        return f"measure at {what}: only then could {_joined(names, ', ')} be seen, if there"
+    strongest = max(m.separation for m in group)
+    if strongest < LEAST_SEPARATION:
+        return _faint(group)
+    figure = f"more than {PLAIN:.0f}" if strongest > PLAIN else f"about {strongest:.0f}"
+    apart = f"expected difference {figure} standard uncertainties"
+    one, other = (_joined(names, ", ") for names in (first.one, first.other))
+    if not one or not other:
+        return f"measure at {what}: that shows whether {one or other} is there ({apart})"
+    return f"measure at {what}: that tells {one} from {other} ({apart})"
+
+
+def _faint(group: Sequence[NextDwell]) -> str:
+    """The positions that tell most where a dwell at none of them decides."""
+    what = list(dict.fromkeys(place(m) for m in group))
+    where = _joined(what, "; " if any("," in w for w in what) else ", ")
+    names = _joined(list(dict.fromkeys(name for m in group for name in _varying(m))), ", ")
+    strongest = max(m.separation for m in group)
+    return (
+        f"no single position tells {names} apart; those that tell most: {where}, each several times in the "
+        f"course of the session (a dwell differs there by {strongest:.1f} standard uncertainties of what "
+        "is left)"
+    )
+
+
+def _varying(measurement: NextDwell) -> tuple[str, ...]:
+    """Names in which two models differ."""
+    return tuple(sorted(set(measurement.one) ^ set(measurement.other)))
+
+
+def _joined(words: Sequence[str], comma: str) -> str:
+    if len(words) < 2:
+        return "".join(words)
+    return f"{comma.join(words[:-1])} and {words[-1]}"
+
+
+def _by_hand(
+    confounded: Sequence[Sequence[str]],
+    decided: set[str],
+    remedies: Mapping[str, str],
+    *,
+    alone: bool,
+) -> list[str]:
+    """What would part groups that no measurement parts, one line for each thing to do.
+
+    Where no attitude is looked for (`alone`), what confirms a name against forms without one is said too.
+    """
+    to_do: dict[str, list[str]] = {}
+    for names in confounded:
+        # The first is what the model has; alone, it stands against nothing that has a name.
+        rivals = names[1:] or names
+        if alone and not any(name in remedies for name in rivals):
+            rivals = names[:1]
+        for name in rivals:
+            if (
+                name in remedies
+                and name not in decided
+                and name not in to_do.setdefault(remedies[name], [])
+            ):
+                to_do[remedies[name]].append(name)
+    return [
+        f"to confirm or rule out {_joined(names, ', ')}: {remedy}"
+        for remedy, names in to_do.items()
+        if names
+    ]
+
+
+def _of_cycles(selection: Selection) -> list[str]:
+    """What would tell the cycles a turn that were found from others that look like them."""
+    return [
+        f"to tell {cycles} cycles a turn from {_joined([str(n) for n in others], ', ')}: {BETWEEN}"
+        for cycles, others in cycles_alike(selection)
+    ]
+
+
+_FORM_SHOWS = {
+    "angle": BETWEEN,
+    "reading": BETWEEN,
+    "time": "repeat one position many times over a session of this length",
+    "order": "repeat one position many times over a session of this length",
+    "temperature": "repeat one position while the temperature goes slowly up and down",
+    "temperature_rate": "repeat one position while the temperature changes at different speeds",
+    "supply": "repeat one position at a dozen supply voltages",
+    "approach": "approach one position from both sides several times",
+    "previous_angle": "approach one position from many others",
+    "variance": "repeat one position with a source of vibration of different strengths",
+    "force": "add poses between those of this session, with each axis along and against gravity",
+    "rotation": "turn the part slowly and briskly, to both sides",
+}
+"""What shows the form of a cause without a name, by what it depends on."""
+
+
+def _of_unnamed(model: Sequence[Term]) -> list[str]:
+    """What would show the form of what has no name, one line for each thing to do."""
+    covariates = dict.fromkeys(c for term in model if term.name is None for c in term.covariates)
+    to_do = dict.fromkeys(_FORM_SHOWS[name] for name in covariates if name in _FORM_SHOWS)
+    return [f"to see the form of what has no name: {what}" for what in to_do]
+
+
+def _not_recorded(data: Readings) -> list[str]:
+    """Conditions that the session lacks altogether."""
+    c = data.conditions
+    lines = []
+    if data.planar and c.angle_rad is None:
+        lines.append(
+            "declare the angles of the stage: without them no effect of the stage can be looked for"
+        )
+    elif data.planar and c.approach is None:
+        lines.append(
+            "record from which side each position was reached, and approach several from both: backlash "
+            "and hysteresis show in nothing else"
+        )
+    if c.temperature_c is None:
+        lines.append("record the temperature: without it no thermal effect can be looked for")
+    if "rotation" in data.model.driven_by and c.rate_dps is None:
+        lines.append(f"{WHOLE_TURNS}: without turns nothing is known of gains and directions")
+    return lines

@@ -1,1 +1,0 @@
-"""What to measure next: measurements by expected information, and words for them."""

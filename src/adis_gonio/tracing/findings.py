@@ -1,0 +1,566 @@
+"""What is said of a selection: findings with their uncertainty, the rest without a name, rivals, notes.
+
+What each finding explains: the fall of the excess from step to step, as the table of errors has it.
+
+The excess of a model is its χ² beyond its degrees of freedom; where the noise is not known, the square of
+its residual. Shares are of the base model's excess. They follow the steps in their order and add up to what
+all of them explain together, so that they never exceed 100 %.
+
+Uncertainty of a value over all probable models.
+
+The covariance of one model takes for granted that it is the right one. In another that is as probable an
+effect may act on one axis only (the amplitude of the other is then zero), or stand beside something that
+shares its direction, and models that predict the same may differ by a gain. A stated u is such that value
+± 1.96 u holds 95 % of the mixture of all of them (Hoeting, Madigan, Raftery and Volinsky, Bayesian model
+averaging, Statistical Science 14, 1999), each normal about its own value; the degrees of freedom that show
+the noise stand apart from it.
+
+What follows the clock of a session, taken at its middle.
+
+At the start a bias trades with a drift and with the amplitude of a warm-up, whose sum the readings show far
+better than either; at the middle their sum is as well known as the readings there.
+
+Cycles a turn of the stage that a session cannot tell from those that were found.
+
+At N equally spaced angles n, N − n, N + n, … cycles are one column: only the fewest is a candidate, and
+the others are named here. At other angles each is a candidate of its own, and the scores tell.
+
+Detectability: the smallest amplitude of every effect that this session would have shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.uncertainty import COVERED, NORMAL_95, Detectable, Value
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Unit
+from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.fitting.outputs import outputs_of
+from adis_gonio.model.effects import AXES, Conditions, catalogue, effect
+from adis_gonio.model.effects.stage_terms import StagePeriodic, alike
+from adis_gonio.tracing.averaging import Averaged, AveragedFit, AveragedTerm
+from adis_gonio.tracing.credible_sets import votes
+from adis_gonio.tracing.linear_problem import LinearProblem, amplitudes, span
+from adis_gonio.tracing.model_search import Model, Search, posterior
+from adis_gonio.tracing.scatter import Scatter
+from adis_gonio.tracing.selection import Selection
+from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Rival, Unnamed
+
+
+def dof_of(selection: Selection) -> float:
+    """Degrees of freedom that show the noise at which uncertainties are stated; inf where it was stated."""
+    data = selection.data
+    dof = data.noise_dof if data.noise_known else np.inf
+    if not data.noise_known or selection.inflation > 1:
+        dof = min(dof, max(selection.fit.dof, 1.0))
+    return float(dof)
+
+
+def finding_of(selection: Selection, name: str, averaged: Averaged | None = None) -> Finding:
+    """One name of the chosen model, beside what is averaged, with its parameters and its test."""
+    from scipy import stats
+
+    problem = selection.problem
+    members = [k for k in selection.verdict.best if problem.terms[k].name == name]
+    gain, width = _gain(selection, members)
+    parameters: dict[str, Value] = {}
+    axes: list[str] = []
+    cause = ""
+    amplitude_of, mixture = effects(selection, name)
+    voted, present = votes(selection, name, averaged)
+    dof = dof_of(selection)
+    fit = selection.fit
+    for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
+        at = fit.slice_of(index).start
+        if isinstance(term, NamedTerm) and term.name == name:
+            cause = term.effect.cause
+            axes += [axis for axis in term.effect.axes if axis not in axes]
+            seen = np.abs(fit.candidate(term)).max(axis=(0, 1)) > 0
+            unseen = {k for k, shown in zip(term.amplitudes, seen, strict=True) if not shown}
+            for k, parameter in enumerate(term.effect.parameters):
+                u = float(np.sqrt(fit.covariance[at + k, at + k] * selection.inflation))
+                if parameter.name in amplitude_of:  # shapes are fitted: their spread is in the covariance
+                    u = mixture.u(u, np.array([float(other == parameter.name) for other in amplitude_of]))
+                undetermined = k in unseen
+                value = 0.0 if undetermined else float(values[k])
+                parameters[parameter.name] = Value(value, None if undetermined else u, parameter.unit, dof)
+            for choice in (c for c in term.effect.choices() if c not in term.effect.options):
+                parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
+    # The level is spent by the prior: a name has a far greater share of it than one of thousands of
+    # functions without a name (weighted Bonferroni; Genovese, Roeder and Wasserman, Biometrika 93, 2006).
+    share = float(np.exp(-sum(problem.cost[k] for k in members)))
+    p = float(stats.chi2.sf(gain / selection.inflation, width)) / share
+    same = [
+        " + ".join(sorted({problem.terms[k].shown_as for k in m}))
+        for m in selection.verdict.same.get(selection.verdict.best, [])
+        if name not in {problem.terms[k].name for k in m}
+    ]
+    return Finding(
+        effect=name,
+        axes=tuple(axes),
+        parameters=parameters,
+        p_value=min(p, 1.0),
+        explains=0.0,  # a share of the steps, which are not known here: see `shares`
+        probability=min(voted.get(name, 0.0) * present, 1.0),
+        equivalents=tuple(dict.fromkeys(same))[:5],
+        cause=cause,
+    )
+
+
+def told_from_zero(finding: Finding) -> bool:
+    """True where a value differs from zero by more than its own uncertainty allows."""
+    halves = [(abs(v.value), v.U) for v in finding.parameters.values() if v.u]
+    return not halves or any(size > limits.told * (half or 0.0) / NORMAL_95 for size, half in halves)
+
+
+def scatter_finding(scatter: Scatter, explains: float) -> Finding:
+    """Scatter from dwell to dwell as an entry of `found`, with its share of the base model's excess."""
+    return Finding(
+        effect=scatter.kind,
+        axes=(),
+        parameters={"scatter": Value(scatter.value, scatter.u, scatter.unit)},
+        p_value=scatter.p_value,
+        explains=explains,
+        probability=float(1 / (1 + np.exp(-scatter.log_odds))),
+        cause="Readings scatter from dwell to dwell by more than the samples within them do.",
+    )
+
+
+def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
+    """χ² that some terms take beside the others of the model, and their columns."""
+    best = selection.verdict.best
+    with_all = float((span(selection.problem, best)[1] ** 2).sum())
+    others = [k for k in best if k not in members]
+    without = float((span(selection.problem, others)[1] ** 2).sum())
+    return without - with_all, int(sum(selection.problem.width[k] for k in members))
+
+
+def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | None:
+    """Nameless terms of the model, or what is averaged in their place."""
+    from scipy import stats
+
+    problem, verdict = selection.problem, selection.verdict
+    members = [k for k in verdict.best if isinstance(problem.terms[k], NamelessTerm)]
+    if members:
+        terms = [problem.terms[k] for k in members]
+        gain, width = _gain(selection, members)
+        share = float(np.exp(-sum(problem.cost[k] for k in members)))
+        covariates = tuple(dict.fromkeys(c for term in terms for c in term.covariates))
+        forms = [term.form for term in terms if isinstance(term, NamelessTerm)]
+        return Unnamed(
+            covariates=covariates,
+            form="; ".join(forms),
+            explains=0.0,
+            probability=min(verdict.covariates.get(term.covariates, 0.0) for term in terms),
+            p_value=min(1.0, float(stats.chi2.sf(gain / selection.inflation, width)) / share),
+        )
+    if averaged is not None:
+        smooth = averaged.smooth
+        return Unnamed(
+            covariates=smooth.covariates,
+            form=smooth.form,
+            explains=0.0,
+            probability=averaged.weight,
+            p_value=min(1.0, 1 - averaged.weight),
+        )
+    return None
+
+
+def rivals_of(selection: Selection) -> tuple[Rival, ...]:
+    """Models near the best, the best first."""
+    ranked = sorted(selection.verdict.weights.items(), key=lambda item: -item[1])[:8]
+    terms = selection.problem.terms
+    return tuple(Rival(tuple(terms[k].label for k in model), weight) for model, weight in ranked)
+
+
+def base_of(selection: Selection) -> dict[str, Value]:
+    """Base parameters as `adis_gonio.fit` states them; in the plane with ΔK.
+
+    Their uncertainty holds what other probable models say of them.
+    """
+    fit = selection.fit
+    data = fit.data
+    # What a prior alone holds is at its centre exactly; a start angle, which has none, is where it began.
+    held = ~data.visible & np.isfinite([parameter.spread for parameter in data.model.parameters])
+    base = np.where(held, data.model.nominal, fit.values.base)
+    p = len(base)
+    covariance = fit.covariance[:p, :p] * selection.inflation
+    dof = dof_of(selection)
+    mixture = bases(selection)
+    # By the same function as `fit`, so that a name has one unit in both.
+    outputs = outputs_of(data, np.concatenate([base, np.zeros(data.axes)]))
+    hidden = {q.name for q, seen in zip(data.model.parameters, data.visible, strict=True) if not seen}
+    out = {}
+    for output in outputs:
+        if output.name.startswith("bias"):
+            continue
+        slope = output.gradient[:p]
+        u = mixture.u(float(np.sqrt(slope @ covariance @ slope)), slope)
+        out[output.name] = Value(output.value, None if output.name in hidden else u, output.unit, dof)
+    return out
+
+
+def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Value]:
+    """Bias of every axis that no finding states, as `adis_gonio.fit` has it, if the unit is counts.
+
+    An axis without a bias in the model stands at the rough zero by which the readings came into mg: its
+    bias is fitted with the other parameters of the model. Empty if the zero of the unit is known.
+    """
+    data = selection.data
+    if data.unit.known:
+        return {}
+    fit = selection.fit
+    axes = tuple(AXES[: data.axes])
+    biased = {
+        letter
+        for term in fit.terms
+        if isinstance(term, NamedTerm) and term.name == "bias"
+        for letter in term.effect.axes
+    }
+    lacking = tuple(letter for letter in axes if letter not in biased)
+    if lacking:
+        zero = NamedTerm("bias", (), 0.0, effect("bias", lacking))
+        values = replace(fit.values, terms=(*fit.values.terms, np.zeros(len(lacking))))
+        fit = Fit(data, (*fit.terms, zero), values, fit.with_prior).refit()
+    stated = {f"bias_{letter}": Value(0.0, None, "mg") for letter in axes}
+    for index, term in enumerate(fit.terms):
+        if not isinstance(term, NamedTerm) or term.name != "bias":
+            continue
+        start = fit.slice_of(index).start
+        for place, parameter in enumerate(term.effect.parameters, start):
+            u = float(np.sqrt(fit.covariance[place, place] * selection.inflation))
+            stated[parameter.name] = Value(float(fit.values.parameters[place]), u, "mg", dof_of(selection))
+    zeros = in_units_of_file(Finding("bias", axes, stated, 1.0, 0.0, 1.0), data.unit).parameters
+    known = {name for finding in seen if finding.effect == "bias" for name in finding.parameters}
+    return {name: value for name, value in zeros.items() if name not in known}
+
+
+def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
+    """A bias as the file's reading at zero where that is not known beforehand (counts), as `fit` has it."""
+    if unit.known or finding.effect != "bias":
+        return finding
+    stated = {}
+    for name, value in finding.parameters.items():
+        axis = AXES.index(name[-1])
+        per_mg = float(unit.per_mg[axis])
+        u = None if value.u is None else value.u * per_mg
+        zero = float(unit.zero[axis])
+        stated[name] = Value(zero + value.value * per_mg, u, unit.name, value.dof)
+    return replace(finding, parameters=stated)
+
+
+def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
+    """What has to be said about the noise."""
+    data = selection.data
+    notes = list(data.notes)
+    for cycles, others in cycles_alike(selection):
+        listed = ", ".join(str(n) for n in others)
+        notes.append(
+            f"at the angles of this session {cycles} cycles a turn of the stage look like {listed}"
+        )
+    if not data.noise_known:
+        notes.append(
+            "the noise of a reading is not known; it was estimated from the residual, so that adequacy "
+            "cannot be tested"
+        )
+    if scatter is not None:
+        what = "stated of the fixture" if scatter.kind == "fixture_scatter" else "shown within the dwells"
+        unit = "°" if scatter.unit == "deg" else f" {scatter.unit}"
+        notes.append(
+            f"dwells scatter by {scatter.value:.2g}{unit} where {scatter.declared:.2g}{unit} was {what}; "
+            "no covariate explains it"
+        )
+    elif data.noise_known and selection.inflation > 1 and not selection.adequate:
+        notes.append(
+            f"no model explains the residual down to the measured noise; effects were judged against "
+            f"{np.sqrt(selection.inflation):.2g} times that noise"
+        )
+    return tuple(notes)
+
+
+def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float]:
+    """Excess of each model over the measured noise."""
+    if any(figure.chi2_per_dof is None for figure in figures):
+        return [figure.residual_rms**2 for figure in figures]
+    return [
+        fit.dof * max((figure.chi2_per_dof or 1.0) - 1.0, 0.0)
+        for fit, figure in zip(fits, figures, strict=True)
+    ]
+
+
+def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
+    """Share of each step's name; what rises instead takes nothing away that another had explained."""
+    found = dict.fromkeys(steps, 0.0)
+    least = excess[0]
+    for name, left in zip(steps, excess[1:], strict=True):
+        fall = max(least - left, 0.0)
+        least -= fall
+        found[name] += fall / excess[0] if excess[0] > 0 else 0.0
+    return found
+
+
+def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Finding, ...]:
+    """Findings with the shares of their steps."""
+    return tuple(replace(finding, explains=of_step.get(finding.effect, 0.0)) for finding in found)
+
+
+def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
+    """What has no name with the shares of its steps; without any, at most with what the steps leave."""
+    if unnamed is None:
+        return None
+    known = catalogue()
+    nameless = [name for name in of_step if name not in known]
+    if nameless:
+        return replace(unnamed, explains=sum(of_step[name] for name in nameless))
+    return replace(unnamed, explains=min(unnamed.explains, max(1.0 - sum(of_step.values()), 0.0)))
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Probable models: how far the values (M, p) of each are from the stated ones, and its weight (M,)."""
+
+    away: Floats
+    weight: Floats
+
+    def u(self, within: float, along: Floats) -> float:
+        """Standard uncertainty of `along` (p,) · values; `within` is that of one model."""
+        from scipy.optimize import brentq
+        from scipy.special import ndtr
+
+        away = self.away @ along
+        if not within > 0 or not np.abs(away).max(initial=0.0) > 0:
+            return within
+
+        def missing(half: float) -> float:
+            inside = ndtr((half - away) / within) - ndtr((-half - away) / within)
+            return float(self.weight @ inside) - COVERED
+
+        return float(brentq(missing, 0.0, float(np.abs(away).max()) + 3 * within)) / NORMAL_95
+
+
+def bases(selection: Selection) -> Mixture:
+    """Base parameters of the probable models.
+
+    What stands in the place of nameless functions is an average that holds its own spread: then models with
+    the same names count as the one that is stated.
+    """
+    problem, fit = selection.problem, selection.fit
+    each = posterior(selection.found)
+    _, _, target = fit.linear()
+    named = _names(problem, selection.verdict.best)
+    averaged = isinstance(fit, AveragedFit)
+    columns: dict[int, Floats] = {}
+    left = np.repeat(fit.residual.reshape(-1, 1), len(each), axis=1)
+    for row, model in enumerate(each):
+        if model == selection.verdict.best or (averaged and _names(problem, model) == named):
+            continue
+        added = np.zeros(len(target))
+        for k, own in zip(model, amplitudes(problem, model), strict=True):
+            if k not in columns:
+                columns[k] = fit.white(fit.candidate(problem.terms[k]))
+            added = added + columns[k] @ own
+        left[:, row] = target - added
+    stated = fit.base_step(fit.residual.reshape(-1, 1))
+    return Mixture((fit.base_step(left) - stated).T, np.array(list(each.values())))
+
+
+def effects(selection: Selection, name: str) -> tuple[list[str], Mixture]:
+    """Amplitudes of an effect, by parameter, in the probable models that hold it.
+
+    Models whose shapes or dwells are others are left out: shapes are fitted, and their spread is in the
+    covariance. So are, where the chosen model has a bias, those without one: every sensor has one, and two
+    curvatures that predict the same stand against each other with amplitudes that no part has.
+    """
+    problem, verdict = selection.problem, selection.verdict
+    needed = _names(problem, verdict.best) & {"bias"}
+    kind = _kind(problem.terms, verdict.best, name)
+    own = _amplitudes_of(problem, verdict.best, name)
+    away, weights = [np.zeros(len(own))], [1e-12]  # where none holds it, the one that is stated
+    for model, weight in posterior(selection.found).items():
+        if _kind(problem.terms, model, name) == kind and needed <= _names(problem, model):
+            values = _amplitudes_of(problem, model, name)
+            away.append(np.array([values.get(parameter, 0.0) - own[parameter] for parameter in own]))
+            weights.append(weight)
+    return list(own), Mixture(np.array(away), np.array(weights) / sum(weights))
+
+
+def _names(problem: LinearProblem, model: Sequence[int]) -> frozenset[str]:
+    return frozenset(name for name in (problem.terms[k].name for k in model) if name is not None)
+
+
+def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[object, ...]:
+    """Shapes and choices of an effect in a model; the empty tuple where it is not in it."""
+    mine = [terms[k] for k in model if terms[k].name == name]
+    return tuple(
+        (term.shapes, tuple(getattr(term.effect, choice) for choice in term.effect.choices()))
+        for term in mine
+        if isinstance(term, NamedTerm)
+    )
+
+
+def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> dict[str, float]:
+    """Amplitudes of an effect in a model of the linear problem, by parameter."""
+    out: dict[str, float] = {}
+    for k, own in zip(model, amplitudes(problem, model), strict=True):
+        term = problem.terms[k]
+        if isinstance(term, NamedTerm) and term.name == name:
+            for index, value in zip(term.amplitudes, own, strict=True):
+                out[term.effect.parameters[index].name] = float(value)
+    return out
+
+
+def follows_clock(term: Term) -> bool:
+    """True for what follows the time since the session began and nothing else."""
+    if isinstance(term, AveragedTerm):  # its members may follow more than the first of them
+        return all(follows_clock(member) for _, member, _ in term.members)
+    needs = term.effect.needs if isinstance(term, NamedTerm) else ()
+    return term.covariates == ("time",) and not needs
+
+
+def middle_s(fit: Fit) -> float:
+    """Time half-way between the first and the last dwell of a fit, in s since the session began."""
+    time_s = fit.data.conditions.time_s
+    return float(time_s.min() + time_s.max()) / 2
+
+
+def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[Floats, Floats]:
+    """What follows the clock adds to a reading at the middle of the session.
+
+    Parameters
+    ----------
+    ideal : (axes,) float
+        What the axes should read.
+    turned : bool
+        True for what is added to the angle instead, in rad.
+
+    Returns
+    -------
+    added : (axes,) or () float
+    gradient : (axes, p) or (p,) float
+        By all parameters of the fit.
+    """
+    middle = Conditions(time_s=np.array([middle_s(fit)]))
+    added = np.zeros(() if turned else ideal.shape)
+    gradient = np.zeros((*added.shape, len(fit.values.parameters)))
+    for index, (term, own) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
+        if follows_clock(term) and term.enters_angle == turned:
+            added = added + term.added(own, ideal[None], middle)[0]
+            gradient[..., fit.slice_of(index)] += term.derivative(own, ideal[None], middle)[0]
+    return added, gradient
+
+
+def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
+    """A bias with its values at the middle of the session, and their u; any other finding as it is."""
+    if finding.effect != "bias":
+        return finding
+    fit = selection.fit
+    added, slopes = clock_at_middle(fit, np.zeros(fit.data.axes))
+    if not slopes.any() and not added.any():
+        return finding
+    stated = dict(finding.parameters)
+    for index, term in enumerate(fit.terms):
+        if not isinstance(term, NamedTerm) or term.name != "bias":
+            continue
+        places = range(fit.slice_of(index).start, fit.slice_of(index).stop)
+        for place, letter in zip(places, term.effect.axes, strict=True):
+            axis = AXES.index(letter)
+            slope = slopes[axis].copy()
+            slope[place] += 1.0
+            u = float(np.sqrt(slope @ fit.covariance @ slope * selection.inflation))
+            value = float(fit.values.parameters[place] + added[axis])
+            stated[f"bias_{letter}"] = replace(finding.parameters[f"bias_{letter}"], value=value, u=u)
+    return replace(finding, parameters=stated)
+
+
+MOST_NAMED = 5
+
+
+def cycles_alike(selection: Selection) -> list[tuple[int, tuple[int, ...]]]:
+    """Cycles of each `stage_periodic` of the model, and the numbers that may as well be, fewest first."""
+    problem, best = selection.problem, selection.verdict.best
+    angle = selection.data.conditions.angle_rad
+    periodic = {
+        k: term.effect.cycles
+        for k, term in enumerate(problem.terms)
+        if isinstance(term, NamedTerm) and isinstance(term.effect, StagePeriodic)
+    }
+    out = []
+    for own in [k for k in best if k in periodic]:
+        assert angle is not None
+        basis, residual = span(problem, [k for k in best if k != own])
+        score = 0.5 * problem.gains(basis, residual) / selection.inflation - selection.found.prices
+        weight = np.exp([score[k] - score[own] for k in periodic])
+        likely = weight >= (1 - limits.set_level) * weight.sum()
+        cycles = {n for n, shown in zip(periodic.values(), likely, strict=True) if shown}
+        cycles |= {
+            n for n in range(periodic[own], limits.most_cycles + 1) if alike(n, periodic[own], angle)
+        }
+        others = sorted(cycles - {periodic[own]})
+        if others:
+            out.append((periodic[own], tuple(others[:MOST_NAMED])))
+    return out
+
+
+_POWER_90 = 1.2815515655446004
+"""Quantile of the normal distribution at 90 %."""
+
+
+def detectable(
+    found: Search, model: Model, missing: dict[str, str], part: str = "accelerometer"
+) -> dict[str, Detectable]:
+    """Smallest amplitude with 90 % power at the level of the search, beside the model that was found.
+
+    One column c of an effect, projected off base and model, has score z ~ N(|c| a, 1); it is added where
+    z² > 2 × its price, hence a = (√(2 price) + 1.28)/|c|. Of several axes, the worst; of several shapes or
+    dwells, the median.
+    """
+    problem = found.problem
+    out = {name: Detectable(None, "", "", reason) for name, reason in missing.items()}
+    inside = {problem.terms[k].name for k in model}
+    basis_of: dict[str | None, np.ndarray] = {}
+    figures: dict[str, dict[str, list[float]]] = {}
+    units: dict[str, dict[str, str]] = {}
+    for k, term in enumerate(problem.terms):
+        if not isinstance(term, NamedTerm) or len(term.effect.axes) > 1:
+            continue
+        name = term.effect.name
+        key = name if name in inside else None
+        if key not in basis_of:
+            others = [m for m in model if key is None or problem.terms[m].name != key]
+            basis_of[key] = span(problem, others)[0]
+        basis = basis_of[key]
+        lengths = _lengths(problem, k, basis)
+        reach = np.sqrt(2 * max(float(found.prices[k]), 0.5) * found.inflation) + _POWER_90 * np.sqrt(
+            found.inflation
+        )
+        parameters = [term.effect.parameters[i] for i in term.amplitudes]
+        for parameter, length in zip(parameters, lengths, strict=True):
+            figure = reach / length if length > 0 else np.inf
+            figures.setdefault(name, {}).setdefault(parameter.name, []).append(float(figure))
+            units.setdefault(name, {})[parameter.name] = parameter.unit
+    for name, by_parameter in figures.items():
+        median = {p: float(np.median(values)) for p, values in by_parameter.items()}
+        worst = max(median, key=lambda p: median[p])
+        if np.isfinite(median[worst]):
+            out[name] = Detectable(median[worst], units[name][worst], worst)
+        else:
+            out[name] = Detectable(None, units[name][worst], worst, "lies in what is fitted already")
+    for name in catalogue(part):
+        if name not in out:
+            out[name] = Detectable(None, "", "", "lies in the base model: this session cannot show it")
+    return out
+
+
+def _lengths(problem: LinearProblem, term: int, basis: np.ndarray) -> list[float]:
+    """Length of each amplitude's own column, whitened and projected off base and model."""
+    # Columns by amplitudes = block · back⁺, with `back` from block coefficients to amplitudes.
+    back = problem.back[term]
+    columns = problem.block(term) @ (1 / back if back.size == 1 else np.linalg.pinv(back))
+    columns = columns - basis @ (basis.T @ columns)
+    return [float(x) if x > 1e-9 else 0.0 for x in np.linalg.norm(columns, axis=0)]

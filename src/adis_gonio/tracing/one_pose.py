@@ -1,0 +1,526 @@
+"""One dwell in one pose, sample by sample: what the zero follows while the part stands still.
+
+A pose cannot show gains, angles or a bias, so the base model is a constant an axis and the effects are
+those that move in time: temperature (to the third power), its lag, warm-up, drift, supply. Each axis
+has its own degree and time constant.
+
+Neighbouring samples are no independent witnesses, so that nothing here rests on their noise. An effect is
+added where it lowers the error in blocks of time that took no part, neither in its fit nor in what is known
+of its degree and time constant, and where its gain recurs from block to block (t-test over blocks,
+family-wise 1 %). Inside a fold, degrees and time constants are not chosen but averaged: each variant
+predicts with the weight of its likelihood, of which a recording has as many independent values as blocks.
+A choice would rest on little more than the last plateau of the temperature.
+
+All candidate columns stand in one design whose normal equations are summed block by block once, so that
+leaving blocks out is a subtraction and a variant a choice of rows and columns.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.budget import attempt, check
+from adis_gonio.base.errors import FitError
+from adis_gonio.base.numbers import counted
+from adis_gonio.base.uncertainty import FOUND_IN_ONE_POSE, Detectable, Value
+from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.model.effects import AXES, Conditions, Effect, effect
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
+from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Step, TraceResult
+
+BLOCKS = 10
+LEAST_ROWS = 200
+LEAST_GAIN = 0.02
+"""Least relative fall of the held-out error for another effect."""
+DEGREES = (1, 2, 3)
+ONE_WAY = 0.98
+"""Rank correlation from which temperature and time are one covariate."""
+ALIKE = 1.05
+"""Held-out errors that differ by less do not tell two effects apart."""
+TAUS = 14
+_POLYNOMIAL = ("bias_temperature", "thermal_lag")
+_RIDGE = 1e-12
+"""Share of the largest diagonal entry that keeps normal equations of alike columns solvable."""
+
+
+@dataclass(frozen=True)
+class _Variant:
+    """One degree and time constant of an effect: which columns of the design it takes.
+
+    Attributes
+    ----------
+    columns : tuple of int
+        Numbers of its columns in the design.
+    names, units : tuple of str
+        Of its amplitudes, without the axis.
+    shape : float or None
+        Time constant in s.
+    """
+
+    columns: tuple[int, ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    shape: float | None = None
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """An effect with its variants."""
+
+    effect: Effect
+    variants: tuple[_Variant, ...]
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Samples and every column that any variant of any effect may take.
+
+    Attributes
+    ----------
+    readings : (n, axes) float
+        In mg.
+    design : (n, P) float
+        Constant first; each column divided by `size`, its largest modulus.
+    size : (P,) float
+    blocks : (n,) int
+        Block of time of each sample.
+    gram : (BLOCKS, P, P) float
+    cross : (BLOCKS, P, axes) float
+    square : (BLOCKS, axes) float
+        Sums of squares of the readings, their means taken off.
+    """
+
+    readings: Floats
+    design: Floats
+    size: Floats
+    blocks: NDArray[np.intp]
+    gram: Floats
+    cross: Floats
+    square: Floats
+
+
+Model = tuple[_Candidate, ...]
+
+
+def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
+    """Trace the samples of a session of one pose.
+
+    Raises
+    ------
+    FitError
+        Too few samples, or nothing recorded beside them that they could follow.
+    """
+    dwell = next(dwell for dwell in session.dwells if len(dwell))
+    where = f"{session.source}: " if session.source else ""
+    if len(dwell) < LEAST_ROWS:
+        raise FitError(
+            f"{where}one position with {counted(len(dwell), 'sample')} shows nothing to trace; measure at"
+            f" least two positions, or at least {LEAST_ROWS} samples while the temperature changes"
+        )
+    if dwell.temperature_c is None:
+        raise FitError(
+            f"{where}one position only and no temperature: nothing that the readings could follow; record"
+            " the temperature beside the samples (temp_c), or measure at least two positions"
+        )
+    conditions = series_conditions(dwell)
+    problem, candidates = _problem(dwell.accel * mg_per_unit(session, dwell), conditions)
+    model: Model = ()
+    losses = _held_out(problem, model)
+    squares = [float(losses.sum())]
+    history = [("base", _figures(problem, model))]
+    while len(model) < max_effects:
+        nothing: tuple[_Candidate | None, Floats] = (None, losses)
+        work = partial(_best_addition, problem, model, candidates, losses)
+        chosen, better = attempt("further effects", work, nothing)
+        if chosen is None:
+            break
+        model, losses = (*model, chosen), better
+        squares.append(float(losses.sum()))
+        history.append((chosen.effect.name, _figures(problem, model)))
+    one_way = _one_way(conditions)
+    advice: tuple[str, ...] = (
+        "one pose cannot tell a change of zero from a change of gain: repeat the cycle with the part "
+        "turned over (each axis once up and once down)",
+    )
+    if one_way:
+        advice = (
+            "the temperature only went one way, so that it cannot be told from time: let it come back",
+            *advice,
+        )
+    return TraceResult(
+        adequate=False,
+        found=tuple(
+            _finding(problem, model, k, len(candidates), (squares[k] - squares[k + 1]) / squares[0])
+            for k in range(len(model))
+        ),
+        steps=tuple(Step(name, error) for name, error in history[1:]),
+        confounded=attempt(
+            "what cannot be told apart",
+            lambda: _confounded(problem, model, candidates, losses, one_way),
+            (),
+        ),
+        unnamed=None,
+        before=history[0][1],
+        after=history[-1][1],
+        detectable=_detectable(problem, model),
+        advice=advice,
+        notes=(
+            "one pose, traced sample by sample; adequacy cannot be tested, since the noise of neighbouring "
+            "samples is not independent",
+            "held-out rms by axis: "
+            + ", ".join(
+                f"{AXES[k]} {np.sqrt(loss.sum() / len(dwell)):.2f} mg" for k, loss in enumerate(losses.T)
+            ),
+        ),
+        heldout_design=f"{BLOCKS} blocks of time, degrees and time constants averaged in each fold",
+    )
+
+
+def mg_per_unit(session: Session, dwell: Dwell) -> float:
+    """Milli-g per unit of the file; of counts by the mean's length, as if their zero were at zero."""
+    if session.accel_unit == "lsb":
+        return VARIANTS[session.sensor].accel_mg_per_lsb
+    if session.accel_unit == "counts":
+        return session.gravity_mg / max(float(np.linalg.norm(dwell.accel.mean(axis=0))), 1e-12)
+    return {"mg": 1.0, "g": 1000.0, "mps2": 1000.0 / STANDARD_GRAVITY_MPS2}[session.accel_unit]
+
+
+def series_conditions(dwell: Dwell) -> Conditions:
+    """What surrounded each sample of a dwell."""
+    time = dwell.time_s - dwell.time_s[0]
+    assert dwell.temperature_c is not None
+    return Conditions(
+        time_s=time,
+        temperature_c=dwell.temperature_c,
+        supply_v=dwell.supply_v,
+        temperature_history=(time, dwell.temperature_c) if (np.diff(time) > 0).all() else None,
+    )
+
+
+def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[_Candidate, ...]]:
+    """Design of all variants, and the candidates that move at all in this recording."""
+    n, axes = readings.shape
+    letters = AXES[:axes]
+    columns: list[Floats] = [np.ones(n)]
+    candidates: list[_Candidate] = []
+
+    def take(name: str, variants: Sequence[tuple[Floats, float | None]]) -> None:
+        """Add an effect with the columns (n, d) of each of its variants."""
+        made = effect(name, letters)
+        kept = []
+        for block, shape in variants:
+            if (np.ptp(block, axis=0) > 0).all():
+                first = len(columns)
+                columns.extend(block.T)
+                numbers = tuple(range(first, first + block.shape[1]))
+                kept.append(_Variant(numbers, *_labels(made, block.shape[1]), shape))
+        if kept:
+            candidates.append(_Candidate(made, tuple(kept)))
+
+    length = float(np.ptp(conditions.time_s))
+    warm = _temperature_powers(conditions)
+    take("bias_temperature", [(warm[:, :degree], None) for degree in DEGREES])
+    for name in ("thermal_lag", "warm_up"):
+        if name == "thermal_lag" and conditions.temperature_history is None:
+            continue
+        variants = []
+        for tau in np.geomspace(length / 500, length / 3, TAUS):
+            course = _course(name, float(tau), conditions)
+            late = _lag_powers(course, warm[:, 0]) if name == "thermal_lag" else course[:, None]
+            variants += [(late[:, :degree], float(tau)) for degree in DEGREES[: late.shape[1]]]
+        take(name, variants)
+    for name in ("bias_drift", "supply_bias"):
+        made = effect(name, letters[:1])
+        if not conditions.lacks(made.needs):
+            take(name, [(made.derivative(np.zeros(1), np.ones((n, axes)), conditions)[:, 0, :1], None)])
+
+    design = np.column_stack(columns)
+    size = np.maximum(np.abs(design).max(axis=0), 1e-300)
+    design = design / size
+    blocks = np.arange(n) * BLOCKS // n
+    centred = readings - readings.mean(axis=0)
+    parts = [(design[blocks == b], centred[blocks == b]) for b in range(BLOCKS)]
+    problem = _Problem(
+        readings=centred,
+        design=design,
+        size=size,
+        blocks=blocks,
+        gram=np.array([x.T @ x for x, _ in parts]),
+        cross=np.array([x.T @ y for x, y in parts]),
+        square=np.array([(y**2).sum(axis=0) for _, y in parts]),
+    )
+    return problem, tuple(candidates)
+
+
+def _course(name: str, tau_s: float, conditions: Conditions) -> Floats:
+    """Course (n,) of an effect with one time constant, as the catalogue has it."""
+    made = effect(name, ("x",))
+    ones = np.ones((len(conditions), 1))
+    course: Floats = made.derivative(np.array([0.0, tau_s]), ones, conditions)[:, 0, 0]
+    return course
+
+
+def _temperature_powers(conditions: Conditions) -> Floats:
+    """(T − 25 °C)^k, (n, 3), as the catalogue has them."""
+    made = effect("bias_temperature", ("x",), degree=DEGREES[-1])
+    ones = np.ones((len(conditions), 1))
+    powers: Floats = made.derivative(np.zeros(DEGREES[-1]), ones, conditions)[:, 0]
+    return powers
+
+
+def _lag_powers(lag_c: Floats, above_c: Floats) -> Floats:
+    """(T_lag − 25 °C)^k − (T − 25 °C)^k, (n, 3), from T_lag − T (n,): a polynomial of the late element."""
+    late = above_c + lag_c
+    return np.column_stack([late**k - above_c**k for k in DEGREES])
+
+
+def _labels(made: Effect, count: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the amplitudes of one axis: `lag`, `lag2`, `lag3`."""
+    first = next(p for p in made.parameters if not p.shape)
+    stem = first.name.rsplit("_", 1)[0]
+    powers = [("", ""), ("2", "²"), ("3", "³")][:count]
+    return tuple(stem + digit for digit, _ in powers), tuple(first.unit + up for _, up in powers)
+
+
+def _choices(model: Model) -> list[tuple[int, ...]]:
+    """Choices of a variant of each effect; of several long lists, every third time constant of each.
+
+    A late element has the polynomial of the temperature, so that these have one degree.
+    """
+    lists = []
+    several = sum(len(candidate.variants) > len(DEGREES) for candidate in model) > 1
+    for candidate in model:
+        taus = list(dict.fromkeys(variant.shape for variant in candidate.variants))
+        kept = set(taus[:: 3 if several else 1])
+        lists.append([k for k, variant in enumerate(candidate.variants) if variant.shape in kept])
+    degrees = [
+        [len(v.columns) for v in candidate.variants] if candidate.effect.name in _POLYNOMIAL else None
+        for candidate in model
+    ]
+    return [
+        choice
+        for choice in itertools.product(*lists)
+        if len({of[k] for of, k in zip(degrees, choice, strict=True) if of is not None}) <= 1
+    ]
+
+
+def _columns(model: Model, choice: tuple[int, ...]) -> list[int]:
+    return [0, *(c for one, k in zip(model, choice, strict=True) for c in one.variants[k].columns)]
+
+
+def _solved(gram: Floats, cross: Floats) -> Floats:
+    """Solutions (…, p, axes) of normal equations, with a ridge that only decides between alike columns."""
+    p = gram.shape[-1]
+    ridge = _RIDGE * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] * np.eye(p)
+    solution: Floats = np.linalg.solve(gram + ridge, cross)
+    return solution
+
+
+def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Floats, Floats]:
+    """Every choice of variants, fitted to all blocks but one.
+
+    Returns
+    -------
+    choices : list of tuple of int
+    coefficients : (choices, BLOCKS, P, axes) float
+    inside : (choices, BLOCKS, axes) float
+        Sum of squares of the blocks that were fitted.
+    """
+    choices = _choices(model)
+    total, total_cross = problem.gram.sum(axis=0), problem.cross.sum(axis=0)
+    square = problem.square.sum(axis=0) - problem.square
+    coefficients = np.zeros((len(choices), *problem.cross.shape))
+    inside = np.zeros((len(choices), *problem.square.shape))
+    for j, choice in enumerate(choices):
+        columns = _columns(model, choice)
+        gram = (total - problem.gram)[:, columns][:, :, columns]
+        cross = (total_cross - problem.cross)[:, columns]
+        solution = _solved(gram, cross)
+        coefficients[j][:, columns] = solution
+        inside[j] = _squares(square, cross, gram, solution)
+    return choices, coefficients, inside
+
+
+def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> Floats:
+    """Sums of squares (BLOCKS, axes) that a solution (BLOCKS, p, axes) leaves of each block."""
+    quadratic = np.einsum("bia,bij,bja->ba", solution, gram, solution)
+    left: Floats = np.maximum(square - 2 * (cross * solution).sum(axis=1) + quadratic, 0.0)
+    return left
+
+
+def _held_out(problem: _Problem, model: Model) -> Floats:
+    """Held-out sums of squares (BLOCKS, axes), variants averaged axis by axis."""
+    _, coefficients, inside = _fits(problem, model)
+    likelihood = -BLOCKS / 2 * np.log(np.maximum(inside, 1e-300))
+    weight = np.exp(likelihood - likelihood.max(axis=0))
+    weight /= weight.sum(axis=0)
+    mean = np.einsum("jba,jbpa->bpa", weight, coefficients)
+    return _squares(problem.square, problem.cross, problem.gram, mean)
+
+
+def _picked(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
+    """Variants of each axis: the most likely ones."""
+    choices, _, inside = _fits(problem, model)
+    return [choices[k] for k in inside.sum(axis=1).argmin(axis=0)]
+
+
+def _gain(before: Floats, after: Floats) -> tuple[float, float]:
+    """Relative fall of the held-out error, and the p-value of the mean logarithmic gain over blocks."""
+    from scipy import stats
+
+    scale = np.maximum(before.sum(axis=0), 1e-300)
+    relative = 1 - float(np.sqrt((after.sum(axis=0) / scale).mean()))
+    # Blocks in which the temperature stands still have little to gain and little to lose; a floor of a
+    # thousandth of the mean block keeps them from ruling the mean of the logarithms.
+    floor = 1e-3 * scale / BLOCKS
+    gains = np.log((before + floor) / (after + floor)).mean(axis=1)
+    p = float(stats.ttest_1samp(gains, 0.0, alternative="greater").pvalue) if np.ptp(gains) > 0 else 1.0
+    return relative, p
+
+
+def _best_addition(
+    problem: _Problem, model: Model, candidates: tuple[_Candidate, ...], losses: Floats
+) -> tuple[_Candidate | None, Floats]:
+    """Effect whose addition lowers the held-out error most, if the gain is real."""
+    best: tuple[float, _Candidate | None, Floats] = (LEAST_GAIN, None, losses)
+    for candidate in candidates:
+        if candidate in model:
+            continue
+        check()
+        new = _held_out(problem, (*model, candidate))
+        relative, p = _gain(losses, new)
+        if p < FOUND_IN_ONE_POSE / len(candidates) and relative > best[0]:
+            best = (relative, candidate, new)
+    return best[1], best[2]
+
+
+def _one_way(conditions: Conditions) -> bool:
+    """True where the temperature rises or falls with time, but for noise."""
+    from scipy import stats
+
+    temperature = conditions.covariate("temperature_c")
+    if np.ptp(temperature) == 0:
+        return False
+    return abs(float(stats.spearmanr(conditions.time_s, temperature).statistic)) > ONE_WAY
+
+
+def _confounded(
+    problem: _Problem, model: Model, candidates: tuple[_Candidate, ...], losses: Floats, one_way: bool
+) -> tuple[tuple[str, ...], ...]:
+    """Each effect found with those that would do as well in its place.
+
+    Where the temperature went one way, a polynomial of it is one of time, whatever the degrees at hand.
+    """
+    groups = []
+    for which, one in enumerate(model):
+        others = []
+        for other in candidates:
+            check()
+            if other in model:
+                continue
+            trial = tuple(other if k == which else m for k, m in enumerate(model))
+            ratio = _held_out(problem, trial).sum(axis=0) / np.maximum(losses.sum(axis=0), 1e-300)
+            same = one_way and {one.effect.name, other.effect.name} == {"bias_temperature", "bias_drift"}
+            if same or np.sqrt(ratio.mean()) < ALIKE:
+                others.append(other.effect.name)
+        if others:
+            groups.append((one.effect.name, *others))
+    return tuple(groups)
+
+
+def _figures(problem: _Problem, model: Model) -> ErrorFigures:
+    left = np.empty_like(problem.readings)
+    for axis, choice in enumerate(_picked(problem, model)):
+        coefficients = _coefficients(problem, _columns(model, choice), axis)
+        left[:, axis] = problem.readings[:, axis] - problem.design @ coefficients
+    by_axis = np.sqrt(_held_out(problem, model).sum(axis=0) / len(left))
+    return ErrorFigures(
+        residual_rms=float(np.sqrt((left**2).mean())),
+        heldout_rms=float(np.sqrt((by_axis**2).mean())),
+        angle_rms_deg=None,
+        chi2_per_dof=None,
+        heldout_by_axis={AXES[k]: float(value) for k, value in enumerate(by_axis)},
+    )
+
+
+def _coefficients(problem: _Problem, columns: list[int], axis: int, without: int | None = None) -> Floats:
+    """Coefficients (P,) of one axis, zero beside `columns`; of all blocks, or of all but one."""
+    kept = np.arange(BLOCKS) != (-1 if without is None else without)
+    gram = problem.gram[kept].sum(axis=0)[np.ix_(columns, columns)]
+    out = np.zeros(problem.design.shape[1])
+    out[columns] = _solved(gram, problem.cross[kept].sum(axis=0)[columns, axis : axis + 1])[:, 0]
+    return out
+
+
+def _finding(problem: _Problem, model: Model, which: int, tried: int, explains: float) -> Finding:
+    made = model[which].effect
+    parameters: dict[str, Value] = {}
+    for axis, choice in enumerate(_picked(problem, model)):
+        variant = model[which].variants[choice[which]]
+        columns = _columns(model, choice)
+        values = _coefficients(problem, columns, axis) / problem.size
+        spread = _spread(problem, columns, axis)
+        for k, name, unit in zip(variant.columns, variant.names, variant.units, strict=True):
+            parameters[f"{name}_{AXES[axis]}"] = Value(float(values[k]), float(spread[k]), unit)
+        if variant.shape is not None:
+            parameters[f"tau_{AXES[axis]}"] = Value(variant.shape, None, "s")
+    whole = _held_out(problem, model)
+    without = _held_out(problem, tuple(m for k, m in enumerate(model) if k != which))
+    _, p = _gain(without, whole)
+    return Finding(
+        effect=made.name,
+        axes=made.axes,
+        parameters=parameters,
+        p_value=min(1.0, p * tried),
+        explains=float(np.clip(explains, 0, 1)),
+        probability=1.0 - min(1.0, p * tried),
+        cause=made.cause,
+    )
+
+
+def _spread(problem: _Problem, columns: list[int], axis: int) -> Floats:
+    """Standard uncertainties (P,) by leaving out a block at a time (jackknife)."""
+    values = np.array([_coefficients(problem, columns, axis, b) for b in range(BLOCKS)])
+    spread: Floats = np.sqrt((BLOCKS - 1) * values.var(axis=0)) / problem.size
+    return spread
+
+
+def _detectable(problem: _Problem, model: Model) -> dict[str, Detectable]:
+    """Of the effects found: amplitude at 1 % and 90 % power by the jackknife's uncertainties."""
+    out = {}
+    for which, candidate in enumerate(model):
+        worst = 0.0
+        for axis, choice in enumerate(_picked(problem, model)):
+            first = candidate.variants[choice[which]].columns[0]
+            worst = max(worst, float(_spread(problem, _columns(model, choice), axis)[first]))
+        parameter = candidate.effect.parameters[0]
+        out[candidate.effect.name] = Detectable((2.58 + 1.28) * worst, parameter.unit, parameter.name)
+    return out
+
+
+def series_columns(finding: Finding, conditions: Conditions, axes: int) -> list[Floats]:
+    """Columns (n, d) of a finding's amplitudes for each axis, its degrees and time constants as found."""
+    out = []
+    one = np.ones((len(conditions), 1))
+    for axis in AXES[:axes]:
+        mine = [name for name in finding.parameters if name.endswith(f"_{axis}")]
+        degree = sum(not name.startswith("tau_") for name in mine)
+        if f"tau_{axis}" in mine:
+            course = _course(finding.effect, finding.parameters[f"tau_{axis}"].value, conditions)
+            if finding.effect == "thermal_lag":
+                out.append(_lag_powers(course, _temperature_powers(conditions)[:, 0])[:, :degree])
+            else:
+                out.append(course[:, None])
+        else:
+            choices: dict[str, Any] = {"degree": degree} if finding.effect == "bias_temperature" else {}
+            made = effect(finding.effect, ("x",), **choices)
+            out.append(made.derivative(np.zeros(len(made.parameters)), one, conditions)[:, 0])
+    return out

@@ -1,1 +1,0 @@
-"""One pose as a time series."""

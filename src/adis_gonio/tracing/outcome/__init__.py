@@ -1,1 +1,0 @@
-"""What is said: names that stand, findings, errors, figures."""

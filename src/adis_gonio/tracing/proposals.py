@@ -1,0 +1,648 @@
+"""Which measurements would tell apart what is still possible: a sequential design by information.
+
+Each hypothesis is a model with a Gaussian posterior of its parameters (those of the fit, under a prior as
+wide as twice what a bench sees of each effect, so that a parameter that the session does not determine is
+uncertain, not absurd). About the fit it predicts the whitened readings of an imagined dwell as
+N(μ, 1 + R Rᵀ). What a set of dwells tells about which hypothesis is true, the expected information gain, is
+taken by its lower bound from pairwise Bhattacharyya distances B (Kolchinsky and Tracey, Entropy 19:361,
+2017), −Σᵢ wᵢ ln Σⱼ wⱼ exp(−Bᵢⱼ) in nats: exact where hypotheses predict the same or nothing alike, and
+never more than there is to learn, whatever an extrapolation promises. Dwells are added one by one, each
+given those before it, by information per effort.
+
+Two questions are asked: which of the models near the best is true (`decide`), and whether an effect is
+there that this session could not have shown (`cover`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.budget import check
+from adis_gonio.base.numbers import join_words
+from adis_gonio.fitting.estimation.fit import Fit, Values
+from adis_gonio.fitting.estimation.readings import Readings, from_means
+from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.model.effects import Conditions
+from adis_gonio.tracing.credible_sets import undecided
+from adis_gonio.tracing.selection import Selection, fit_model
+from adis_gonio.tracing.trace_result import NextDwell, Purpose
+
+MOST_RIVALS = 10
+COVERED = 0.9
+"""Share of the posterior that the rivals have together."""
+WORTH_CONDITIONS = 0.2
+"""Share of the best hypothesis' posterior from which it is worth while to heat or to change the supply."""
+UNSEEN = 0.03
+"""Prior probability of an effect that the session could not have shown."""
+LEAST_SEPARATION = 3.0
+"""Standard uncertainties by which a measurement has to be expected to part two hypotheses."""
+FAINT_SEPARATION = 0.1
+"""The same where nothing better is to be had of a session whose model is not adequate: to be repeated."""
+LEAST_INFORMATION: dict[Purpose, float] = {"decide": 0.05, "cover": 0.02}
+"""Least expected information in nats. Of 0.7 nats in two equally likely models; an effect that the session
+could not have shown has 0.1."""
+TYPICALS = 2.0
+"""Prior standard deviation of an effect in units of what a bench sees."""
+START_RAD, SENSOR = 0.3, 0.03
+"""Prior standard deviations of the start angle, and of gains (1 is perfect) and skews (rad), about the fit:
+what a session has not turned to is not therefore unknown by more than sensors differ."""
+FAR = 1e6
+"""Whitened predictions are cut here: an extrapolation may overflow."""
+
+_SUPPLY_V = (4.80, 5.20)
+"""Within the specified supply (4.75 to 5.25 V) with some room."""
+_WARMER_C = 10.0
+_WARMING_S = 600.0
+"""Time that a part takes to another temperature."""
+_EFFORT_TEMPERATURE = 4.0
+_EFFORT_SUPPLY = 1.0
+_EFFORT_WAIT_S = 300.0
+"""Efforts in units of one more position."""
+
+
+@dataclass(frozen=True)
+class ImaginedDwell:
+    """An imagined dwell, relative to the last one.
+
+    Attributes
+    ----------
+    angle_deg : float or None
+    direction : tuple of float or None
+    approach : int
+    wait_s : float
+        Beside the usual time between two dwells.
+    temperature_c, supply_v : float or None
+        Where another one is wanted than in the session.
+    """
+
+    angle_deg: float | None
+    direction: tuple[float, float, float] | None
+    approach: int = 0
+    wait_s: float = 0.0
+    temperature_c: float | None = None
+    supply_v: float | None = None
+
+    @property
+    def effort(self) -> float:
+        """In units of one more position."""
+        return (
+            1.0
+            + self.wait_s / _EFFORT_WAIT_S
+            + _EFFORT_TEMPERATURE * (self.temperature_c is not None)
+            + _EFFORT_SUPPLY * (self.supply_v is not None)
+        )
+
+    @property
+    def conditions(self) -> bool:
+        """True where more than a position is wanted."""
+        return self.temperature_c is not None or self.supply_v is not None
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A model that may be true.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        Its effects, and what its nameless terms follow.
+    weight : float
+        Probability among the hypotheses.
+    fit : Fit
+    shift, root : (p,), (p, p) float
+        Posterior mean less the fitted parameters, and a root of the posterior covariance.
+    chi2 : float
+        What it leaves, its departure from the prior included.
+    """
+
+    labels: tuple[str, ...]
+    weight: float
+    fit: Fit
+    shift: Floats
+    root: Floats
+    chi2: float = 0.0
+
+
+def propose(
+    data: Readings,
+    selection: Selection,
+    terms: Sequence[Term],
+    most: int = 4,
+) -> tuple[NextDwell, ...]:
+    """Measurements that are worth while, the most informative first.
+
+    Parameters
+    ----------
+    data : Readings
+        All dwells.
+    selection : Selection
+        Of those that were fitted.
+    terms : sequence of Term
+        All candidates of the session.
+    most : int
+        Most measurements for each of the two questions.
+    """
+    turned = data.model.freedom > 0 or data.conditions.force_g is not None
+    if not turned or (data.planar and data.conditions.angle_rad is None):
+        return ()  # nothing to turn, or nobody knows how far
+    inflation = selection.inflation
+    if selection.adequate:
+        rivals = _rivals(selection)
+    else:
+        inflation, rivals = _explanations(selection, terms)
+    # An adequate model is not heated to be tested: that brings in what the session was free of.
+    heating = not selection.adequate
+    chosen, decided = _greedy(data, inflation, rivals, most, "decide", [], heating=heating)
+    if not decided and not selection.adequate:
+        # Where the noise is what no model explains, little parts much; what parts most is still to be said.
+        chosen, decided = _greedy(data, inflation, rivals, most, "decide", [], FAINT_SEPARATION)
+        everything = {name for h in rivals for name in h.labels}
+        decided = [replace(m, other=tuple(sorted(everything - set(m.one)))) for m in decided]
+    known = {name for h in rivals for name in h.labels}
+    unseen = _normalised(_extended(selection, terms, selection.inflation, known))
+    _, covered = _greedy(data, selection.inflation, unseen, most, "cover", chosen)
+    return (*decided, *covered)
+
+
+# -- hypotheses -------------------------------------------------------------------------------------------
+
+
+def label(term: Term) -> str:
+    """Name; of a nameless term what it changes, and with what."""
+    if term.name is not None:
+        return term.name
+    where = {"bias": "zero", "gain": "gain", "angle": "true angle", "misalignment": "misalignment"}
+    enters = where.get(str(term.where), "reading") if isinstance(term, NamelessTerm) else "reading"
+    covariates = [_COVARIATES.get(name, name.replace("_", " ")) for name in term.covariates]
+    return f"an unnamed change of the {enters} with {join_words(covariates)}"
+
+
+_COVARIATES = {
+    "angle": "the angle",
+    "reading": "the reading",
+    "approach": "the side of approach",
+    "previous_angle": "the position before",
+    "order": "the order",
+    "supply": "the supply",
+    "temperature_rate": "the speed of warming",
+    "variance": "vibration",
+}
+
+
+def _labels(model: Sequence[Term]) -> tuple[str, ...]:
+    return tuple(sorted({label(term) for term in model}))
+
+
+def _rivals(selection: Selection) -> list[Hypothesis]:
+    """The chosen model and the best one of each other set of names, until they have most of the posterior.
+
+    A model that holds the chosen one and more counts for it: the chosen one is adequate without the rest.
+    """
+    found, problem = selection.found, selection.problem
+    near = found.near(7.0)
+    top = max(near.values())
+    ours = _labels(selection.terms)
+    weight: dict[tuple[str, ...], float] = {ours: 0.0}
+    best: dict[tuple[str, ...], tuple[int, ...]] = {ours: selection.verdict.best}
+    for numbers in sorted(near, key=lambda m: -near[m]):
+        names = _labels([problem.terms[k] for k in numbers])
+        names = ours if set(ours) <= set(names) else names
+        weight[names] = weight.get(names, 0.0) + float(np.exp(near[numbers] - top))
+        best.setdefault(names, numbers)
+    total = sum(weight.values())
+    out: list[Hypothesis] = []
+    together = 0.0
+    for names in sorted(weight, key=lambda names: (names != ours, -weight[names]))[:MOST_RIVALS]:
+        if together > COVERED * total:
+            break
+        together += weight[names]
+        fit = selection.fit if names == ours else fit_model(problem, best[names], selection.fit)
+        out.append(_hypothesis(fit, weight[names], selection.inflation)[0])
+    return _normalised(out)
+
+
+def _explanations(selection: Selection, terms: Sequence[Term]) -> tuple[float, list[Hypothesis]]:
+    """What could explain the rest of a model that is not adequate: each effect more, and what to judge by.
+
+    Judged against the measured noise, or against the least that one effect more leaves. Where names stand
+    out that this session cannot decide between, these are what to decide: that nothing is there is no
+    rival of a model that is not adequate.
+    """
+    extended = _extended(selection, terms, 1.0, set())
+    freedom = max(selection.fit.dof - 1, 1)
+    inflation = max(1.0, min(h.chi2 for h in extended) / freedom)
+    if inflation > 1.0:
+        extended = _extended(selection, terms, inflation, set())
+    could = set(undecided(selection))
+    standing = [h for h in extended if could & set(h.labels)]
+    if len(standing) > 1:
+        extended = standing
+    likely = sorted(extended, key=lambda h: -h.weight)[:MOST_RIVALS]
+    return inflation, _normalised([h for h in likely if h.weight > 0.02 * likely[0].weight])
+
+
+def _extended(
+    selection: Selection,
+    terms: Sequence[Term],
+    inflation: float,
+    known: set[str],
+) -> list[Hypothesis]:
+    """The chosen model, and the same with each effect more, weighed by the evidence of the session."""
+    base, evidence = _hypothesis(selection.fit, 1.0, inflation)
+    pairs = [(base, evidence)]
+    chosen = selection.fit
+    inside = set(base.labels)
+    for name, term in widest_terms(terms).items():
+        if name in known or name in inside:
+            continue
+        absent = term.start(np.zeros(len(term.amplitudes)))
+        fit = chosen.having((*chosen.terms, term), (*chosen.values.terms, absent))
+        pairs.append(_hypothesis(fit, UNSEEN, inflation))
+    top = max(found for _, found in pairs)
+    return [replace(h, weight=h.weight * float(np.exp(found - top))) for h, found in pairs]
+
+
+def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
+    """One candidate for each name: on all axes, its shape in the middle of the grid; no single dwells."""
+    variants: dict[str, list[NamedTerm]] = {}
+    for term in terms:
+        if isinstance(term, NamedTerm) and "dwell" not in term.effect.choices():
+            variants.setdefault(term.effect.name, []).append(term)
+    out = {}
+    for name, all_of_them in variants.items():
+        widest = max(len(term.effect.axes) for term in all_of_them)
+        same = [term for term in all_of_them if len(term.effect.axes) == widest]
+        if "degree" in same[0].effect.choices():
+            same = same[:1]
+        out[name] = same[len(same) // 2]
+    return out
+
+
+def _hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypothesis, float]:
+    """Posterior of a model's parameters under physical priors, and its log evidence."""
+    columns = _columns(fit, fit.whitener / np.sqrt(inflation))
+    flat = columns.reshape(-1, columns.shape[2])
+    left = fit.residual.ravel() / np.sqrt(inflation)
+    mean, precision = _prior(fit, flat)
+    away = mean - fit.values.parameters
+    # In units of the prior's standard deviations, so that the matrix is well scaled.
+    unit = 1 / np.sqrt(precision)
+    scaled = flat * unit
+    # The information is RᵀR; formed as XᵀX + 1 it may have lost the 1 to rounding.
+    q, triangle = np.linalg.qr(np.concatenate([scaled, np.eye(len(unit))]))
+    pull = scaled.T @ left + away / unit
+    inverse = np.linalg.inv(triangle)
+    step = inverse @ (q.T @ np.concatenate([left, away / unit]))
+    chi2 = float(left @ left) + float(((away / unit) ** 2).sum()) - float(pull @ step)
+    evidence = -0.5 * chi2 - float(np.log(np.abs(np.diagonal(triangle))).sum())
+    root = unit[:, None] * inverse
+    return Hypothesis(_labels(fit.terms), weight, fit, unit * step, root, chi2), evidence
+
+
+def _prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
+    """Mean and precision of the parameters: base wide, effects as a bench sees them."""
+    means = [fit.values.base]
+    spreads = [START_RAD if np.isinf(p.spread) else SENSOR for p in fit.data.model.parameters]
+    sigmas = [np.array(spreads)]
+    for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
+        if isinstance(term, NamedTerm):
+            mean, sigma = np.zeros(len(values)), np.ones(len(values))
+            for k, parameter in enumerate(term.effect.parameters):
+                if parameter.shape:
+                    mean[k], sigma[k] = values[k], 0.5 * max(abs(values[k]), 1e-6)
+                else:
+                    # What was found larger than usual is not thereby wrong.
+                    sigma[k] = max(TYPICALS * abs(parameter.typical), abs(values[k]))
+        else:
+            mean = np.zeros(len(values))
+            length = np.sqrt((flat[:, fit.slice_of(index)] ** 2).mean(axis=0))
+            sigma = np.maximum(4.0 / np.maximum(length, 1e-12), np.abs(values))
+        means.append(mean)
+        sigmas.append(sigma)
+    return np.concatenate(means), 1 / np.concatenate(sigmas) ** 2
+
+
+def _columns(fit: Fit, whiten: Floats) -> Floats:
+    """Whitened derivative (n, rows, p) of the readings by base parameters and values of the terms."""
+    columns = whiten @ fit.columns
+    return np.clip(np.nan_to_num(columns, posinf=FAR, neginf=-FAR), -FAR, FAR)
+
+
+def _normalised(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+    total = sum(h.weight for h in hypotheses)
+    return [replace(h, weight=h.weight / total) for h in hypotheses]
+
+
+# -- the design -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Predicted:
+    """Whitened predictions of dwells by each hypothesis: means (n, rows) and roots (n, rows, p)."""
+
+    mean: list[Floats]
+    root: list[Floats]
+
+    def of(self, k: int) -> _Predicted:
+        return _Predicted([m[k : k + 1] for m in self.mean], [r[k : k + 1] for r in self.root])
+
+    def after(self, other: _Predicted) -> _Predicted:
+        """The dwells of `other` and then these."""
+        return _Predicted(
+            [np.concatenate(pair) for pair in zip(other.mean, self.mean, strict=True)],
+            [np.concatenate(pair) for pair in zip(other.root, self.root, strict=True)],
+        )
+
+
+def _greedy(
+    data: Readings,
+    inflation: float,
+    hypotheses: list[Hypothesis],
+    most: int,
+    purpose: Purpose,
+    before: list[ImaginedDwell],
+    least: float = LEAST_SEPARATION,
+    heating: bool = True,
+) -> tuple[list[ImaginedDwell], list[NextDwell]]:
+    """Dwells one by one, each the most informative for its effort given those before it."""
+    places = list(before)
+    out: list[NextDwell] = []
+    if len(hypotheses) < 2:
+        return places, out
+    weights = np.array([h.weight for h in hypotheses])
+    set_of = _nothing(data, hypotheses)
+    for count, place in enumerate(before):
+        there = _predict(data, inflation, hypotheses, [place], before[:count])
+        set_of = there.after(set_of)
+    known = float(_information(weights, set_of, None)[0])
+    while len(out) < most:
+        check()
+        options = _options(data)
+        predicted = _predict(data, inflation, hypotheses, options, places)
+        gain = _information(weights, set_of, predicted) - known
+        effort = np.array([place.effort for place in options])
+        # Another temperature or supply brings its own effects in: only where no position decides.
+        conditions = np.array([place.conditions for place in options])
+        ranked = np.argsort(-gain / effort)
+        apart_before = _apart(set_of)
+        places_first = ranked[~conditions[ranked]][:20].tolist()
+        for k in (*places_first, *(ranked[conditions[ranked]][:20].tolist() if heating else ())):
+            # The order of the grid would decide between equals; so does what was rounded.
+            if gain[k] < LEAST_INFORMATION[purpose] * min(least / LEAST_SEPARATION, 1.0) ** 2:
+                continue
+            with_it = predicted.of(k).after(set_of)
+            apart = _apart(with_it) - apart_before
+            worth = _worth(weights, apart, options[k].conditions, least)
+            if worth is not None:
+                break
+        else:
+            break
+        one, two = worth
+        separation = float(np.sqrt(max(apart[one, two], apart[two, one])))
+        parted = [two]
+        if purpose == "cover":
+            reach = np.maximum(apart[one], apart[:, one])
+            parted = [j for j in range(len(weights)) if j != one and reach[j] >= least**2]
+        out.append(_measurement(options[k], hypotheses, one, parted, separation, float(gain[k]), purpose))
+        places.append(options[k])
+        set_of = with_it
+        known += float(gain[k])
+    return places, out
+
+
+def _worth(weights: Floats, apart: Floats, conditions: bool, least: float) -> tuple[int, int] | None:
+    """The pair that a dwell parts, the more probable one first; None where it parts none enough."""
+    both = np.maximum(apart, apart.T)
+    likely = np.sqrt(np.outer(weights, weights)) * (both >= least**2)
+    if conditions:
+        low = WORTH_CONDITIONS * weights.max()
+        likely = likely * (np.minimum.outer(weights, weights) >= low)
+    np.fill_diagonal(likely, 0.0)
+    if likely[0].max() > 0:
+        # What is asked first is whether the chosen model is right.
+        likely[1:, 1:] = 0.0
+    if likely.max() <= 0:
+        return None
+    one, two = np.unravel_index(int(likely.argmax()), likely.shape)
+    return (int(one), int(two)) if weights[one] >= weights[two] else (int(two), int(one))
+
+
+def _nothing(data: Readings, hypotheses: list[Hypothesis]) -> _Predicted:
+    rows = data.equations_each
+    sizes = [len(h.shift) for h in hypotheses]
+    return _Predicted([np.zeros((0, rows)) for _ in sizes], [np.zeros((0, rows, p)) for p in sizes])
+
+
+def _information(weights: Floats, given: _Predicted, options: _Predicted | None) -> Floats:
+    """Expected information (n,) in nats of the dwells `given` with each of the options; (1,) without."""
+    count = 1 if options is None else len(options.mean[0])
+    means, covariances = [], []
+    for k in range(len(weights)):
+        mean = np.tile(given.mean[k].reshape(1, -1), (count, 1))
+        root = np.tile(given.root[k].reshape(1, -1, given.root[k].shape[2]), (count, 1, 1))
+        if options is not None:
+            mean = np.concatenate([mean, options.mean[k]], axis=1)
+            root = np.concatenate([root, options.root[k]], axis=1)
+        means.append(mean)
+        covariances.append(root @ root.transpose(0, 2, 1) + np.eye(mean.shape[1]))
+    if not means[0].shape[1]:
+        return np.zeros(count)
+    half = [0.5 * np.linalg.slogdet(c)[1] for c in covariances]
+    distance = np.zeros((len(weights), len(weights), count))
+    for i, j in itertools.combinations(range(len(weights)), 2):
+        middle = (covariances[i] + covariances[j]) / 2
+        difference = means[i] - means[j]
+        solved = np.linalg.solve(middle, difference[:, :, None])[:, :, 0]
+        d = (difference * solved).sum(axis=1) / 8 + 0.5 * (np.linalg.slogdet(middle)[1] - half[i] - half[j])
+        distance[i, j] = distance[j, i] = np.maximum(d, 0.0)
+    mixed = np.einsum("j,ijn->in", weights, np.exp(-distance))
+    return np.asarray(-(weights[:, None] * np.log(np.maximum(mixed, 1e-300))).sum(axis=0))
+
+
+def _apart(dwells: _Predicted) -> Floats:
+    """Expected excess of χ² (K, K) of hypothesis j where i is true."""
+    count = len(dwells.mean)
+    out = np.zeros((count, count))
+    if not dwells.mean[0].size:
+        return out
+    flat = [root.reshape(-1, root.shape[2]) for root in dwells.root]
+    covariance = [root @ root.T + np.eye(len(root)) for root in flat]
+    mean = np.array([own.ravel() for own in dwells.mean])
+    for j in range(count):
+        inverse = np.linalg.inv(covariance[j])
+        difference = mean - mean[j]
+        out[:, j] = ((difference @ inverse) * difference).sum(axis=1) - mean.shape[1]
+        out[:, j] += [(inverse * own).sum() for own in covariance]  # the trace of their product
+    np.fill_diagonal(out, 0.0)
+    return out
+
+
+def _measurement(
+    place: ImaginedDwell,
+    hypotheses: list[Hypothesis],
+    one: int,
+    parted: list[int],
+    separation: float,
+    information: float,
+    purpose: Purpose,
+) -> NextDwell:
+    first = set(hypotheses[one].labels)
+    second = set(hypotheses[parted[0]].labels)
+    others = [name for k in parted for name in hypotheses[k].labels if name not in first]
+    return NextDwell(
+        angle_deg=place.angle_deg,
+        direction=place.direction,
+        approach=place.approach,
+        wait_s=place.wait_s,
+        temperature_c=place.temperature_c,
+        supply_v=place.supply_v,
+        separation=separation,
+        information=information,
+        purpose=purpose,
+        one=tuple(sorted(first - second)),
+        other=tuple(dict.fromkeys(others)),
+    )
+
+
+# -- imagined dwells --------------------------------------------------------------------------------------
+
+
+def _options(data: Readings) -> list[ImaginedDwell]:
+    """Every position as it is; a coarser choice of them with one other condition."""
+    c = data.conditions
+    if data.planar:
+        sides = (1, -1) if c.approach is not None else (0,)
+        fine = [ImaginedDwell(float(a), None, side) for a in range(0, 360, 15) for side in sides]
+        coarse = [place for place in fine if place.angle_deg is not None and place.angle_deg % 45 == 0]
+        coarse = [place for place in coarse if place.approach >= 0]
+    else:
+        fine = []
+        for v in itertools.product((-1, 0, 1), repeat=3):
+            if any(v):
+                x, y, z = (float(s) for s in np.array(v) / np.linalg.norm(v))
+                fine.append(ImaginedDwell(None, (x, y, z)))
+        coarse = [place for place in fine if place.direction and max(map(abs, place.direction)) == 1.0]
+    length = float(np.ptp(c.time_s))
+    out = list(fine)
+    wait = float(np.ceil(min(max(length, 30.0), 600.0) / 30) * 30)
+    out += [replace(place, wait_s=wait) for place in coarse]
+    if c.temperature_c is not None:
+        middle = float(c.temperature_c.mean())
+        for warmer in (-_WARMER_C, _WARMER_C):
+            out += [replace(place, temperature_c=float(round(middle + warmer))) for place in coarse]
+    if c.supply_v is not None:
+        out += [replace(place, supply_v=volts) for place in coarse for volts in _SUPPLY_V]
+    return out
+
+
+def _predict(
+    data: Readings,
+    inflation: float,
+    hypotheses: list[Hypothesis],
+    options: list[ImaginedDwell],
+    before: list[ImaginedDwell],
+) -> _Predicted:
+    """Whitened predictions of each option as the dwell after `before`."""
+    groups: dict[float | None, list[int]] = {}
+    for k, place in enumerate(options):
+        groups.setdefault(place.temperature_c, []).append(k)
+    order = np.concatenate([np.array(members, dtype=np.intp) for members in groups.values()])
+    back = np.argsort(order)
+    pieces = []
+    for warmth, members in groups.items():
+        imagined = _imagined(data, [options[k] for k in members], before, warmth)
+        pieces.append(_predict_rows(imagined, inflation, hypotheses))
+    return _Predicted(
+        [np.concatenate([p.mean[i] for p in pieces])[back] for i in range(len(hypotheses))],
+        [np.concatenate([p.root[i] for p in pieces])[back] for i in range(len(hypotheses))],
+    )
+
+
+def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothesis]) -> _Predicted:
+    fits = [_imagining(h.fit, imagined) for h in hypotheses]
+    whiten = fits[0].whitener / np.sqrt(inflation)
+    means, roots = [], []
+    for h, fit in zip(hypotheses, fits, strict=True):
+        columns = _columns(fit, whiten)
+        mean = np.einsum("nrk,nk->nr", whiten, fit.predicted) + columns @ h.shift
+        means.append(np.clip(np.nan_to_num(mean, posinf=FAR, neginf=-FAR), -FAR, FAR))
+        roots.append(np.clip(columns @ h.root, -FAR, FAR))
+    return _Predicted(means, roots)
+
+
+def _imagining(fit: Fit, imagined: Readings) -> Fit:
+    """The same values at the attitudes that imagined dwells are asked for."""
+    declared = np.isfinite(imagined.angle_rad)
+    _, attitude = imagined.model.begin(imagined.mean, imagined.turn_rad, declared, imagined.conditions)
+    return Fit(imagined, fit.terms, Values(fit.values.base, attitude, fit.values.terms), fit.with_prior)
+
+
+def _imagined(
+    data: Readings, options: list[ImaginedDwell], before: list[ImaginedDwell], temperature_c: float | None
+) -> Readings:
+    """Readings of the options, all at one temperature, after the session and the dwells `before`."""
+    c, n = data.conditions, len(options)
+    end = float(c.time_s.max())
+    step = float(np.median(np.diff(np.sort(c.time_s)))) if len(data) > 1 else 30.0
+    for place in before:
+        end += step + place.wait_s + (_WARMING_S if place.temperature_c is not None else 0.0)
+    warming = _WARMING_S if temperature_c is not None else 0.0
+    time = end + step + warming + np.array([place.wait_s for place in options])
+    angle = previous = approach = None
+    if data.planar:
+        assert c.angle_rad is not None
+        angle = np.deg2rad([place.angle_deg or 0.0 for place in options])
+        last = before[-1].angle_deg if before else None
+        previous = np.full(n, c.angle_rad[-1] if last is None else np.deg2rad(last))
+        ideal = np.stack([np.cos(angle), -np.sin(angle)], axis=1)
+    else:
+        ideal = np.array([place.direction for place in options], dtype=float)
+    if c.approach is not None:
+        approach = np.array([float(place.approach) for place in options])
+    now = None if c.temperature_c is None else float(c.temperature_c[-1])
+    for place in before:
+        now = now if place.temperature_c is None else place.temperature_c
+    wanted = now if temperature_c is None else temperature_c
+    volts = None
+    if c.supply_v is not None:
+        usual = float(np.median(c.supply_v))
+        volts = np.array([usual if place.supply_v is None else place.supply_v for place in options])
+    history = c.temperature_history
+    if history is not None and wanted is not None and now is not None:
+        times, temperatures = history
+        ends = max(end, float(times[-1])) + np.array([1.0, 1.0 + max(warming, 1.0), 1e5])
+        history = (np.append(times, ends), np.append(temperatures, [now, wanted, wanted]))
+    return from_means(
+        data.model.size * (ideal if data.model.freedom else np.zeros((n, data.axes))),
+        np.tile(data.covariance.mean(axis=0), (n, 1, 1)),
+        Conditions(
+            time_s=time,
+            angle_rad=angle,
+            order=None if c.order is None else np.full(n, c.order.max() + 1 + len(before)),
+            approach=approach,
+            previous_angle_rad=None if c.previous_angle_rad is None else previous,
+            temperature_c=None if wanted is None else np.full(n, wanted),
+            supply_v=volts,
+            temperature_history=history,
+            load_history=c.load_history,
+            variance_mg2=None if c.variance_mg2 is None else np.tile(c.variance_mg2.mean(axis=0), (n, 1)),
+            force_g=None if c.force_g is None else ideal,
+            rate_dps=None if c.rate_dps is None else np.zeros((n, 3)),
+            temperatures_c=_warmed(c, n, wanted),
+        ),
+        gravity_mg=data.gravity_mg,
+        fixture_rad=data.fixture_rad,
+        measurement=data.measurement,
+    )
+
+
+def _warmed(c: Conditions, n: int, wanted: float | None) -> Floats | None:
+    """Temperatures (n, 3) of the dies where all of them go where their mean goes."""
+    if c.temperatures_c is None or c.temperature_c is None or wanted is None:
+        return None
+    return np.tile(c.temperatures_c[-1] + wanted - c.temperature_c[-1], (n, 1))

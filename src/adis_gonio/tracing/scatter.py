@@ -1,0 +1,246 @@
+"""Scatter from dwell to dwell as a hypothesis: more noise than the samples within the dwells show.
+
+The seat of the part, a fixture whose uncertainty is understated, telegraph or heavy-tailed noise scatter
+readings without following anything. A variance component competes with every function: its size is that of
+greatest restricted likelihood beside the base model and what was chosen, and the whole session is traced
+again under it. Of the two accounts the one of higher log evidence stands:
+
+* functions under the measured noise: L(0) of the best model less the price of its terms, or of its names
+  beside the best smooth function;
+* functions under the noise with the component: the same under s, less the price of s,
+
+L the log likelihood of the refitted model, restricted for its base parameters (Harville, J. Am. Stat.
+Assoc. 72, 1977). Noise that no covariate explains costs one parameter; functions that imitate it cost many.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from adis_gonio.base.budget import check
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import Term
+from adis_gonio.tracing.linear_problem import orthonormal
+from adis_gonio.tracing.selection import Selection, select
+from adis_gonio.tracing.smooth_candidates import evidence, processes
+from adis_gonio.tracing.thresholds import limits
+
+Kind = Literal["reading_scatter", "fixture_scatter"]
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """A variance component.
+
+    Attributes
+    ----------
+    kind : {"reading_scatter", "fixture_scatter"}
+    value, u : float
+        Standard deviation of a reading on each axis in its unit, or of an angle in degrees, and its
+        standard uncertainty.
+    declared : float
+        What was measured within the dwells, or stated of the fixture, in the same unit.
+    log_odds : float
+        Log evidence for it against functions under the measured noise.
+    p_value : float
+        Of the ratio of restricted likelihoods beside the same model, over the prior of such a component.
+    """
+
+    kind: Kind
+    value: float
+    u: float
+    declared: float
+    log_odds: float
+    p_value: float
+    unit: str = "mg"
+
+    def applied(self, data: Readings) -> Readings:
+        """Readings with the component in their noise."""
+        own = self.kind == "reading_scatter"
+        return _with(data, self.kind, self.value if own else math.radians(self.value))
+
+
+def with_scatter(
+    selection: Selection, terms: Sequence[Term], max_effects: int
+) -> tuple[Selection, Scatter | None]:
+    """The selection, or one under the noise with a variance component where that is the better account.
+
+    Components are weighed with the candidates that showed promise; under the one that is, all compete.
+    """
+    data = selection.data
+    promising = selection.promising(terms)
+    plain = {term.name for term in selection.terms} <= {"bias"}
+    checks = selection.base.dof - data.axes
+    untouched = plain and selection.adequate
+    if not max_effects or not data.noise_known or checks < limits.scatter_checks or untouched:
+        return selection, None
+    at_most = _evidence(selection)
+    best: tuple[float, Selection, Kind, float] | None = None
+    for kind in _kinds(data):
+        size, again = _settled(data, kind, selection, promising, max_effects)
+        if again is None:
+            continue
+        score = _evidence(again) - _price(data)
+        if best is None or score > best[0]:
+            best = (score, again, kind, size)
+    if best is not None and best[0] > at_most:
+        at_most = max(at_most, _evidence_of_processes(selection))
+    if best is None or best[0] <= at_most:
+        return selection, None
+    score, _, kind, size = best
+    chosen = _under(data, kind, size, terms, max_effects)
+    return chosen, _stated(data, kind, size, chosen, score - at_most)
+
+
+def _kinds(data: Readings) -> Iterator[Kind]:
+    yield "reading_scatter"
+    if data.planar and not data.free:
+        yield "fixture_scatter"
+
+
+def _price(data: Readings) -> float:
+    """Of one parameter that is set at its best, and of having thought of it, as of any effect."""
+    return -math.log(limits.effect_share) + 0.5 * math.log(max(data.mean.size, 2))
+
+
+def _evidence(selection: Selection) -> float:
+    """Log evidence of the chosen model, but for constants."""
+    prices = sum(float(selection.found.prices[k]) for k in selection.verdict.best)
+    return _restricted(selection.fit, base_only=True) - prices
+
+
+def _evidence_of_processes(selection: Selection) -> float:
+    """The same of the best smooth function, where no formula need be right, beside names of the model.
+
+    Beside all of them, or none but a bias: names may have done a part of its work.
+    """
+    candidates = processes(selection.data)
+    if not candidates:
+        return -math.inf
+    named = tuple(term for term in selection.terms if term.name is not None)
+    plain = tuple(term for term in named if term.name == "bias")
+    best = -math.inf
+    for kept in dict.fromkeys((named, plain, ())):
+        fit = selection.fit.having(kept, [selection.fit.value_of(term) for term in kept]).refit()
+        beside = orthonormal(fit.jacobian)
+        left = fit.residual.ravel()
+        gained = evidence(fit, beside, left - beside @ (beside.T @ left), candidates)
+        prices = sum(
+            float(selection.found.prices[k])
+            for k in selection.verdict.best
+            if selection.problem.terms[k].label in {term.label for term in kept}
+        )
+        best = max(best, _restricted(fit, base_only=True) - prices + float(gained.max()))
+    return best
+
+
+def _settled(
+    data: Readings, kind: Kind, selection: Selection, terms: Sequence[Term], max_effects: int
+) -> tuple[float, Selection | None]:
+    """Size of a component and the selection under it, each given the other."""
+    bias = [term for term in selection.terms if term.name == "bias"]
+    kept = selection.fit.having(bias, [selection.fit.value_of(term) for term in bias])
+    size = 0.0
+    again: Selection | None = None
+    for _ in range(2):
+        check()
+        fresh = _most_likely(kept, data, kind)
+        if fresh <= limits.scatter_ratio * _measured(data, kind):
+            return 0.0, None
+        if again is not None and abs(math.log(fresh / size)) < 0.1:
+            break
+        size = fresh
+        again = _under(data, kind, size, terms, max_effects)
+        kept = again.fit
+    return size, again
+
+
+def _under(data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int) -> Selection:
+    """The selection under a component of this size."""
+    beam, rounds = limits.scatter_beam, limits.fold_rounds
+    found = select(_with(data, kind, size), terms, max_effects, beam=beam, rounds=rounds)
+    check()
+    return found
+
+
+def _most_likely(fit: Fit, data: Readings, kind: Kind) -> float:
+    """Size of greatest restricted likelihood beside a model, in unit of readings or rad; 0 for none."""
+    from scipy.optimize import minimize_scalar
+
+    scale = _measured(data, kind)
+
+    def loss(log_size: float) -> float:
+        return -_restricted(_fit_under(fit, _with(data, kind, scale * math.exp(log_size))))
+
+    found = minimize_scalar(loss, bounds=(-2.0, 7.0), method="bounded", options={"xatol": 0.05})
+    return scale * math.exp(float(found.x)) if float(found.fun) < loss(-6.0) else 0.0
+
+
+def _fit_under(fit: Fit, data: Readings) -> Fit:
+    """The same model under other noise: one step, as it was at its best and moves by parts of its u."""
+    return replace(fit, data=data).refit(1)
+
+
+def _measured(data: Readings, kind: Kind) -> float:
+    """Uncertainty of a reading, or of what a reading says of its angle with the fixture's (rad)."""
+    reading = float(np.sqrt(np.median(data.variance_of_mean)))
+    if kind == "reading_scatter":
+        return reading
+    return math.hypot(reading / data.model.size, data.fixture_rad)
+
+
+def _with(data: Readings, kind: Kind, size: float) -> Readings:
+    if kind == "reading_scatter":
+        return replace(data, own_covariance=data.own_covariance + size**2 * np.eye(data.axes))
+    return replace(data, fixture_rad=math.hypot(data.fixture_rad, size))
+
+
+def _restricted(fit: Fit, *, base_only: bool = False) -> float:
+    """Restricted log likelihood of a fit, but for constants; restricted for its base alone where asked.
+
+    The price of a term holds what its amplitudes cost.
+    """
+    data = fit.data
+    covariance = data.own_covariance
+    if fit.data.planar and not data.free:
+        tangent = fit.tangent
+        fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
+        covariance = covariance + (fixture**2)[:, None, None] * (tangent @ tangent.transpose(0, 2, 1))
+    if data.free:
+        # One direction is left: the variance of the whitened row.
+        spread = 1 / np.maximum((fit.whitener**2).sum(axis=2), 1e-300)
+        size = float(np.log(spread).sum())
+    else:
+        size = float(np.linalg.slogdet(covariance)[1].sum())
+    rows = fit.jacobian[:, : len(fit.values.base)] if base_only else fit.jacobian
+    rows = rows[:, np.abs(rows).max(axis=0) > 0]
+    scaled = np.linalg.svd(rows, compute_uv=False)
+    freedom = 2 * float(np.log(np.maximum(scaled, 1e-12)).sum())
+    return -0.5 * (fit.loss + size + freedom)
+
+
+def _stated(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds: float) -> Scatter:
+    """The component with its uncertainty, by the curvature of the restricted likelihood."""
+    from scipy.stats import chi2
+
+    step = 0.1
+
+    def height(log_size: float) -> float:
+        return _restricted(_fit_under(chosen.fit, _with(data, kind, size * math.exp(log_size))))
+
+    none = _restricted(_fit_under(chosen.fit, data))
+    ratio = 2 * max(height(0.0) - none, 0.0)
+    # At the edge of what a variance can be, half of the distribution is zero.
+    p_value = min(1.0, 0.5 * float(chi2.sf(ratio, 1)) / limits.effect_share)
+    curvature = -(height(step) - 2 * height(0.0) + height(-step)) / step**2
+    relative = 1 / math.sqrt(curvature) if curvature > 0 else 1.0
+    factor: Callable[[float], float] = math.degrees if kind == "fixture_scatter" else float
+    declared = data.fixture_rad if kind == "fixture_scatter" else _measured(data, kind)
+    unit = "deg" if kind == "fixture_scatter" else data.model.unit
+    return Scatter(kind, factor(size), factor(size) * relative, factor(declared), log_odds, p_value, unit)

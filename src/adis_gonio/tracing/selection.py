@@ -1,0 +1,249 @@
+"""The loop: choose effects in the linear problem, refit in full, choose again about the new state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.base.budget import spent
+from adis_gonio.fitting.estimation.fit import Fit, adequacy
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.tracing.linear_problem import LinearProblem, amplitudes, linearise, span
+from adis_gonio.tracing.model_search import ModelPosterior, Search, search, weigh
+from adis_gonio.tracing.thresholds import limits
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What was chosen and how well it does.
+
+    Attributes
+    ----------
+    problem : LinearProblem
+        About the final state.
+    found : Search
+    verdict : ModelPosterior
+    base, fit : Fit
+        Base model and chosen model, refitted in full.
+    inflation : float
+        Factor on the noise variance under which effects were chosen: 1 where the model is adequate.
+    adequate : bool
+    """
+
+    problem: LinearProblem
+    found: Search
+    verdict: ModelPosterior
+    base: Fit
+    fit: Fit
+    inflation: float
+    adequate: bool
+
+    @property
+    def data(self) -> Readings:
+        """The readings that were fitted."""
+        return self.fit.data
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Terms of the chosen model."""
+        return self.fit.terms
+
+    def promising(self, terms: Sequence[Term]) -> list[Term]:
+        """Those of the candidates that showed promise anywhere, and the best of each name and axes."""
+        candidates = self.problem.terms
+        ranked = [candidates[k] for k in np.argsort(-self.found.promise)]
+        active = {term.label for term in ranked[: limits.fold_active]}
+        active |= {term.label for term in self.terms}
+        seen = set()
+        for term in ranked:
+            if isinstance(term, NamedTerm) and (term.effect.name, term.effect.axes) not in seen:
+                seen.add((term.effect.name, term.effect.axes))
+                active.add(term.label)
+        return [term for term in terms if term.label in active]
+
+    def without_functions(self, refuted: Sequence[Term]) -> Selection:
+        """The best of the models that have no function without a name of these covariates."""
+        gone = {term.covariates for term in refuted}
+        terms = self.problem.terms
+        scores = {
+            model: score
+            for model, score in self.found.scores.items()
+            if not any(terms[k].name is None and terms[k].covariates in gone for k in model)
+        }
+        found = replace(self.found, scores=scores)
+        verdict = weigh(found)
+        return replace(self, found=found, verdict=verdict).with_model(verdict.best)
+
+    def with_model(self, chosen: Sequence[int]) -> Selection:
+        """The same with another model of the linear problem, refitted in full."""
+        model = tuple(chosen)
+        return replace(
+            self.with_fit(fit_model(self.problem, model, self.base)),
+            verdict=replace(self.verdict, best=model),
+        )
+
+    def with_fit(self, fit: Fit) -> Selection:
+        """The same with another fit in the place of the chosen one."""
+        known = fit.data.noise_known
+        adequate = adequacy(fit.chi2, fit.dof, fit.data.noise_dof) >= limits.adequate if known else True
+        inflation = 1.0 if known and adequate else self.inflation
+        return replace(self, fit=fit, adequate=adequate, inflation=inflation)
+
+
+def fit_model(problem: LinearProblem, chosen: Sequence[int], about: Fit) -> Fit:
+    """Full refit of a model of the linear problem, from the amplitudes that it has there."""
+    terms = [problem.terms[k] for k in chosen]
+    values = [term.start(a) for term, a in zip(terms, amplitudes(problem, chosen), strict=True)]
+    return about.having(terms, values).refit()
+
+
+def select(
+    data: Readings,
+    terms: Sequence[Term],
+    max_terms: int,
+    beam: int = limits.beam,
+    rounds: int = limits.rounds,
+) -> Selection:
+    """Choose terms for these readings (all of them: `check` dwells are the caller's business)."""
+    base = Fit.begin(data).refit()
+    about = _begun(base, terms) if max_terms else base
+    inflation = 1.0 if data.noise_known else max(base.chi2 / max(base.dof, 1), 1e-12)
+    before: tuple[str, ...] | None = None
+    for _ in range(rounds):
+        problem = linearise(about, terms)
+        apart = _bias_apart(problem, base, about)
+        if apart is not None:
+            # A constant that is far larger than what is left beside it is no part of a function's form.
+            terms = [term for term in terms if not _with_constant(term)]
+            if not about.terms and max_terms:
+                # Its square, b²/2G, may be many times the noise: candidates are judged about the fit
+                # that has it, or they would be chosen for what the linear problem leaves of it.
+                about = apart()
+            problem = linearise(about, terms)
+        found, inflation = _inflated(data, problem, max_terms, beam, inflation)
+        problem = found.problem
+        verdict, fit = _fitted(problem, weigh(found), about, base.chi2)
+        labels = tuple(sorted(term.label for term in fit.terms))
+        linear = problem.chi2 - 2 * inflation * found.explained(verdict.best)
+        settled = abs(linear - fit.chi2) < 1.0 * inflation or labels == before
+        about, before = fit, labels
+        if (
+            data.noise_known
+            and inflation > 1
+            and adequacy(fit.chi2, fit.dof, data.noise_dof) >= limits.adequate
+        ):
+            # What asked for more noise was the linear problem's error, not the model's.
+            inflation, settled = 1.0, False
+        if settled or spent():
+            break
+    p = adequacy(fit.chi2, fit.dof, data.noise_dof) if data.noise_known else 1.0
+    if p < limits.adequate:
+        inflation = max(inflation, fit.chi2 / fit.dof)  # uncertainties by what the final model leaves
+    return Selection(problem, found, verdict, base, fit, inflation, p >= limits.adequate)
+
+
+def _with_constant(term: Term) -> bool:
+    return isinstance(term, NamelessTerm) and term.basis.with_constant
+
+
+def _begun(base: Fit, terms: Sequence[Term]) -> Fit:
+    """The base model with slips that are known roughly and a bias, refitted; the same without such slips.
+
+    Where a slip is out of the linear problem's reach, only an outlier of both axes would explain it there.
+    About a state that has the slip, and the bias that the others show, it is exact.
+    """
+    orders = base.data.conditions.order
+    here = set() if orders is None else set(np.round(orders).tolist())
+    named = [term for term in terms if isinstance(term, NamedTerm)]
+    slips = [term for term in named if term.begins and term.dwell in here]
+    if not slips:
+        return base
+    biases = [term for term in named if term.name == "bias"]
+    widest = max(biases, key=lambda term: len(term.effect.axes), default=None)
+    model = slips if widest is None else [*slips, widest]
+    return base.having(
+        model, [term.start(np.full(len(term.amplitudes), term.begins)) for term in model]
+    ).refit()
+
+
+def _fitted(
+    problem: LinearProblem, verdict: ModelPosterior, about: Fit, most: float
+) -> tuple[ModelPosterior, Fit]:
+    """Full refit of the best model, or of the next one if it ends above the χ² of the base model.
+
+    A model that holds the base model cannot be worse, so that such a refit has run away from amplitudes
+    that only the linear problem allows.
+    """
+    ranked = sorted(verdict.weights, key=lambda m: -verdict.weights[m])
+    for chosen in dict.fromkeys([verdict.best, *ranked[:4]]):
+        fit = fit_model(problem, chosen, about)
+        if fit.chi2 <= most * (1 + 1e-6):
+            return replace(verdict, best=chosen), fit
+    return verdict, fit_model(problem, verdict.best, about)
+
+
+def _inflated(
+    data: Readings, problem: LinearProblem, max_terms: int, beam: int, inflation: float
+) -> tuple[Search, float]:
+    """Search, and again with more noise where not even the best model is adequate.
+
+    What no model explains is then treated as noise of unknown origin (Birge's ratio), so that names have to
+    stand out of it.
+    """
+    found = search(problem, max_terms, inflation, beam)
+    for _ in range(4):
+        best = found.best
+        basis, residual = span(found.problem, best)
+        chi2, dof = float(residual @ residual), problem.dof - basis.shape[1]
+        ratio = chi2 / max(dof, 1)
+        if data.noise_known:
+            if dof <= 0 or adequacy(chi2 / inflation, dof, data.noise_dof) >= limits.adequate:
+                return found, inflation
+        elif abs(ratio / inflation - 1) < 0.05:
+            return found, inflation
+        inflation = max(ratio, 1.0) if data.noise_known else max(ratio, 1e-12)
+        again = search(problem, max_terms, inflation, beam)
+        if again.best == best:
+            return again, inflation
+        found = again
+    return found, inflation
+
+
+def _bias_apart(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
+    """The fit with a bias, to be made where it is wanted; None where none explains nearly all."""
+    constants = _mostly_bias(problem)
+    if constants is not None:
+        return lambda: fit_model(problem, [constants], about)
+    refitted = None if about.terms else _mostly_bias_refitted(problem, base)
+    return None if refitted is None else lambda: refitted
+
+
+def _mostly_bias(problem: LinearProblem) -> int | None:
+    """Number of the bias on most axes, where it alone explains nearly all of the base model's excess."""
+    widest = _widest_bias(problem)
+    if widest is None:
+        return None
+    left = float((span(problem, [widest])[1] ** 2).sum()) - problem.dof
+    excess = problem.chi2 - problem.dof
+    return widest if excess > 0 and left < (1 - limits.mostly_bias) * excess else None
+
+
+def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> Fit | None:
+    """The same by a full refit, which a bias may need that is far from what the base model took it for."""
+    widest = _widest_bias(problem)
+    if widest is None or problem.dof <= int(problem.width[widest]):
+        return None
+    trial = fit_model(problem, [widest], base)
+    excess = base.chi2 - base.dof
+    if excess <= 0 or trial.chi2 - trial.dof >= (1 - limits.mostly_bias) * excess:
+        return None
+    return trial
+
+
+def _widest_bias(problem: LinearProblem) -> int | None:
+    """Number of the bias on most axes."""
+    constants = [k for k, term in enumerate(problem.terms) if term.name == "bias"]
+    return max(constants, key=lambda k: problem.width[k]) if constants else None

@@ -1,0 +1,485 @@
+"""From a trace to a calibration of accelerometers or gyros; the gyros of a session, fitted or traced.
+
+`load_calibration`, `load_gyro_calibration`: from a JSON file, or from a session that is fitted.
+
+Importing this module teaches `Calibration.load` and `GyroCalibration.load` to fit a session; the classes
+themselves stand below the fits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import AdisGonioError, DataError, FitError, SessionError, UsageError
+from adis_gonio.base.output import ends_in
+from adis_gonio.calibrate.calibration import Calibration, EffectTerm
+from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
+from adis_gonio.calibrate.document import (
+    GYRO_SCHEMA,
+    SCHEMA,
+    calibration_from,
+    gyro_calibration_from,
+)
+from adis_gonio.calibrate.files import calibration_in, json_document
+from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+from adis_gonio.fitting.calibrations import as_written, assumed_parameters, known_provenance
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.terms import NamedTerm, Term
+from adis_gonio.fitting.gyros.gyro_fit import (
+    GyroEstimates,
+    estimates_of_gyro_fit,
+    fit_gyro,
+    gyro_as_written,
+    make_gyro_calibration,
+    stated_parameters,
+)
+from adis_gonio.model.effects import AXES, catalogue, effect
+from adis_gonio.model.measurement import BaseParameter
+from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
+from adis_gonio.record.provenance import Provenance, provenance_of
+from adis_gonio.tracing.findings import clock_at_middle, follows_clock, middle_s
+from adis_gonio.tracing.trace_result import TraceResult
+
+_CLOCK = "follows the clock of the session, which no later reading shares"
+_UNKNOWN = "is not known to be a function of the reading, the temperature or the supply"
+_NAMELESS = "has no name, so that nobody knows whether it belongs to the sensor"
+_GYRO_NAMELESS = "has no name, so that nobody knows whether it belongs to the gyros"
+_GYRO_UNKNOWN = "is not known to be a function of the rate, the force, the temperature or the supply"
+
+
+def calibration_of_trace(result: TraceResult) -> Calibration:
+    """Calibration by the final model of a trace: base parameters, and effects that can be corrected.
+
+    What follows the clock alone is taken at the middle of the session: bias, gain and start angle are
+    those of that time, which `not_corrected` states.
+
+    Covariance and u are those of the final model. Models that predict the same readings may share a bias
+    out in other ways, so that the trace states a larger u of single parameters; angles do not differ by it.
+    Where functions of the reading are left out and one has no name, or no bias stands beside them, or a
+    function of anything without a name stands in its place, the others are fitted anew with a bias: what
+    these carried of it would else stand nowhere.
+
+    Raises
+    ------
+    UsageError
+        The result was not made from a session (`trace_readings`).
+    FitError
+        The trace was not finished, or is one of a single pose, which has no base model.
+    """
+    where = known_provenance(result.provenance)
+    if not result.fits:
+        raise FitError("one pose determines no calibration: measure at least four positions")
+    if result.stopped is not None and not result.stopped.checked:
+        raise FitError("the time limit ended the trace before its model was checked: trace with more time")
+    final = result.fits[-1]
+    standing = [
+        term
+        for term in final.terms
+        if isinstance(term, NamedTerm) and term.effect.correctable and _stands(term, result)
+    ]
+    others = [term for term in final.terms if term not in standing and term.name != "bias"]
+    left = [_left_out(term, result, middle_s(final)) for term in others]
+    if result.unnamed is not None and all(term.name is not None for term in final.terms):
+        left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
+    fit, inflation = _without(final, others, result.inflation)
+    named = [term for term in fit.terms if isinstance(term, NamedTerm)]
+    corrected = [term for term in named if term in standing]
+    columns = _Columns(fit)
+    for parameter in fit.data.model.parameters:
+        columns.base(parameter)
+    biased = columns.biases([term for term in named if term.name == "bias"])
+    effects = tuple(columns.effect(term) for term in corrected)
+    parameters, matrix = columns.stated(inflation)
+    names = [one.name for one in parameters if one.u is not None]
+    return as_written(
+        Calibration(
+            method="trace",
+            provenance=where,
+            parameters=parameters,
+            covariance=matrix if fit.data.noise_known or inflation != 1 else None,
+            effects=effects,
+            not_corrected=tuple(left),
+            assumed=tuple(
+                one for one in assumed_parameters(fit.data.model, [*names, *biased]) if one != "alpha"
+            ),
+            counts_per_mg=None if fit.data.unit.known else tuple(fit.data.unit.per_mg.tolist()),
+        )
+    )
+
+
+def _of_reading(term: Term) -> bool:
+    """True for what follows the reading and nothing else."""
+    return not term.enters_angle and term.covariates == ("reading",)
+
+
+def _holds_bias(term: Term) -> bool:
+    """True for a function without a name in the place of a bias, of which no value at one time is known."""
+    return term.name is None and not term.enters_angle and not follows_clock(term)
+
+
+def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
+    """The terms that stay and a bias fitted anew; the factor on the variance by which u holds the rest."""
+    biased = any(term.name == "bias" for term in fit.terms)
+    terms = [term for term in terms if _of_reading(term) or (not biased and _holds_bias(term))]
+    if not terms or (biased and all(term.name is not None for term in terms)):
+        return fit, inflation
+    pairs = zip(fit.terms, fit.values.terms, strict=True)
+    kept = [(term, own) for term, own in pairs if term not in terms]
+    if not biased:
+        axes = fit.data.axes
+        kept.append((NamedTerm("bias", (), 0.0, effect("bias", tuple(AXES[:axes]))), np.zeros(axes)))
+    values = replace(fit.values, terms=tuple(own for _, own in kept))
+    # Not what `fit` makes of itself: an average over functions keeps the covariance of its members.
+    again = Fit(fit.data, tuple(term for term, _ in kept), values, fit.with_prior).refit()
+    misfit = again.chi2 / again.dof if again.dof > 0 else 1.0
+    return again, max(inflation, misfit)
+
+
+class _Columns:
+    """Values of a fit with their places among its parameters, in the units that results are stated in.
+
+    What follows the clock is taken at the middle of the session.
+    """
+
+    def __init__(self, fit: Fit) -> None:
+        self.fit = fit
+        axes = fit.data.axes
+        self.offset, self.offset_slope = clock_at_middle(fit, np.zeros(axes))
+        self.turn_rad, self.turn_slope = clock_at_middle(fit, np.zeros(axes), turned=True)
+        self.unit = fit.data.unit
+        self.names: list[str] = []
+        self.values: list[float] = []
+        self.units: list[str] = []
+        self.rows: list[Floats] = []
+
+    def _add(self, name: str, value: float, unit: str, gradient: Floats) -> None:
+        self.names.append(name)
+        self.values.append(value)
+        self.units.append(unit)
+        self.rows.append(gradient)
+
+    def _gain(self, axis: int) -> tuple[float, Floats]:
+        """Factor on the gain of an axis at the middle, and its gradient (p,)."""
+        ideal_mg = np.zeros(self.fit.data.axes)
+        ideal_mg[axis] = MG_PER_G
+        full, slope = clock_at_middle(self.fit, ideal_mg)
+        factor = 1 + (full[axis] - self.offset[axis]) / MG_PER_G
+        return float(factor), (slope[axis] - self.offset_slope[axis]) / MG_PER_G
+
+    def _gradient(self, place: int | None, factor: float = 1.0) -> Floats:
+        gradient = np.zeros(len(self.fit.values.parameters))
+        if place is not None:
+            gradient[place] = factor
+        return gradient
+
+    def base(self, parameter: BaseParameter) -> None:
+        """A base parameter; the start angle only where the dwells show it."""
+        k = self.fit.data.model.index(parameter.name)
+        if parameter.name == "alpha" and not self.fit.data.visible[k]:
+            return
+        factor, unit = parameter.per_natural, parameter.unit
+        value = float(self.fit.values.base[k])
+        if parameter.name.startswith("scale") and not self.unit.known:
+            factor = float(self.unit.per_mg[AXES.index(parameter.name[-1])]) * MG_PER_MPS2
+            unit = "counts/(m/s²)"
+        gradient = self._gradient(k, factor)
+        if parameter.name == "alpha":
+            value += float(self.turn_rad)
+            gradient += factor * self.turn_slope
+        elif parameter.name.startswith("scale"):
+            gain, slope = self._gain(AXES.index(parameter.name[-1]))
+            gradient = gain * gradient + value * factor * slope
+            value *= gain
+        stated = parameter.stated(value) if unit == "deg" else value * factor
+        self._add(parameter.name, stated, unit, gradient)
+
+    def biases(self, terms: Sequence[NamedTerm]) -> list[str]:
+        """Bias of every axis, zero where the model has none; names of those that it has a term for."""
+        at: dict[str, int] = {}
+        for term in terms:
+            start = self.fit.slice_of(self.fit.terms.index(term)).start
+            at |= {one.name: start + k for k, one in enumerate(term.effect.parameters)}
+        for axis, letter in enumerate(AXES[: self.fit.data.axes]):
+            place = at.get(f"bias_{letter}")
+            factor = float(self.unit.per_mg[axis])
+            value = 0.0 if place is None else float(self.fit.values.parameters[place])
+            stated = float(self.unit.zero[axis]) + (value + float(self.offset[axis])) * factor
+            gradient = self._gradient(place, factor) + factor * self.offset_slope[axis]
+            self._add(f"bias_{letter}", stated, self.unit.name, gradient)
+        return list(at)
+
+    def effect(self, term: NamedTerm) -> EffectTerm:
+        """Values of an effect."""
+        index = self.fit.terms.index(term)
+        start = self.fit.slice_of(index).start
+        names = []
+        for k, parameter in enumerate(term.effect.parameters):
+            name = parameter.name
+            while name in self.names:
+                name += "_also"
+            value = float(self.fit.values.terms[index][k])
+            self._add(name, value, parameter.unit, self._gradient(start + k))
+            names.append(name)
+        return EffectTerm(term.effect, tuple(names))
+
+    def stated(self, inflation: float) -> tuple[tuple[Coefficient, ...], Floats]:
+        """Parameters, and their covariance (p, p)."""
+        rows = np.stack(self.rows)
+        matrix = rows @ self.fit.covariance @ rows.T * inflation
+        sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+        return tuple(
+            Coefficient(name, value, float(size) if size > 0 else None, unit)
+            for name, value, size, unit in zip(self.names, self.values, sizes, self.units, strict=True)
+        ), matrix
+
+
+def _stands(term: NamedTerm, result: TraceResult) -> bool:
+    """True for a finding, and for an effect that is confounded with nothing but its like."""
+    if term.name in {finding.effect for finding in result.found}:
+        return True
+    rivals = {name for names in result.confounded if term.name in names for name in names}
+    known = catalogue()
+    correctable = {name for name, kind in known.items() if kind.correctable or name == "bias"}
+    return bool(rivals) and rivals <= correctable
+
+
+def _left_out(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
+    if follows_clock(term):
+        why = _CLOCK if term.name is not None else _NAMELESS
+        of = "the start angle is that" if term.enters_angle else "bias and gain are those"
+        return NotCorrected(
+            term.shown_as, f"{why}; {of} of the session's middle, {at_s:.4g} s after its start"
+        )
+    if isinstance(term, NamedTerm) and term.effect.correctable:
+        why = result.reasons.get(
+            term.effect.name, "the session cannot tell it from an effect that is none of the sensor"
+        )
+        return NotCorrected(term.effect.name, f"did not stand as a finding: {why}")
+    return _not_corrected(term, _NAMELESS, _UNKNOWN)
+
+
+def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
+    """Of `trace --sensor-part gyro`: zero rates and the effects that can be corrected, by its final model.
+
+    Raises
+    ------
+    FitError
+        The trace was not finished.
+    """
+    if not result.fits or (result.stopped is not None and not result.stopped.checked):
+        raise FitError("the time limit ended the trace before its model was checked: trace with more time")
+    final = result.fits[-1]
+    kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.effect.correctable]
+    left = [_not_corrected(one, _GYRO_NAMELESS, _GYRO_UNKNOWN) for one in final.terms if one not in kept]
+    if result.unnamed is not None and all(term.name is not None for term in final.terms):
+        left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _GYRO_NAMELESS))
+    doubts = () if result.adequacy != "not adequate" else ("the gyros' trace found its model not adequate",)
+    coefficients, matrix = _gyro_stated(final, kept, result.inflation)
+    return GyroEstimates(
+        "trace",
+        {one.name: one for one in coefficients},
+        ([one.name for one in coefficients], matrix),
+        tuple(left),
+        doubts,
+    )
+
+
+def _not_corrected(term: Term, nameless: str, unknown: str) -> NotCorrected:
+    if not isinstance(term, NamedTerm):
+        return NotCorrected(term.shown_as, nameless)
+    return NotCorrected(term.effect.name, term.effect.not_corrected or unknown)
+
+
+def _gyro_stated(
+    fit: Fit, kept: Sequence[NamedTerm], inflation: float
+) -> tuple[tuple[Coefficient, ...], Floats]:
+    """Parameters with gains K and misalignments of D, and their covariance."""
+    parameters = list(fit.data.model.parameters)
+    units = [one.unit for one in parameters]
+    names, places = [one.name for one in parameters], list(range(len(parameters)))
+    for term in kept:
+        start = fit.slice_of(fit.terms.index(term)).start
+        for k, one in enumerate(term.effect.parameters):
+            names.append(one.name)
+            units.append(one.unit)
+            places.append(start + k)
+    covariance = fit.covariance[np.ix_(places, places)]
+    stated, values, matrix = stated_parameters(names, fit.values.parameters[places], covariance)
+    matrix = matrix * inflation
+    sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    return tuple(map(Coefficient, stated, values.tolist(), sizes.tolist(), units)), matrix
+
+
+def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:
+    """The calibration with the session's gyros in it; as it was where these cannot be calibrated.
+
+    Raises
+    ------
+    SessionError
+        As `gyro_calibration_of`.
+    """
+    try:
+        gyro = gyro_calibration_of(session, traced=traced)
+    except SessionError:
+        raise
+    except AdisGonioError:
+        return calibration
+    return replace(calibration, gyro=gyro)
+
+
+def gyros_alone(session: Session) -> str:
+    """What to do where a session calibrates its gyros and not its accelerometers; else nothing."""
+    try:
+        gyro_calibration_of(session)
+    except AdisGonioError:
+        return ""
+    return (
+        "; its gyros are calibrated: put them beside the accelerometers of another session of the part, "
+        f"export OTHER --gyros {PurePath(session.source).name} -o both.json"
+    )
+
+
+def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibration:
+    """Calibration of a session's gyros, for the part as it is: with the offsets that were written since.
+
+    Parameters
+    ----------
+    traced : bool
+        By the traced model, with its effects.
+
+    Raises
+    ------
+    FitError
+        The session has no gyros, or does not determine their zero rates.
+    SessionError
+        A write of gyro offsets was interrupted, so that only the sensor can tell.
+    """
+    return gyro_as_written(gyros_as_recorded(session, traced=traced), provenance_of(session))
+
+
+def gyros_as_recorded(session: Session, *, traced: bool = False) -> GyroCalibration:
+    """As `gyro_calibration_of`, for the offsets that stood while the session was recorded."""
+    return make_gyro_calibration(gyro_estimates_of(session, traced=traced), provenance_of(session))
+
+
+def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimates:
+    """Parameters of a session's gyros by name.
+
+    Raises
+    ------
+    DataError, FitError
+        The session has no gyros, or none whose unit is known, or no dwell.
+    """
+    if traced:
+        from adis_gonio.tracing.trace import trace
+
+        return estimates_of_gyro_trace(trace(session, part="gyro"))
+    return estimates_of_gyro_fit(fit_gyro(session))
+
+
+_FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")
+"""Endings of what `export` and `report` write and nothing here reads."""
+
+
+def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
+    """Calibration of a JSON file, or of a session by `fit`; told apart by the first character.
+
+    Parameters
+    ----------
+    method : str, optional
+        Of the fit, where the file is a session.
+
+    Raises
+    ------
+    DataError
+        The file is neither, or is damaged.
+    FitError
+        The session does not determine a calibration.
+    """
+    made = calibration_in(path)
+    if made is not None:
+        return made
+    from adis_gonio.fitting import fit
+    from adis_gonio.record.loading import as_it_is, load_session
+
+    if ends_in(path, *_FOR_OTHERS):
+        raise DataError(_made_for_others(path))
+    try:
+        session = load_session(path)
+    except DataError as error:
+        raise DataError(as_it_is(str(error))) from None
+    try:
+        own = fit(session, method=method).calibration()
+    except FitError as error:
+        raise FitError(f"{error}{gyros_alone(session)}") from None
+    return with_gyros(own, session)
+
+
+def load_gyro_calibration(
+    path: str | Path, part: Provenance | None = None, *, traced: bool = False
+) -> GyroCalibration:
+    """As `GyroCalibration.load`.
+
+    Parameters
+    ----------
+    part : Provenance, optional
+        Of the accelerometers beside which the gyros shall stand: another sensor's or serial number's are
+        refused with `UsageError`.
+    traced : bool
+        Of a session: by the traced model of its gyros, with its effects.
+    """
+    document = json_document(Path(path))
+    if document is None:
+        from adis_gonio.record.loading import load_session
+
+        if ends_in(path, *_FOR_OTHERS):
+            raise DataError(_made_for_others(path))
+        session = load_session(path)
+        _refuse_another_part(part, _named(provenance_of(session)), path)
+        return gyro_calibration_of(session, traced=traced)
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if schema == SCHEMA:
+        whole = calibration_from(document, str(path))
+        _refuse_another_part(part, _named(whole.provenance), path)
+        if whole.gyro is None:
+            raise FitError(f"{path}: is a calibration without gyros")
+        return whole.gyro
+    if schema is None and isinstance(document, dict) and isinstance(document.get("gyro"), dict):
+        # What `export` makes of a session that calibrates its gyros alone, as one of the plan gyro-turns.
+        _refuse_another_part(part, _exported(document.get("session")), path)
+        return gyro_calibration_from(document["gyro"], str(path))
+    if schema != GYRO_SCHEMA:
+        raise DataError(f"{path}: is no gyro calibration; GyroCalibration.save makes one")
+    return gyro_calibration_from(document, str(path))
+
+
+def _made_for_others(path: str | Path) -> str:
+    return f"{path}: is made for others to read; give a session, or the .json of export"
+
+
+def _named(part: Provenance) -> tuple[str, str]:
+    return part.sensor, part.serial
+
+
+def _exported(session: Any) -> tuple[str, str]:
+    """Sensor and serial number as `session_dict` states them."""
+    about = session if isinstance(session, dict) else {}
+    return str(about.get("sensor") or ""), str(about.get("serial") or "")
+
+
+def _refuse_another_part(part: Provenance | None, other: tuple[str, str], path: str | Path) -> None:
+    if part is None:
+        return
+    for here, there in zip((part.sensor, part.serial), other, strict=True):
+        if here and there and here != there:
+            raise UsageError(f"{path}: its gyros are of {there}, the accelerometers of {here}")
+
+
+Calibration.of_session = load_calibration
+GyroCalibration.of_session = load_gyro_calibration

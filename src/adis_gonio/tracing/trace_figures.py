@@ -1,0 +1,324 @@
+"""What the figures of a trace show: residual against covariate before and after each step.
+
+Figures of one pose as a time series: residuals of single samples.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats, wrap_radians
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
+from adis_gonio.model.effects import AXES, Conditions, catalogue
+from adis_gonio.model.records import Session
+from adis_gonio.tracing.one_pose import mg_per_unit, series_columns, series_conditions
+from adis_gonio.tracing.trace_result import TraceResult
+from adis_gonio.tracing.validation import leave
+
+_LEFT = ("angle", "time", "temperature", "supply")
+_LEAST_SPAN = {"temperature": 0.145, "supply": 0.0018}
+"""Spans (°C, V) below one step of the part's own sensors: nothing can be read from such an axis."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One axis of one step.
+
+    Attributes
+    ----------
+    covariate : str
+        angle (degrees), previous_angle (degrees), time (minutes), order (number of the dwell), temperature
+        (°C), temperature_rate (°C/min), temperature_lag (°C), supply (V), approach (+1, −1), reading_x …
+        (g), variance (mg²).
+    quantity : str
+        residual_x, residual_y, residual_z, or norm (in space), in mg; angle in degrees: what the calibrated
+        goniometer computes minus the declared angle.
+    x : (n,) float
+    before, after : (n,) float
+    u : (n,) float
+        Standard uncertainty of a point; NaN where it is not known.
+    check_x, check_after : (m,) float
+        Dwells that took no part.
+    """
+
+    covariate: str
+    quantity: str
+    x: Floats
+    before: Floats
+    after: Floats
+    u: Floats
+    check_x: Floats
+    check_after: Floats
+
+
+@dataclass(frozen=True)
+class StepView:
+    """The panels of a step; none where its term could not be told from its name.
+
+    `beside_all`: before is the final model without this effect, not the model of the step before.
+    """
+
+    effect: str
+    panels: tuple[Panel, ...]
+    beside_all: bool = False
+
+
+@dataclass(frozen=True)
+class Views:
+    """All that is shown of a trace beside its result.
+
+    Attributes
+    ----------
+    steps : tuple of StepView
+    left : tuple of Panel
+        What the final model leaves; before: the base model.
+    """
+
+    steps: tuple[StepView, ...]
+    left: tuple[Panel, ...]
+
+
+def views_of(readings: Readings, result: TraceResult) -> Views:
+    """Residuals of traced readings before and after each step.
+
+    Parameters
+    ----------
+    readings : Readings
+        All dwells of the session, those for checking among them.
+    """
+    checking, chain = readings.checking, result.fits
+    steps = []
+    for (before, after), step in zip(itertools.pairwise(chain), result.steps, strict=True):
+        steps.append(StepView(step.effect, _panels(checking, _new_term(before, after), before, after)))
+    return Views(tuple(steps), _left(checking, result))
+
+
+def _new_term(before: Fit, after: Fit) -> Term:
+    """The term by which a model differs from the one before."""
+    inside = {term.label for term in before.terms}
+    fresh = [term for term in after.terms if term.label not in inside]
+    return (fresh or list(after.terms))[-1]
+
+
+def _panels(checking: Readings | None, term: Term, before: Fit, after: Fit) -> tuple[Panel, ...]:
+    data = after.data
+    if term.enters_angle and data.planar and data.conditions.angle_rad is not None:
+        return (_panel(checking, _covariate(data, term, 0), "angle", before, after),)
+    if not data.by_axis:
+        axes = _axes(term)
+        wanted = dict.fromkeys(_covariate(data, term, axis) for axis in axes)
+        return tuple(_panel(checking, name, "norm", before, after) for name in wanted)
+    return tuple(
+        _panel(checking, _covariate(data, term, axis), f"residual_{AXES[axis]}", before, after)
+        for axis in _axes(term)
+    )
+
+
+def _axes(term: Term) -> list[int]:
+    if isinstance(term, NamelessTerm):
+        return list(term.axes) or [0]
+    if isinstance(term, NamedTerm) and term.effect.axes:
+        return [AXES.index(letter) for letter in term.effect.axes]
+    return [0]
+
+
+def _covariate(data: Readings, term: Term, axis: int) -> str:
+    """The covariate that explains a term best to the eye."""
+    planar_angle = data.planar and data.conditions.angle_rad is not None
+    shown = term.effect.shown_over if isinstance(term, NamedTerm) else ""
+    name = term.covariates[0] if term.covariates else ""
+    own = f"reading_{AXES[axis]}"
+    if shown == "angle":
+        # A constant has no covariate: it shows as a harmonic of the turn that the base model cannot follow.
+        return "angle" if planar_angle else own
+    if shown:
+        return shown
+    if name in ("", "reading"):
+        return own
+    return name if _values(data.conditions, data, name) is not None else "order"
+
+
+def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
+    """Covariate (n,) in the unit of a figure; None where it was not recorded."""
+    if name.startswith("reading_"):
+        axis = AXES.index(name[-1])
+        return data.mean[:, axis] / data.model.full
+    if name in ("force", "rotation"):
+        rows = conditions.force_g if name == "force" else conditions.rate_dps
+        return None if rows is None else rows[:, int(np.ptp(rows, axis=0).argmax())]
+    if name == "time":
+        return conditions.time_s / 60.0
+    if name in ("angle", "previous_angle"):
+        rad = conditions.angle_rad if name == "angle" else conditions.previous_angle_rad
+        return None if rad is None else np.degrees(rad)
+    if name == "temperature_rate":
+        history = conditions.temperature_history
+        if history is None or len(history[0]) < 2:
+            return None
+        return np.interp(conditions.time_s, history[0], np.gradient(history[1], history[0])) * 60.0
+    if name == "variance":
+        rows = conditions.variance_mg2
+        return None if rows is None else rows.mean(axis=1)
+    fields = {
+        "temperature": "temperature_c",
+        "supply": "supply_v",
+        "order": "order",
+        "approach": "approach",
+    }
+    found: Floats | None = getattr(conditions, fields[name]) if name in fields else None
+    return found
+
+
+def _lag(data: Readings, after: Fit) -> Floats:
+    """Temperature of the lagging element minus the die's (n,) in °C, as the fitted effect has it."""
+    for term, values in zip(after.terms, after.values.terms, strict=True):
+        if isinstance(term, NamedTerm) and term.effect.shown_over == "temperature_lag":
+            axis = AXES.index(term.effect.axes[0])
+            ideal = np.ones((len(data), data.axes))
+            column: Floats = term.derivative(values, ideal, data.conditions)[:, axis, 0]
+            return column
+    return np.full(len(data), np.nan)
+
+
+def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit, after: Fit) -> Panel:
+    data = after.data
+
+    def abscissa(rows: Readings) -> Floats:
+        if covariate == "temperature_lag":
+            return _lag(rows, after)
+        found = _values(rows.conditions, rows, covariate)
+        return np.full(len(rows), np.nan) if found is None else found
+
+    was, now = _left_over(before, quantity), _left_over(after, quantity)
+    none = np.zeros(0)
+    check_x, check_now = none, none
+    if checking is not None:
+        check_x, check_now = abscissa(checking), _left_over(after, quantity, checking)
+    return Panel(
+        covariate,
+        quantity,
+        abscissa(data),
+        was,
+        now,
+        _uncertainty(after, quantity) if data.noise_known else np.full(len(data), np.nan),
+        check_x,
+        check_now,
+    )
+
+
+def _left_over(fit: Fit, quantity: str, others: Readings | None = None) -> Floats:
+    """Residual (n,) of a quantity, of the dwells that were fitted or of others."""
+    data = fit.data if others is None else others
+    if quantity == "angle":
+        turned = fit.angle_error_rad(data)
+        assert turned is not None
+        return np.degrees(wrap_radians(turned))
+    left = fit.misfit if others is None else leave(fit, others).residual
+    if quantity == "norm":
+        return np.asarray((left * _along(data)).sum(axis=1))
+    return np.asarray(left[:, AXES.index(quantity[-1])])
+
+
+def _along(data: Readings) -> Floats:
+    pose = data.model.pose(data.mean, data.conditions)
+    assert pose is not None  # a reading of which the length counts has a direction
+    return pose
+
+
+def _uncertainty(fit: Fit, quantity: str) -> Floats:
+    """Standard uncertainty (n,) of a quantity of the dwells that were fitted."""
+    data = fit.data
+    if quantity == "angle":
+        slope = np.linalg.norm(data.root @ fit.tangent, axis=1)[:, 0]
+        fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
+        return np.asarray(np.degrees(np.hypot(1 / slope, fixture)))
+    if quantity == "norm":
+        across = _along(data)
+        return np.asarray(np.sqrt(np.einsum("nj,njk,nk->n", across, data.covariance, across)))
+    axis = AXES.index(quantity[-1])
+    return np.asarray(np.sqrt(data.covariance[:, axis, axis]))
+
+
+def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
+    """What the final model leaves against every covariate that moved, those of the unnamed rest first."""
+    base, last = result.fits[0], result.fits[-1]
+    data = last.data
+    unnamed = result.unnamed.covariates if result.unnamed is not None else ()
+    names = list(dict.fromkeys((*unnamed, *_LEFT)))
+    if not data.planar:
+        names += [f"reading_{letter}" for letter in AXES[: data.axes]]
+    quantities = [f"residual_{letter}" for letter in AXES[: data.axes]] if data.by_axis else ["norm"]
+    out = []
+    for name in names:
+        values = _values(data.conditions, data, name)
+        if values is not None and np.ptp(values) > (0.0 if name in unnamed else _LEAST_SPAN.get(name, 0.0)):
+            out += [_panel(checking, name, quantity, base, last) for quantity in quantities]
+    return tuple(out)
+
+
+def series_views(session: Session, result: TraceResult) -> Views:
+    """Residuals of the samples of a traced pose before and after each step."""
+    dwell = next(dwell for dwell in session.dwells if len(dwell))
+    readings = dwell.accel * mg_per_unit(session, dwell)
+    conditions = series_conditions(dwell)
+    axes = readings.shape[1]
+    blocks = {finding.effect: series_columns(finding, conditions, axes) for finding in result.found}
+    after = _series_left(readings, list(blocks.values()))
+    steps = []
+    for step in result.steps:
+        if step.effect not in blocks:
+            steps.append(StepView(step.effect, ()))
+            continue
+        before = _series_left(readings, [block for name, block in blocks.items() if name != step.effect])
+        name = (catalogue()[step.effect].covariates or ("time",))[0]
+        x = _series_covariate(conditions, name)
+        if step.effect == "thermal_lag":
+            name, x = "temperature_lag", blocks[step.effect][0][:, 0]
+        steps.append(StepView(step.effect, _series_panels(name, x, before, after), beside_all=True))
+    left: list[Panel] = []
+    base = _series_left(readings, [])
+    for name in ("time", "temperature"):
+        left += _series_panels(name, _series_covariate(conditions, name), base, after)
+    return Views(tuple(steps), tuple(left))
+
+
+def _series_left(readings: Floats, blocks: Sequence[Sequence[Floats]]) -> Floats:
+    """Readings (n, axes) minus the best constant and columns of each axis, each block (n, d) by axis."""
+    left = np.empty_like(readings)
+    for axis in range(readings.shape[1]):
+        design = np.concatenate([np.ones((len(readings), 1)), *(block[axis] for block in blocks)], axis=1)
+        size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+        solved = np.linalg.lstsq(design / size, readings[:, axis], rcond=None)[0]
+        left[:, axis] = readings[:, axis] - design / size @ solved
+    return left
+
+
+def _series_covariate(conditions: Conditions, name: str) -> Floats:
+    if name == "temperature" and conditions.temperature_c is not None:
+        return conditions.temperature_c
+    if name == "supply" and conditions.supply_v is not None:
+        return conditions.supply_v
+    return conditions.time_s / 60.0
+
+
+def _series_panels(name: str, x: Floats, before: Floats, after: Floats) -> tuple[Panel, ...]:
+    none = np.zeros(0)
+    return tuple(
+        Panel(
+            name,
+            f"residual_{AXES[k]}",
+            x,
+            before[:, k],
+            after[:, k],
+            np.full(len(x), np.nan),
+            none,
+            none,
+        )
+        for k in range(before.shape[1])
+    )

@@ -1,0 +1,425 @@
+"""What a trace says, in sentences: the terminal's summary and the page use the same ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.base.numbers import (
+    counted,
+    format_number,
+    format_p,
+    format_percent,
+    format_reduction,
+    format_unit,
+    join_words,
+    with_unit,
+)
+from adis_gonio.base.uncertainty import Detectable
+from adis_gonio.model.effects import catalogue, effect
+from adis_gonio.model.effects.base import Parameter
+from adis_gonio.model.records import Session
+from adis_gonio.tracing.trace_result import ErrorFigures, Finding, TraceResult
+
+_IN_SAMPLES = "looked for within the dwells"
+_COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
+_SURE = (
+    (0.999, 1e-3, "as good as certain"),
+    (0.98, 1e-2, "very likely"),
+    (0.9, 5e-2, "likely"),
+    (0.0, 1.0, "the best of several explanations"),
+)
+"""Least probability and largest p-value of each word."""
+
+
+@dataclass(frozen=True)
+class SightWords:
+    """What the session would have shown.
+
+    Attributes
+    ----------
+    visible, weak : tuple of (name, text)
+        Effects with the smallest amplitude that would have shown: below, and above what a bench sees.
+    open : tuple of (name, text)
+        The same of effects that the session cannot tell from others.
+    blind : tuple of (names, reason)
+        Effects that could not show at any physical amplitude.
+    """
+
+    visible: tuple[tuple[str, str], ...]
+    weak: tuple[tuple[str, str], ...]
+    blind: tuple[tuple[tuple[str, ...], str], ...]
+    open: tuple[tuple[str, str], ...] = ()
+
+
+def title(session: Session) -> str:
+    """Name of the session: its title, else its file."""
+    return session.title or session.source.rsplit("/", maxsplit=1)[-1] or "session"
+
+
+_WRITTEN_DOWN = {"serial": "part", "stage": "stage", "operator": "operator"}
+"""Fields of a session that somebody wrote down, with their names on the page."""
+
+
+def written_down(session: Session) -> dict[str, str]:
+    """Serial number of the part, stage and operator by their names on the page, where they are stated."""
+    texts = {name: str(getattr(session, field, "")).strip() for field, name in _WRITTEN_DOWN.items()}
+    return {name: text for name, text in texts.items() if text}
+
+
+def overridden(session: Session) -> list[str]:
+    """What was stated in the place of the file: `gravity_mps2: 9.81 instead of 9.80665`."""
+    return [
+        name
+        if change["new"] is True
+        else f"{name}: {_stated(change['new'])} instead of {_stated(change['old'])}"
+        for name, change in session.facts.get("overrides", {}).items()
+    ]
+
+
+def _stated(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{mine} = {theirs}" for mine, theirs in value.items()) or "those of the format"
+    return "nothing stated" if value is None else str(value)
+
+
+def shape(session: Session) -> str:
+    """What kind of session it is, such as `24 dwells, adis16354, one plane`."""
+    dwells = [dwell for dwell in session.dwells if len(dwell)]
+    if session.free_turn and session.recording is not None:
+        return f"one free turn, {counted(len(session.recording), 'sample')}, {session.sensor}"
+    if len(dwells) == 1:
+        kind = f"one pose, {counted(len(dwells[0]), 'sample')}"
+    else:
+        kind = f"{counted(len(dwells), 'dwell')}" + (
+            ", one plane" if session.plane == "xy" else ", attitudes in space"
+        )
+    checks = sum(dwell.use == "check" for dwell in dwells)
+    held = f", {checks} of them for checking" if checks else ""
+    return f"{kind}{held}, {session.sensor}"
+
+
+def with_axes(finding: Finding) -> str:
+    """`bias (x, y)`."""
+    return f"{finding.effect} ({', '.join(finding.axes)})" if finding.axes else finding.effect
+
+
+def parameters(finding: Finding) -> list[str]:
+    """Parameters with values, those of an axis in one line."""
+    groups: dict[str, list[str]] = {}
+    for name, value in finding.parameters.items():
+        axis = name.rsplit("_", 1)[-1]
+        group = axis if axis in finding.axes and len(finding.parameters) > 3 else name
+        groups.setdefault(group, []).append(f"{name} = {value}")
+    return ["; ".join(texts) for texts in groups.values()]
+
+
+def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the errors, base model first; columns without any figure are left out."""
+    rows: list[tuple[str, ErrorFigures]] = [
+        ("base model", result.before),
+        *((f"+ {step.effect}", step.error) for step in result.steps),
+    ]
+    unit = format_unit(result.before.unit)
+    unit = f"({unit})" if "/" in unit else unit
+    columns: dict[str, list[float | None]] = {
+        f"residual / {unit}": [error.residual_rms for _, error in rows],
+        f"left out / {unit}": [error.heldout_rms for _, error in rows],
+        **_by_axis(rows, unit),
+        "error of the angle / °": [error.angle_rms_deg for _, error in rows],
+        "χ² / dof": [error.chi2_per_dof for _, error in rows],
+    }
+    shown = {head: column for head, column in columns.items() if any(cell is not None for cell in column)}
+    cells = [
+        [name, *(format_number(column[k]) for column in shown.values())] for k, (name, _) in enumerate(rows)
+    ]
+    return ["model", *shown], cells
+
+
+def _by_axis(rows: Sequence[tuple[str, ErrorFigures]], unit: str) -> dict[str, list[float | None]]:
+    """Columns of the held-out error of each axis, where axes have nothing in common."""
+    each = [error.heldout_by_axis for _, error in rows]
+    return {f"{axis} / {unit}": [(own or {}).get(axis) for own in each] for axis in each[0] or ()}
+
+
+def how_sure(finding: Finding) -> str:
+    """`very likely: probability 99.6 %, p < 10⁻¹²`."""
+    word = next(
+        word for least, most, word in _SURE if finding.probability >= least and finding.p_value <= most
+    )
+    return f"{word}: probability {format_percent(finding.probability)}, {format_p(finding.p_value)}"
+
+
+def uncertain_steps(result: TraceResult) -> list[str]:
+    """Effects of the final model that are not called found."""
+    found = {finding.effect for finding in result.found}
+    return list(dict.fromkeys(step.effect for step in result.steps if step.effect not in found))
+
+
+def ordered(result: TraceResult) -> list[Finding]:
+    """Findings in the order in which they came in."""
+    order = [step.effect for step in result.steps]
+    return sorted(result.found, key=lambda f: order.index(f.effect) if f.effect in order else len(order))
+
+
+def inside_only(result: TraceResult) -> list[Finding]:
+    """Findings that stand inside the dwells and have no part in the model of the readings."""
+    steps = {step.effect for step in result.steps}
+    seen = {finding.effect for finding in result.within}
+    return [finding for finding in result.found if finding.effect in seen - steps]
+
+
+def within(result: TraceResult) -> list[str]:
+    """What the samples inside the dwells show, with how sure."""
+    return [f"{_capital(finding.sentence)} ({format_p(finding.p_value)})." for finding in result.within]
+
+
+def headline(result: TraceResult) -> str:
+    """The outcome in a few sentences; what a time limit left out first."""
+    if result.stopped is not None:
+        rest = f" {_outcome(result)}" if result.stopped.checked else ""
+        return result.stopped.sentence + rest
+    return _outcome(result)
+
+
+def _outcome(result: TraceResult) -> str:
+    inside = inside_only(result)
+    first = _of_readings(result, [finding for finding in ordered(result) if finding not in inside])
+    if inside:
+        return f"{first} Inside the dwells: {join_words([with_axes(finding) for finding in inside])}."
+    return first
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
+    """What the readings say, of the findings that are in their model."""
+    names = [with_axes(finding) for finding in found]
+    what = f"Found: {join_words(names)}." if names else ""
+    rest = result.unnamed
+    if rest is not None:
+        begin = f"{what} Besides, the" if names else "The"
+        end = "" if result.adequate else " Not all of the residual is explained."
+        return (
+            f"{begin} residual follows {join_words(list(rest.covariates))} in a way that has no name.{end}"
+        )
+    if result.adequate:
+        if not names and not result.steps:
+            return (
+                "The base model explains this session: what is left is the noise that was measured within "
+                "the dwells. Nothing had to be added."
+            )
+        unsure = uncertain_steps(result)
+        if unsure:
+            beside = f"{join_words(names)} brings" if len(names) == 1 else f"{join_words(names)} bring"
+            beside = f"{beside} it down together with" if names else "what brings it down is"
+            end = "which is not certain" if len(unsure) == 1 else "which are not certain"
+            return f"The residual is the measured noise: {beside} {join_words(unsure)}, {end}."
+        count = _COUNTS[len(names)] if len(names) < len(_COUNTS) else str(len(names))
+        word = "effect brings" if len(names) == 1 else "effects bring"
+        return f"{count} {word} the residual down to the measured noise: {join_words(names)}."
+    if exact(result):
+        return (
+            f"{what} The model has as many parameters as there are readings: nothing is left to test it "
+            "by. Measure more positions."
+        )
+    if result.before.heldout_by_axis is not None and not result.fits:
+        return (
+            f"{what or 'Nothing was found that the readings follow.'} One pose shows what they follow, not"
+            " whether zero or gain does. Whether anything is left cannot be tested: the noise of"
+            " neighbouring samples is not independent."
+        )
+    if not result.tested:
+        noise_known = bool(result.fits) and result.fits[-1].data.noise_known
+        ending = "Whether anything is left cannot be tested: " + (
+            "the model has as many parameters as there are readings. Measure more positions."
+            if noise_known
+            else "the noise of a reading is not known by itself."
+        )
+        return f"{what or 'Nothing was found beyond the base model.'} {ending}"
+    if result.confounded or result.reasons:
+        ending = (
+            "The residual stays larger than the noise, and this session cannot decide what causes the rest."
+        )
+    else:
+        ending = "The residual stays larger than the noise, and nothing could be named for the rest."
+    return f"{what or 'Nothing was found for certain.'} {ending}"
+
+
+def exact(result: TraceResult) -> bool:
+    """True where an effect leaves nothing at all, as a model does that passes through every reading."""
+    return bool(result.steps) and result.after.residual_rms < 1e-9 * result.before.residual_rms
+
+
+def gains(result: TraceResult) -> str:
+    """Error before and after in a sentence."""
+    before, after = result.before, result.after
+    unit = format_unit(before.unit)
+    if exact(result):
+        return f"The base model leaves {format_number(before.residual_rms)} {unit}."
+    parts = [
+        f"The residual goes from {format_number(before.residual_rms)} to"
+        f" {format_number(after.residual_rms)} {unit}"
+        f"{format_reduction(before.residual_rms, after.residual_rms)}"
+    ]
+    if before.heldout_rms is not None and after.heldout_rms is not None:
+        left, kept = format_number(after.heldout_rms), format_number(after.heldout_kept)
+        parts.append(
+            f"on data that took no part from {format_number(before.heldout_rms)} to {left} {unit}"
+            f"{format_reduction(before.heldout_rms, after.heldout_rms)}"
+        )
+        if after.heldout_kept is not None and kept != left:
+            parts[-1] += (
+                f", effects chosen anew each time, or to {kept} {unit} with those of this model kept"
+            )
+    else:
+        parts.append(
+            "there was too little data to leave any out, so that nothing proves this on other data"
+        )
+    if before.angle_rms_deg is not None and after.angle_rms_deg is not None:
+        parts.append(
+            f"the error of the angle from {format_number(before.angle_rms_deg)}° to "
+            f"{format_number(after.angle_rms_deg)}°"
+            f"{format_reduction(before.angle_rms_deg, after.angle_rms_deg)}"
+        )
+    return "; ".join(parts) + "."
+
+
+def confounded(result: TraceResult, most: int = 4) -> list[str]:
+    """Groups that the session cannot tell apart, those that begin alike in one line."""
+    groups: dict[str, list[str]] = {}
+    for names in result.confounded:
+        if len(names) == 1:
+            groups.setdefault(names[0], [])
+            continue
+        rest = groups.setdefault(names[0], [])
+        rest += [name for name in names[1:] if name not in rest]
+    lines = []
+    known = catalogue()
+    for first, others in groups.items():
+        text = first
+        named = [name for name in others if name in known]
+        nameless = [name for name in others if name not in named]
+        told = named[:most] + nameless[:1]
+        if told:
+            more = len(named[most:]) + len(nameless[1:])
+            kind = "more" if named[most:] else f"other form{'s' * (more > 1)} without a name"
+            text = f"{first} — or {', or '.join(told)}" + (f" (or {more} {kind})" if more else "")
+        reason = result.reasons.get(first)
+        lines.append(f"{text}: {reason}" if reason else text)
+    return lines
+
+
+def open_names(result: TraceResult) -> list[str]:
+    """Reasons of effects that are not in a group."""
+    grouped = {names[0] for names in result.confounded}
+    return [f"{name}: {reason}" for name, reason in result.reasons.items() if name not in grouped]
+
+
+def unnamed(result: TraceResult) -> str:
+    """What has no name, with how sure."""
+    rest = result.unnamed
+    if rest is None:
+        return ""
+    sure = f"probability {format_percent(rest.probability)}, {format_p(rest.p_value)}"
+    return f"{rest.form} (explains {format_percent(rest.explains)} of the excess; {sure})"
+
+
+def sight(result: TraceResult) -> SightWords:
+    """What the session would have shown, from the smallest amplitude against what a bench sees."""
+    found = {finding.effect for finding in result.found}
+    undecided = {name for names in result.confounded for name in names} | set(result.reasons)
+    undecided |= {step.effect for step in result.steps}
+    visible: list[tuple[str, str]] = []
+    still_open: list[tuple[str, str]] = []
+    weak: list[tuple[str, str]] = []
+    blind: dict[str, list[str]] = {}
+    for name in catalogue():
+        if name in found or name not in result.detectable:
+            continue
+        entry = result.detectable[name]
+        prototype = _parameter(name, entry)
+        if name in undecided:
+            still_open.append((name, amplitude(entry)))
+        elif entry.amplitude is None:
+            blind.setdefault(entry.reason or "its trace lies in what is fitted", []).append(name)
+        elif prototype is not None and entry.amplitude > prototype.high:
+            blind.setdefault("too little of what drives it; no physical amplitude would show", []).append(
+                name
+            )
+        elif prototype is not None and entry.amplitude > abs(prototype.typical):
+            weak.append((name, amplitude(entry)))
+        else:
+            visible.append((name, amplitude(entry)))
+    worded: dict[str, list[str]] = {}
+    for reason, names in blind.items():
+        worded.setdefault(_reason(reason), []).extend(names)
+    return SightWords(
+        tuple(visible),
+        tuple(weak),
+        tuple((tuple(names), reason) for reason, names in worded.items()),
+        tuple(still_open),
+    )
+
+
+def absent(result: TraceResult) -> str:
+    """What may be said of an effect that would have shown and did not."""
+    if result.adequate and result.unnamed is None:
+        return "not there: it would have shown"
+    return "not recognised; it would have shown alone"
+
+
+def amplitude(entry: Detectable) -> str:
+    """Smallest amplitude with unit."""
+    return "–" if entry.amplitude is None else with_unit(format_number(entry.amplitude, 2), entry.unit)
+
+
+def typical(name: str, entry: Detectable) -> str:
+    """What a bench sees of the parameter, with unit."""
+    prototype = _parameter(name, entry)
+    return "" if prototype is None else with_unit(f"{abs(prototype.typical):.4g}", prototype.unit)
+
+
+def advice(result: TraceResult) -> Sequence[str]:
+    """What to do next; a word where nothing is asked for."""
+    return result.advice or ("nothing: the session answers what it was asked",)
+
+
+def _reason(reason: str) -> str:
+    if reason == _IN_SAMPLES:
+        return "they change the samples of a dwell, which this session does not hold"
+    words = {
+        "temperature_c, temperature_history": "temperature",
+        "temperature_c": "temperature",
+        "supply_v": "supply",
+        "angle_rad": "declared angle",
+        "previous_angle_rad": "declared angle",
+        "load_history": "times that increase",
+        "force_g": "force that changes",
+        "rate_dps": "turns between dwells",
+        "rate_dps, temperature_c": "turns between dwells, or the temperature,",
+    }
+    for field, word in words.items():
+        if reason == f"{field} not recorded":
+            return f"{word} not recorded"
+    return reason.replace("_", " ")
+
+
+def _parameter(name: str, entry: Detectable) -> Parameter | None:
+    """The parameter that an amplitude is of."""
+    kind = catalogue().get(name)
+    if kind is None or not entry.parameter:
+        return None
+    try:
+        made = effect(name, ("x", "y", "z"))
+    except AdisGonioError:
+        return None
+    stem = entry.parameter.rsplit("_", 1)[0]
+    for parameter in made.parameters:
+        if parameter.name == entry.parameter:
+            return parameter
+    return next((p for p in made.parameters if p.name.rsplit("_", 1)[0] == stem), None)

@@ -1,0 +1,263 @@
+"""The answer of a traced session: the recommended method with the effects that the trace found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.numbers import counted
+from adis_gonio.base.uncertainty import Value, factor_over
+from adis_gonio.fitting.answer import Answer, with_notes
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.shown import ShownAngle
+from adis_gonio.fitting.noise import NoiseAssumptions
+from adis_gonio.fitting.result import FitResult
+from adis_gonio.fitting.scores import DwellPrediction, Score, predicted, scores_of
+from adis_gonio.fitting.sources import MODEL, response_of, sources_of
+from adis_gonio.fitting.standing import Recommendation, surely_worse
+from adis_gonio.fitting.uncertainty_budget import BudgetRow, budget_of
+from adis_gonio.tracing.trace_result import TraceResult
+
+TRACED = "trace"
+"""Name of the traced model among the scores."""
+
+
+@dataclass(frozen=True)
+class TracedAnswer(Answer):
+    """Answer by a traced model, whose effects the recommended method lacks.
+
+    Attributes
+    ----------
+    traced : TraceResult
+        The trace; its model is the recommended one.
+    """
+
+    traced: TraceResult
+
+    @property
+    def model_parameters(self) -> dict[str, Value]:
+        """Parameters of the base model by name, as the traced model has them."""
+        return dict(self.traced.base)
+
+    @property
+    def parameters(self) -> dict[str, Value]:
+        """All parameters of the traced model by name, with those of its effects."""
+        found = dict(self.traced.base)
+        for finding in self.traced.found:
+            found |= finding.parameters
+        return found
+
+    def _angle(self) -> dict[str, Value]:
+        if not self.traced.fits[-1].data.planar:
+            return {}
+        score = self.scores[TRACED].angle_rms_deg
+        return {"angle": shown_angle(self.traced, math.nan if score is None else score)}
+
+    @cached_property
+    def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
+        """Uncertainty budget of `values` in the plane, by the traced model."""
+        return budgets_of_trace(self.traced, self.values)
+
+    @property
+    def shows_another_method(self) -> bool:
+        """False: the traced model is the recommended one."""
+        return False
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Empty: the effects are in the model."""
+        return ()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Remarks on the values, such as the temperature at which they hold."""
+        temperature = self.traced.reference_temperature_c
+        return super().remarks if temperature is None else (f"Parameters hold at {temperature:.1f} °C.",)
+
+    @property
+    def reference_temperature_c(self) -> float | None:
+        """Temperature at which the parameters hold."""
+        own = self.traced.reference_temperature_c
+        return super().reference_temperature_c if own is None else own
+
+    @property
+    def scored_as(self) -> str:
+        """`trace`."""
+        return TRACED
+
+    def facts(self) -> list[str]:
+        """Residual of the traced model, in one line."""
+        after = self.traced.after
+        return [f"residual {after.residual_rms:.3g} {after.unit} rms"]
+
+
+def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool = True) -> Answer:
+    """Answer of a session that was fitted and traced.
+
+    Parameters
+    ----------
+    result : FitResult
+        Result of any method.
+    trace : TraceResult, optional
+        Trace of the same session.
+    own : bool
+        Show this result, else the recommended one.
+
+    Returns
+    -------
+    Answer
+        A `TracedAnswer` if the trace added effects and its model predicts as well as the best method.
+    """
+    plain = Answer.of(result, own=own)
+    standing = plain.standing
+    if trace is None or not trace.fits or result.session is None:
+        return plain
+    likely = next((r for r in standing.results if r.method == "ml"), standing.best)
+    names = _beyond(likely, trace)
+    if not names:
+        return replace(plain, recommended=_confirmed(standing.recommended, trace))
+    prediction = _of_trace(result.session, trace)
+    if prediction is None:
+        return plain
+    found = {**standing.predictions, TRACED: prediction}
+    scores = scores_of(found)
+    reason = _reason(trace, found, scores, standing.recommended.method)
+    if reason is None:
+        return replace(plain, scores=scores)
+    return TracedAnswer(
+        with_notes(likely, result),
+        standing,
+        Recommendation(likely.method, reason, names),
+        scores,
+        traced=trace,
+    )
+
+
+def _beyond(likely: FitResult, trace: TraceResult) -> tuple[str, ...]:
+    """Effects of the traced model that a fit does not hold itself: biases are in most."""
+    biased = any(e.name.startswith("bias_") for e in likely.parameters)
+    names = dict.fromkeys(step.effect for step in trace.steps)
+    return tuple(name for name in names if not (biased and name == "bias"))
+
+
+def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendation:
+    """The recommendation with what a trace that added nothing to its model says of it."""
+    if trace.stopped is not None and not trace.stopped.checked:
+        return recommended
+    said = {
+        "adequate": "no effect missing",
+        "not adequate": "its model not adequate, and no effect to add",
+        "not tested": "no effect to add; this session cannot test whether the model is adequate",
+    }[trace.adequacy]
+    return replace(recommended, why=f"{recommended.why}; the trace finds {said}")
+
+
+def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
+    """Predictions of the traced model, its effects kept and their values fitted anew without each dwell."""
+    final = trace.fits[-1]
+    if not session.planar and not final.data.planar and final.data.axes != session.axes:
+        return None
+    used = np.isin(session.position, final.data.position) & ~session.check
+    data = replace(session, fixture_rad=final.data.fixture_rad, links=None)
+    return predicted(data, used, final, lambda out: final.again(data.rows(used & ~out)))
+
+
+def _reason(
+    trace: TraceResult, found: dict[str, DwellPrediction], scores: dict[str, Score], best: str
+) -> str | None:
+    """Why the traced model is the answer; None where it is not."""
+    if trace.stopped is not None and not trace.stopped.checked:
+        return None
+    if surely_worse(found[TRACED], found[best]):
+        return None
+    own, other = scores[TRACED], scores[best]
+    if own.angle_rms_deg is not None and other.angle_rms_deg is not None:
+        errors = f"{own.angle_rms_deg:.2g}° rms", f"{other.angle_rms_deg:.2g}°"
+    elif own.residual_rms_mg is not None and other.residual_rms_mg is not None:
+        errors = f"{own.residual_rms_mg:.2g} mg rms", f"{other.residual_rms_mg:.2g} mg"
+    else:
+        return None
+    said = f"{errors[0]} over {counted(own.dwells, 'dwell')} left out, {errors[1]} without"
+    state = "explains the residual" if trace.adequate else "is the best that the trace found"
+    return f"the model with these effects {state} and predicts as well or better ({said})"
+
+
+def shown_angle(traced: TraceResult, error_deg: float) -> Value:
+    """An error of the angle with the uncertainty of one shown by the traced model, rms over the dwells."""
+    final = traced.fits[-1]
+    covariance = _covariance(final)
+    if covariance is None:
+        return Value(error_deg, None, "deg")
+    reading = final.data.covariance.mean(axis=0)
+    shown = ShownAngle.at_dwells(final)
+    variances = traced.inflation * shown.variances(covariance, reading)
+    u = math.sqrt(float(variances.mean()))
+    return Value(error_deg, u, "deg", traced.dof, factor_over(variances, traced.dof))
+
+
+def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[str, tuple[BudgetRow, ...]]:
+    """Budget of `delta_k`, `delta_phi` and `angle` by the traced model.
+
+    What the sources of the readings leave of u is the choice of the model: a residual larger than the
+    noise, and other models that are as probable.
+    """
+    final = traced.fits[-1]
+    covariance = _covariance(final)
+    if covariance is None or not final.data.planar:
+        return {}
+    data = final.data
+    # Where nothing states the noise, `inflation` is its estimate.
+    noise = NoiseAssumptions(scale=math.sqrt(traced.inflation), sigma_rad=data.fixture_rad, dof=traced.dof)
+    response = response_of(final, covariance, np.ones(len(covariance)))
+    sources = sources_of(data, noise, final, response)
+    slopes = {name: (row[None], None) for name, row in _gradients(final).items()}
+    shown = ShownAngle.at_dwells(final)
+    found = {}
+    for name, (gradient, reading) in {**slopes, "angle": (shown.gradient, shown.reading)}.items():
+        if name in values and values[name].u is not None:
+            found[name] = _completed(budget_of(sources, gradient, reading), values[name])
+    return found
+
+
+def _covariance(fit: Fit) -> Floats | None:
+    """Covariance of all parameters of a fit; None where an average stands for some of them."""
+    covariance = fit.covariance
+    return covariance if len(covariance) == len(fit.values.parameters) else None
+
+
+def _gradients(fit: Fit) -> dict[str, Floats]:
+    base = fit.values.base
+    eye = np.eye(len(fit.values.parameters))
+    x, y = fit.data.model.index("scale_x"), fit.data.model.index("scale_y")
+    return {
+        "delta_k": eye[x] / base[y] - eye[y] * base[x] / base[y] ** 2,
+        "delta_phi": np.degrees(eye[fit.data.model.index("delta_phi")]),
+    }
+
+
+def _completed(rows: tuple[BudgetRow, ...], value: Value) -> tuple[BudgetRow, ...]:
+    """Rows whose contributions add up to u, the rest of it in the choice of the model."""
+    total = (value.u or 0.0) ** 2
+    known = sum(row.contribution**2 for row in rows if row.source != MODEL)
+    rest = math.sqrt(max(total - known, 0.0))
+    total = known + rest**2
+    done = []
+    for row in rows:
+        if row.source == MODEL:
+            row = replace(
+                row,
+                kind="A",
+                u=None,
+                sensitivity=None,
+                contribution=rest,
+                dof=value.dof,
+                note="residual beyond the noise, and other models as probable as this one",
+            )
+        done.append(replace(row, share=row.contribution**2 / total if total else 0.0))
+    return tuple(done)

@@ -1,1 +1,0 @@
-"""What stands for a cause without a name, and what an unexplained residual depends on."""
