@@ -147,7 +147,7 @@ def test_it_is_fitted_again_from_its_file(recorded):
 
 
 def test_turns_are_read_when_asked_for_and_cost_a_fit_without_gyros_nothing(recorded, monkeypatch):
-    from adis_gonio.record import turns as reading
+    from adis_gonio.record import session_reader as reading
 
     asked = []
     real = reading.ArchivedTurns.__call__

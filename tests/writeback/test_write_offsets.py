@@ -301,7 +301,7 @@ def test_a_part_whose_register_has_another_lsb_is_set_back(path):
     bus = Board(offset_lsb=2).open(3)
     bus.url = "sim:?seed=3"
     made = OffsetWriter(Adis16354(bus), path, WriteSettings(dwell_s=0.5, save=True))
-    made._angle_deg = made._part._angle_deg = None  # a board of this fake has no stage that moves it
+    made._angle_deg = made._part.angle_deg = None  # a board of this fake has no stage that moves it
     plan = made._part.plan(dict.fromkeys(("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF"), 0))
     from adis_gonio.bench.writeback.offset_checks import measure
 

@@ -1,8 +1,8 @@
-"""The archive: one SQLite file that holds all of a session; see `database` for its tables.
+"""The archive: one SQLite file with all data of a session; see `database` for its tables.
 
-A dwell enters in one transaction, with its samples, its moves and what interrupted it: it is there whole or
-not at all, and it is announced only once it is on the disk. A kill or a power cut at any moment therefore
-loses at most the dwell in hand.
+A dwell is written in one transaction, with its samples, its moves and the reason of an interruption. It is
+complete or not there, and it is announced only when it is on the disk. A kill or a power cut therefore
+loses at most the dwell that is being recorded.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class ArchiveView(Closing):
     DataError
         The file is missing, of another kind, damaged, truncated or newer than this program.
     SessionError
-        It cannot be read here, or holds no session yet.
+        It cannot be read here, or has no session yet.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -63,7 +63,7 @@ class ArchiveView(Closing):
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
-        """Let all reads inside see the same state, whatever another program writes meanwhile."""
+        """Let all reads in the block see one state, even if another program writes."""
         with database.explained(self.path):
             self._connection.execute("BEGIN")
         try:
@@ -72,7 +72,7 @@ class ArchiveView(Closing):
             self._connection.rollback()
 
     def header(self) -> Header:
-        """What stands from the beginning; read once, since no row of it ever changes."""
+        """Header of the session; read once, since its rows never change."""
         if self._header is None:
             self._header = self._read_header()
         return self._header
@@ -90,7 +90,7 @@ class ArchiveView(Closing):
         return Header(**values)
 
     def records(self, kind: str | None = None) -> list[Record]:
-        """Records of one kind, or all, in order."""
+        """Records of one kind, or all records, in order."""
         return [self._checked_record(**row) for row in self._rows("records", "record", kind=kind)]
 
     def _checked_record(self, record: int, kind: str, value: Any, **row: Any) -> Record:
@@ -101,7 +101,7 @@ class ArchiveView(Closing):
         return Record(kind=kind, value=value, **row)
 
     def last(self, kind: str) -> Any:
-        """Value of the last record of a kind; None where there is none."""
+        """Value of the last record of a kind, or None."""
         records = self.records(kind)
         return records[-1].value if records else None
 
@@ -110,7 +110,7 @@ class ArchiveView(Closing):
         return self._rows("runs", "run")
 
     def plan(self) -> Plan:
-        """Plan in force: the first one, or its last extension."""
+        """Current plan: the first plan, or its last extension."""
         extended = self.last("plan")
         return self.header().plan if extended is None else Plan.from_dict(extended)
 
@@ -127,7 +127,7 @@ class ArchiveView(Closing):
         return stored
 
     def _refuse_strangers(self, stored: list[StoredAttempt]) -> None:
-        """Refuse attempts that do not go with the other tables: each row alone may be right."""
+        """Refuse attempts that contradict the other tables, even if each row alone is valid."""
         header, places = self.header(), len(self.plan())
         runs = {run["run"]: run["continues"] for run in self.runs()}
         of_number = {attempt.number: attempt.run for attempt in stored}
@@ -144,14 +144,14 @@ class ArchiveView(Closing):
             if wrong:
                 raise database.damaged(self.path, f"attempt {attempt.number} has {wrong}")
         for run, after in runs.items():
-            # A run that goes on after itself or a later one would have no beginning.
+            # If a run continued itself or a later run, it would have no beginning.
             if after and not of_number.get(after, run) < run:
                 raise database.damaged(self.path, f"run {run} goes on after attempt {after}")
 
     def dwells(self) -> list[StoredAttempt]:
-        """Complete dwells in the order in which they were recorded; of a repeated one the last.
+        """Complete dwells in the order of recording; of repeated dwells the last.
 
-        A place whose last dwell was withdrawn has none: it is to be done again.
+        If the last dwell of a place was withdrawn, the place has no dwell and is asked again.
         """
         attempts = self.attempts()
         latest = {a.place: a.number for a in attempts if a.outcome == "complete"}
@@ -159,10 +159,11 @@ class ArchiveView(Closing):
         return [a for a in attempts if a.number in counted]
 
     def doubts(self) -> list[JsonDict]:
-        """Why a result cannot be right.
+        """Reasons to doubt a result.
 
-        What a guard stopped at in dwells that count, and that was kept; and what contradicted dwells that
-        all count still, at a place that was then skipped: one of them may be what is wrong.
+        The list has the guards that the operator overruled in dwells that count. If a place was skipped
+        because it contradicted earlier dwells, and all of these still count, one of them may be wrong: the
+        list has this contradiction too.
         """
         dwells = self.dwells()
         counted, places = {attempt.number for attempt in dwells}, {attempt.place for attempt in dwells}
@@ -177,18 +178,18 @@ class ArchiveView(Closing):
         return kept + [{"attempt": None, **doubt} for doubt in skipped.values()]
 
     def _require_place(self, place: int) -> int:
-        """Place of a record, if the plan has it."""
+        """Return the place of a record; `DataError` if the plan does not have it."""
         if place >= len(self.plan()):
             raise database.damaged(self.path, f"a record names place {place}, which the plan does not have")
         return place
 
     def offset_writes(self) -> list[JsonDict]:
-        """Steps of writes to the sensor's offset registers, in order; `writeback.journal` reads them.
+        """Steps of writes to the sensor's offset registers, in order; see `write_journal`.
 
         Raises
         ------
         DataError
-            The first step of a write lacks the registers, or a step is about others.
+            The first step of a write lacks the registers, or a later step names other registers.
         """
         steps = [record.value | {"utc": record.utc} for record in self.records("offsets")]
         written: dict[int, set[str]] = {}
@@ -202,11 +203,11 @@ class ArchiveView(Closing):
         return steps
 
     def withdrawn(self) -> set[int]:
-        """Numbers of the complete attempts that the operator took back."""
+        """Numbers of the complete attempts that the operator withdrew."""
         return {record.value for record in self.records("withdrawn")}
 
     def faulty(self) -> list[StoredAttempt]:
-        """Dwells with a fault or alarm (STATUS after them, EA within) that nobody chose to keep."""
+        """Dwells with a fault or alarm (STATUS after them, EA within) that were not accepted."""
         kept = {number for record in self.records("kept") for number in record.value}
         return [
             attempt
@@ -216,22 +217,22 @@ class ArchiveView(Closing):
         ]
 
     def skipped(self) -> set[int]:
-        """Places that the operator skipped and that have no dwell."""
+        """Places that were skipped and have no dwell."""
         skipped = {self._require_place(place) for place in {r.value for r in self.records("skipped")}}
         return skipped - {a.place for a in self.dwells()}
 
     def pending(self) -> list[int]:
-        """Places of the plan that have neither a dwell nor were skipped, in order."""
+        """Places of the plan that have no dwell and were not skipped, in order."""
         settled = {a.place for a in self.dwells()} | self.skipped()
         return [place for place in range(len(self.plan())) if place not in settled]
 
     def blocks(self, attempt: StoredAttempt, phase: Phase | None = None) -> list[Block]:
-        """Scans of an attempt, of one phase or all, block by block, as they were read.
+        """Blocks of scans of an attempt, of one phase or of all phases.
 
         Raises
         ------
         DataError
-            A block is missing or its checksum does not fit; the message says which.
+            A block is missing or has a wrong checksum; the message names it.
         """
         rows = self._rows("blocks", "sequence", "attempt", attempt.number)
         if len(rows) != attempt.blocks:
@@ -247,7 +248,7 @@ class ArchiveView(Closing):
         if len(time_s) != 8 * scans or len(words) != width * scans:
             raise database.damaged(self.path, f"{where} does not hold {scans} scans")
         times = np.frombuffer(time_s, "<f8").astype(np.float64)
-        # Written so that NaN, which compares with nothing, is refused.
+        # NaN fails every comparison; with `not` it is refused.
         if not (np.abs(times) <= LARGEST_S).all() or (np.diff(times) < 0).any():
             raise database.damaged(self.path, f"the times of {where} are no numbers that increase")
         block = from_bytes(
@@ -263,10 +264,9 @@ class ArchiveView(Closing):
         return block
 
     def _line(self, attempt: int) -> list[StoredAttempt]:
-        """Last attempt of each run on the line that leads up to an attempt's end, in order.
+        """Last attempt of each run that leads up to the end of an attempt, in order.
 
-        Where a run went back to an earlier attempt, what came after that one in the run before is not
-        part of the line that leads here.
+        If a run resumed at an earlier attempt, the later attempts of the run before are not included.
         """
         continues = {run["run"]: run["continues"] for run in self.runs()}
         of_number = {stored.number: stored for stored in self.attempts()}
@@ -277,7 +277,7 @@ class ArchiveView(Closing):
         return line
 
     def moves_before(self, attempt: int) -> list[Move]:
-        """Moves of the stage that led up to an attempt's end, in order."""
+        """Moves of the stage that led up to the end of an attempt, in order."""
         of_run = {stored.number: stored.run for stored in self.attempts()}
         rows = self._rows("moves", "move")
         return [
@@ -288,7 +288,7 @@ class ArchiveView(Closing):
         ]
 
     def conditions_before(self, attempt: int) -> list[Record]:
-        """Temperatures and supplies that the program set on the line that leads up to an attempt's end."""
+        """Temperatures and supplies that the program had set before the end of an attempt, in order."""
         records = self.records("conditions")
         return [
             record
@@ -304,17 +304,18 @@ class ArchiveView(Closing):
     def _rows(
         self, table: str, order: str, column: str = "1", value: int = 1, kind: str | None = None
     ) -> list[JsonDict]:
-        """Rows of a table by column, without their checksums, all or those that have a value in a column.
+        """Rows of a table by column, without their checksums: all rows, or those with a value in a column.
 
-        This is the door: every value has the type and range that `tables` declares, and JSON is a value.
-        Records of another kind than `kind` are left out once their checksum was checked.
+        All reads go through this method: it checks each value against the type and range that
+        `archive_tables` declares, and parses JSON. Records of other kinds than `kind` are left out after
+        their checksum was checked.
         """
         checked, characters = [], 0
         with database.explained(self.path):
             rows = self._connection.execute(
                 f"SELECT * FROM {table} WHERE {column} = ? ORDER BY {order}", (value,)
             )
-            # One row at a time: a wrong one is refused before the next one is in memory.
+            # One row at a time: a bad row is refused before the next row is read into memory.
             for number, row in enumerate(rows, start=1):
                 if checksum(*row[:-1]) != row[-1]:
                     raise database.damaged(self.path, f"checksum of row {number} of table {table}")
@@ -333,7 +334,7 @@ class ArchiveView(Closing):
 
 
 def _can_be_scanned(attempt: StoredAttempt) -> bool:
-    """True if the columns belong to the sensor, appear once and hold the accelerations."""
+    """True if the columns belong to the sensor, appear once and include the accelerations."""
     names, generic = attempt.registers, attempt.variant == GENERIC
     known = UNITS if generic else BY_NAME
     least = ("ax", "ay", "az") if generic else ACCEL_OUT
@@ -348,9 +349,9 @@ def _move(row: JsonDict) -> Move:
 
 
 class Archive(ArchiveView):
-    """A session file that a session is being written to; one writer at a time.
+    """A session file that is being written; one writer at a time.
 
-    `create` begins a new file, `open_existing` goes on with one; then `begin_run`.
+    Call `create` for a new file or `open_existing` to continue a file, then `begin_run`.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
@@ -361,14 +362,14 @@ class Archive(ArchiveView):
 
     @classmethod
     def create(cls, path: str | Path, header: Header) -> Archive:
-        """Begin a new session file.
+        """Create a session file.
 
         Raises
         ------
         UsageError
             The file exists already.
         SessionError
-            It cannot be made here.
+            It cannot be created here.
         """
         path = Path(path)
         archive = cls(path, database.create(path))
@@ -389,7 +390,7 @@ class Archive(ArchiveView):
 
     @classmethod
     def open_existing(cls, path: str | Path) -> Archive:
-        """Open a session file to go on with it; errors as `ArchiveView`."""
+        """Open a session file to continue it; raises the errors of `ArchiveView`."""
         path = Path(path)
         return cls(path, database.connect(path, write=True))
 
@@ -399,16 +400,16 @@ class Archive(ArchiveView):
         return self._run
 
     def begin_run(self, bus_s: float, clock_offset_s: float, continues: int = 0) -> int:
-        """Register this opening of the session; from now on only it may write.
+        """Register this opening of the session; from now on no earlier opening may write.
 
         Parameters
         ----------
         bus_s : float
             Time on the bus's clock.
         clock_offset_s : float
-            What makes times on that clock seconds since the session began.
+            Offset from that clock to the time since the session began, in s.
         continues : int
-            Number of the attempt after which it goes on; 0 for the beginning.
+            Number of the attempt after which the session continues; 0 for the beginning.
         """
         with self._transaction(new=True):
             run = self._next("runs", "run")
@@ -418,14 +419,15 @@ class Archive(ArchiveView):
         return run
 
     def add_record(self, kind: str, value: Any, bus_s: float) -> None:
-        """Write something that happened."""
+        """Write a record."""
         with self._transaction():
             self._record(kind, value, bus_s)
 
     def add_attempt(self, attempt: Attempt) -> int:
         """Write an attempt with all its scans and moves; on return it is on the disk.
 
-        Scans that were dropped within the dwell stand as a record, which older programs read over.
+        The number of scans that were dropped within the dwell goes into a record, which older programs
+        ignore.
 
         Returns
         -------
@@ -495,7 +497,7 @@ class Archive(ArchiveView):
                 yield
                 self._connection.execute("COMMIT")
             except BaseException:
-                # After some errors (a full disk) SQLite has rolled back by itself.
+                # After some errors (a full disk) SQLite has already rolled back.
                 if self._connection.in_transaction:
                     self._connection.rollback()
                 raise

@@ -1,8 +1,8 @@
 """The archive's tables: SQL, type and range of every column, rows as plain data, and their checksum.
 
-A checksum shows damage, but not a value that somebody wrote with a checksum that fits. `checked_row` is
-the door: nothing of a session file goes on without it. Kinds of records that are not listed are read by
-no program, and their values may be anything.
+A checksum detects damage, but not a forged value with a matching checksum. Therefore every value of a
+session file goes through `checked_row`. Kinds of records that are not listed are read by no program, and
+their values are not checked.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ JsonDict = dict[str, Any]
 
 @dataclass(frozen=True)
 class Move:
-    """A move of the stage by the program, at `bus_s` on the clock of the bus.
+    """A move of the stage by the program, at the time `bus_s` of the bus's clock.
 
     Attributes
     ----------
     angle_deg, approach, direction
         As in `Position`: an angle in the plane, or a direction in space.
     turned_deg : float or None
-        Turn about the vertical, as in `Position`; the move goes on after `bus_s`.
+        Turn about the vertical, as in `Position`; the move begins at `bus_s`.
     """
 
     bus_s: float
@@ -65,7 +65,7 @@ class Move:
 
     @property
     def aim(self) -> list[float] | dict[str, float] | None:
-        """What the archive keeps beside the angle."""
+        """Direction or turn of the move as the archive stores it, in addition to the angle."""
         if self.turned_deg is not None:
             return {"turned_deg": self.turned_deg}
         return None if self.direction is None else list(self.direction)
@@ -73,23 +73,23 @@ class Move:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One try at a dwell.
+    """One attempt at a dwell.
 
     Attributes
     ----------
     place : int
-        Which position of the plan, from 0.
+        Number of the position in the plan, from 0.
     outcome : {"complete", "interrupted"}
     reason : str
-        What interrupted it; empty for a complete dwell.
+        Reason of an interruption; empty for a complete dwell.
     started_utc : str
         Wall clock, ISO 8601, UTC.
     started_bus_s, ended_bus_s : float
-        Clock of the bus.
+        Times on the clock of the bus.
     blocks : sequence of (phase, Block)
-        Every scan that was read, in order; those of phase `dwell` are the dwell's samples.
+        All scans in order; scans of phase `dwell` are the samples of the dwell.
     moves : sequence of Move
-        What moved the stage for it.
+        Moves of the stage for this attempt.
     status : int or None
         Word of STATUS after it.
     """
@@ -113,11 +113,11 @@ class StoredAttempt:
     Attributes
     ----------
     number : int
-        Number of the attempt, from 1, in the order in which they were made.
+        Number of the attempt, from 1, in the order of recording.
     run : int
-        Which opening of the session it belongs to.
+        Opening of the session to which it belongs.
     offset_s : float
-        Added to times on the bus's clock it gives seconds since the session began.
+        Offset from the bus's clock to the time since the session began, in s.
     """
 
     number: int
@@ -150,20 +150,20 @@ class Record:
 
 @dataclass(frozen=True)
 class Header:
-    """What stands from the beginning of a session.
+    """Facts of a session that are fixed when it begins.
 
     Attributes
     ----------
     url, variant : str
         Bus and part.
     plan : Plan
-        The plan to begin with; an extension is a record.
+        The first plan; an extension is a record.
     settings : mapping
         JSON form of the runner's settings.
     title, note, operator, serial, stage : str
-        What the operator wrote down; a session of older programs has the last three empty.
+        Notes of the operator; the last three are empty in sessions of older programs.
     simulated : bool
-        True where the bus has a world whose truth is known.
+        True if the bus is simulated, so that the truth is known.
     """
 
     url: str
@@ -193,13 +193,13 @@ def to_json(value: Any) -> str:
     Raises
     ------
     ValueError
-        NaN or an infinity, which JSON does not have.
+        The value has NaN or an infinity, which JSON does not allow.
     """
     return json.dumps(value, ensure_ascii=False, allow_nan=False, default=_plain)
 
 
 def checksum(*values: Any) -> int:
-    """CRC-32 of a row's values; bytes count as they are, the rest as JSON."""
+    """CRC-32 of a row's values: of bytes directly, of other values as JSON."""
     plain = [value for value in values if not isinstance(value, bytes)]
     crc = zlib.crc32(json.dumps(plain).encode())
     for value in values:
@@ -217,17 +217,17 @@ def _plain(value: Any) -> Any:
 
 
 APPLICATION_ID = 0x4144474F
-"""`ADGO` in the file's header; `file` and SQLite see whose it is."""
+"""`ADGO` in the file's header identifies the format for `file` and SQLite."""
 SCHEMA_VERSION = 1
 
 LARGEST_S = 1e10
-"""Three hundred years: clocks that count from 1970 are far below it."""
+"""Three hundred years; clocks that count from 1970 are far below this limit."""
 LARGEST_VALUE = 1e9
-"""Of a sample or a parameter in its unit."""
+"""Limit of a sample or a parameter in its unit."""
 LEAST_FIXTURE_DEG = 1e-9
-"""Of the uncertainty of an angle, if it is not 0."""
+"""Smallest uncertainty of an angle in degrees that is not 0."""
 _MOST = 10**9
-"""Rows and counts."""
+"""Limit of counts and of row numbers."""
 
 _COUNT = whole(0, _MOST)
 _TIME = number(-LARGEST_S, LARGEST_S)
@@ -279,7 +279,7 @@ _SETTINGS = fields(
 
 
 def _fixture(value: Any) -> None:
-    # Between 0 and the least angle, its square would leave the numbers that there are.
+    # The square of an angle between 0 and this limit would underflow.
     if value not in ("free", 0):
         nullable(number(LEAST_FIXTURE_DEG, 1e6))(value)
 
@@ -299,7 +299,7 @@ META = fields(
         **dict.fromkeys(("title", "note", "operator", "serial", "stage", "software"), text),
     },
 )
-"""Facts of the table `meta` by key: the fields of `Header`."""
+"""Shapes of the values in the table `meta` by key: the fields of `Header`."""
 
 _DOUBT = {"kind": text, "message": text}
 _SUMMARY = fields(
@@ -322,7 +322,7 @@ _SUMMARY = fields(
 
 
 def _summary(value: Any) -> None:
-    """Nothing, or where a session stood in the advisor's eyes."""
+    """Check the advisor's summary of a session, which may be empty."""
     if value not in (None, {}):
         _SUMMARY(value)
 
@@ -372,11 +372,11 @@ RECORDS: Mapping[str, Shape] = {
         others=anything,
     ),
 }
-"""Values of records by kind."""
+"""Shapes of the values of records by kind."""
 
 
 def _aim(value: Any) -> None:
-    """Nothing, a direction in space, or a turn."""
+    """Check the aim of a move: null, a direction in space, or a turn."""
     if isinstance(value, dict):
         fields({"turned_deg": _ANGLE})(value)
     else:
@@ -385,7 +385,7 @@ def _aim(value: Any) -> None:
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table: name, SQL, and shape of its values (of JSON, of the value that it states)."""
+    """A column of a table: name, SQL, and shape of its values; of JSON, the shape of the parsed value."""
 
     name: str
     sql: str
@@ -399,7 +399,7 @@ _OF_RUN, _OF_ATTEMPT = f"{_INTEGER} REFERENCES runs", f"{_INTEGER} REFERENCES at
 
 
 def _one_of(name: str, *allowed: str) -> TableColumn:
-    """TableColumn of one of a few texts."""
+    """Column whose value is one of a few texts."""
     listed = ", ".join(f"'{text}'" for text in allowed)
     return TableColumn(name, f"{_TEXT} CHECK ({name} IN ({listed}))", choice(*allowed))
 
@@ -461,13 +461,13 @@ TABLES: Mapping[str, tuple[TableColumn, ...]] = {
         TableColumn("direction", _TEXT, _aim, json=True),
     ),
 }
-"""Columns of each table; a checksum of the row follows them."""
+"""Columns of each table; the last column in the file is the checksum of the row."""
 
 
 def statements() -> list[str]:
-    """SQL that makes an empty archive, one statement each, to be run in one transaction.
+    """SQL statements that create an empty archive, to be run in one transaction.
 
-    `database` compares the text with that of an archive: it has to stay the same to the last space.
+    `database` compares this text with the SQL in the archive, so that every character has to stay.
     """
     create = []
     for table, columns in TABLES.items():
@@ -496,18 +496,18 @@ def checked_row(table: str, row: Sequence[Any]) -> dict[str, Any]:
     Raises
     ------
     ShapeError
-        A value has another type or lies outside its range; the message begins with the column.
+        A value has a wrong type or is out of range; the message begins with the name of the column.
     """
     return {column.name: _checked(column, value) for column, value in zip(TABLES[table], row, strict=True)}
 
 
 def checked_value(name: str, shape: Shape, value: Any) -> Any:
-    """A value, if it has its shape.
+    """Return a value if it has the given shape.
 
     Raises
     ------
     ShapeError
-        It has not; the message begins with the name.
+        It has another shape; the message begins with the name.
     """
     try:
         shape(value)
@@ -527,6 +527,6 @@ def _checked(column: TableColumn, value: Any) -> Any:
 
 
 def text_of_json(value: Any) -> None:
-    """Text, however long: a plan of many positions is one."""
+    """Check that a value is text; a plan of many positions may be long."""
     if not isinstance(value, str):
         raise ShapeError(" is no text")

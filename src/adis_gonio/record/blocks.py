@@ -1,4 +1,4 @@
-"""Samples one after another, of the chip as words or of any other sensor as values, and alarms in them.
+"""Blocks of samples, of the chip as words or of any other sensor as values, and the alarms in them.
 
 A session takes either kind: both have `time_s`, `lost`, `dropped`, `alarm` (None if the sensor reports
 no alarms), `registers` (names of the columns), `units`, `values()`, `accel_mg`, `first`, and this module's
@@ -26,7 +26,7 @@ from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
 
 GENERIC = "generic"
-"""Name of a sensor of which nothing is known but its samples."""
+"""Name of a sensor of which only the samples are known."""
 
 UNITS = dict.fromkeys(("ax", "ay", "az"), "mg") | dict.fromkeys(("gx", "gy", "gz"), "°/s")
 UNITS |= {"temp_c": "°C", "supply_v": "V"}
@@ -46,7 +46,7 @@ class ValueBlock:
     time_s : (n,) float64
         Time of each sample on the source's clock, in s.
     lost : int
-        Samples that were missed since the block before, as far as the source can tell.
+        Samples that were missed since the block before, as far as the source knows.
     """
 
     registers: tuple[str, ...]
@@ -58,7 +58,7 @@ class ValueBlock:
     gyro_range_dps = None
     dropped = 0
     alarm = None
-    """No word of a sample says that an error or alarm stood."""
+    """A generic sensor reports no errors or alarms."""
 
     def __len__(self) -> int:
         return len(self.data)
@@ -78,7 +78,7 @@ class ValueBlock:
         return self.columns("ax", "ay", "az")
 
     def columns(self, *names: str) -> Floats:
-        """Some columns (n, …)."""
+        """Columns (n, …) by name."""
         return self.data[:, [self.registers.index(name) for name in names]]
 
     def first(self, count: int) -> ValueBlock:
@@ -90,7 +90,7 @@ Block = ScanBlock | ValueBlock
 
 
 def join(blocks: Sequence[Block]) -> Block:
-    """One block of several that hold the same and follow one another."""
+    """Join consecutive blocks with the same columns to one block."""
     values = [block for block in blocks if isinstance(block, ValueBlock)]
     if not values:
         return decoding.join([block for block in blocks if isinstance(block, ScanBlock)])
@@ -103,7 +103,7 @@ def join(blocks: Sequence[Block]) -> Block:
 
 
 def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
-    """Samples low to high (exclusive) of a block; what was lost or dropped goes with them where counted."""
+    """Samples `low` to `high` (exclusive) of a block; if `counted`, with its lost and dropped scans."""
     rows = slice(low, high)
     lost = block.lost if counted else 0
     if isinstance(block, ValueBlock):
@@ -114,12 +114,12 @@ def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
 
 
 def count_alarms(block: Block) -> int:
-    """Samples in which an error or alarm stood; 0 where the sensor tells of none."""
+    """Number of samples with an error or alarm; 0 if the sensor reports none."""
     return 0 if block.alarm is None else int(block.alarm.sum())
 
 
 def to_bytes(block: Block) -> bytes:
-    """What the archive keeps: the chip's words (uint16) or values (float64), little-endian."""
+    """Samples as the archive stores them: words (uint16) or values (float64), little-endian."""
     if isinstance(block, ValueBlock):
         return block.data.astype("<f8").tobytes()
     return block.words.astype("<u2").tobytes()
@@ -134,7 +134,7 @@ def from_bytes(
     variant: str,
     gyro_range_dps: int | None,
 ) -> Block:
-    """Block of what the archive kept."""
+    """Block from the bytes in the archive."""
     shape = (len(time_s), len(registers))
     if variant == GENERIC:
         data = np.frombuffer(content, "<f8").astype(np.float64).reshape(shape)
@@ -159,7 +159,7 @@ def die_temperatures(block: Block) -> Floats | None:
 def session_columns(block: Block) -> dict[str, Floats]:
     """Samples (n,) by column of a session: accelerations in LSB of the chip, else in mg.
 
-    Columns that the block does not hold are left out, and gyros whose range is not known.
+    Columns that the block lacks are left out, and so are gyros of unknown range.
 
     Raises
     ------
@@ -201,18 +201,18 @@ WITHOUT_NEWS = "they held no new data (ND), so their data-ready edge was not the
 
 @dataclass(frozen=True)
 class Alarms(JsonRecord):
-    """When an error or alarm stood within a dwell (EA).
+    """Times of an error or alarm within a dwell, by the bit EA.
 
     Attributes
     ----------
     scans : int
-        Scans with EA.
+        Number of scans with EA.
     times : int
-        Runs of such scans.
+        Number of runs of such scans.
     first_s : float
-        From the dwell's first scan to the first with EA.
+        Time from the first scan of the dwell to the first scan with EA.
     longest_s : float
-        Longest run, from its first scan to the one after it.
+        Longest run, from its first scan to the first scan without EA.
     """
 
     scans: int
@@ -229,7 +229,7 @@ class Alarms(JsonRecord):
 
 
 def alarms_of(scans: Block) -> Alarms | None:
-    """When EA stood in the scans of a dwell; None where it never did, or the sensor has no such bit."""
+    """Alarms in the scans of a dwell; None if there are none or the sensor has no bit EA."""
     alarm = scans.alarm
     if alarm is None or not alarm.any():
         return None

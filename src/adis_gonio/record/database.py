@@ -1,25 +1,26 @@
-"""The archive's tables, and how an SQLite file is recognised as one of this program's.
+"""The archive as an SQLite file: how it is created, opened, recognised and checked.
 
 | table | a row is |
 |---|---|
-| `meta` | a fact that stands from the beginning: URL, variant, settings, versions (JSON) |
-| `runs` | one opening of the session by a program: the first, and one each time it is resumed |
-| `records` | something that happened: registers read, a configuration, a plan, a problem, the end (JSON) |
-| `attempts` | one try at a dwell, complete or interrupted, with its times and what interrupted it |
+| `meta` | a fact that is fixed at the beginning: URL, variant, settings, versions (JSON) |
+| `runs` | one opening of the session by a program: the first, and one for each time it is resumed |
+| `records` | an event: registers read, a configuration, a plan, a problem, the end (JSON) |
+| `attempts` | one attempt at a dwell, complete or interrupted, with its times and the reason |
 | `blocks` | scans of an attempt: words (uint16), of a generic sensor values (float64); times (float64) |
 | `moves` | a move of the stage by the program, at its time on the bus's clock |
 
-Every table refuses UPDATE and DELETE: what was written stays. Every row ends with a checksum of the others.
-A file with other tables, or with views, triggers or indexes of its own, is refused before anything in it is
-run; statements have a limit of steps and rows a limit of length. `tables` declares every value.
-Numbers in blobs are little-endian. Times called `bus_s` are on the clock of the bus of that run, in s;
-adding the run's `clock_offset_s` makes them seconds since the session began. `continues` is the attempt
-after which a resumed run goes on, 0 for the beginning: a simulated world is brought back to that point.
+Every table refuses UPDATE and DELETE, so that no data is ever changed. Every row ends with a checksum of
+its other columns. A file with other tables, or with additional views, triggers or indexes, is refused
+before any of its SQL is run; statements have a limit of steps and rows a limit of length. `archive_tables`
+declares the type and range of every value. Numbers in blobs are little-endian. Times called `bus_s` are on
+the clock of the bus of that run, in s; adding the run's `clock_offset_s` makes them seconds since the
+session began. `continues` is the attempt after which a resumed run goes on, 0 for the beginning: a
+simulated world is brought back to that point.
 
-Durability: a rollback journal (`journal_mode=DELETE`), so that there is one file and nothing beside it
-between commits, and `synchronous=EXTRA`, which besides the file syncs the directory once the journal is
-gone: a commit that was announced survives a power cut. A journal that a killed program left is rolled
-back by whoever opens the file next.
+Durability: a rollback journal (`journal_mode=DELETE`), so that between commits there is only one file, and
+`synchronous=EXTRA`, which syncs the file and, after the journal is deleted, the directory: a commit that
+was announced survives a power cut. If a killed program leaves a journal, the next program that opens the
+file rolls it back.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ MOST_STEPS = 100_000_000
 LONGEST_ROW_BYTES = 4_000_000
 """A block has some ten kilobytes, a plan of 3600 positions half a megabyte."""
 MOST_TEXT = 4_000_000
-"""Characters in the rows that one query returns; JSON takes up to thirty times its length in memory."""
+"""Limit of characters in the rows of a query; parsed JSON takes up to 30 times its length in memory."""
 
 WAIT_S = 30.0
 """How long a reader waits for a commit, and a writer for readers, in s."""
@@ -51,7 +52,7 @@ _MAGIC = b"SQLite format 3\x00"
 
 
 def is_archive(path: Path) -> bool:
-    """True where the file begins as a session file does (SQLite with this program's mark)."""
+    """True if the file begins like a session file (SQLite with this program's application id)."""
     try:
         with path.open("rb") as file:
             head = file.read(72)
@@ -68,7 +69,7 @@ def connect(path: Path, *, write: bool) -> sqlite3.Connection:
     DataError
         Not a session file, damaged, truncated or newer than this program.
     SessionError
-        It cannot be opened here (permissions, busy), or holds no session yet.
+        It cannot be opened here (permissions, busy), or has no session yet.
     """
     _check_file(path)
     connection = _open(path, "rw" if write else "ro")
@@ -79,7 +80,7 @@ def connect(path: Path, *, write: bool) -> sqlite3.Connection:
             except sqlite3.OperationalError:
                 if write:
                     raise
-                # A killed writer left a journal, which only a writer can roll back.
+                # A killed writer left a journal; only a writer can roll it back.
                 connection.close()
                 connection = _open(path, "rw")
                 _check_content(path, connection)
@@ -99,7 +100,7 @@ def create(path: Path) -> sqlite3.Connection:
     UsageError
         The file exists already.
     SessionError
-        It cannot be made here.
+        It cannot be created here.
     """
     try:
         path.touch(exist_ok=False)
@@ -119,7 +120,7 @@ def create(path: Path) -> sqlite3.Connection:
 
 
 def make_durable(connection: sqlite3.Connection) -> None:
-    """Set what a writer needs: see the module's text on durability."""
+    """Set the pragmas of a writer; see the module's text on durability."""
     connection.execute("PRAGMA journal_mode = DELETE")
     connection.execute("PRAGMA synchronous = EXTRA")
     connection.execute("PRAGMA foreign_keys = ON")
@@ -127,7 +128,7 @@ def make_durable(connection: sqlite3.Connection) -> None:
 
 @contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Turn SQLite's errors into one line that names the file."""
+    """Turn errors of SQLite into one line that names the file."""
     try:
         yield
     except sqlite3.Error as error:
@@ -137,12 +138,12 @@ def explained(path: Path) -> Iterator[None]:
 
 
 def damaged(path: Path, what: str) -> DataError:
-    """Error of a file whose content cannot be right."""
+    """Error for a file with damaged content."""
     return DataError(f"{path}: is damaged ({what}); restore it from a copy (it was left as it is)")
 
 
 def _truncated(path: Path) -> DataError | None:
-    """Error of a file that is shorter than its own header says; None where it is not."""
+    """Error for a file that is shorter than its header states; None if it is not."""
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
@@ -158,7 +159,7 @@ def _truncated(path: Path) -> DataError | None:
 
 
 def _excerpt(text: str) -> str:
-    """First printable line's worth of a text, since SQLite quotes SQL and bytes of pages."""
+    """Shorten a text to one printable line, since SQLite quotes SQL and bytes of pages."""
     line = one_line(text)
     return line if len(line) <= LONGEST_TEXT else f"{line[:LONGEST_TEXT]}…"
 
@@ -238,10 +239,10 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
-    """Refuse a file whose tables are not exactly those of `statements`, or that holds anything else.
+    """Refuse a file if its tables differ from `statements`, or if it has any other object.
 
-    A view in the place of a table may run without end; a trigger, an index or another table would run the
-    expressions of whoever made the file. A guard against UPDATE or DELETE may be missing.
+    A view with the name of a table may run without end; a trigger, an index or another table would run
+    expressions from the file. A trigger against UPDATE or DELETE may be missing.
     """
     with closing(sqlite3.connect(":memory:")) as model:
         for statement in statements():
@@ -258,9 +259,9 @@ def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _objects(connection: sqlite3.Connection) -> dict[str, tuple[str, str]]:
-    """Kind and SQL of what a database holds, by name; without SQLite's own tables and indexes.
+    """Kind and SQL of each object of a database, by name, without SQLite's internal tables and indexes.
 
-    A trigger or a view is nobody's own but the maker's, whatever its row in the schema is called.
+    Triggers and views are always included, even if their names look internal.
     """
     own = "name LIKE 'sqlite\\_%' ESCAPE '\\' AND (type = 'table' OR sql IS NULL)"
     query = f"SELECT name, type, sql FROM sqlite_master WHERE NOT ({own})"

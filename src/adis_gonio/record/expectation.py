@@ -1,9 +1,9 @@
-"""Which angle gravity should show at a position, and how far off a sane part may be.
+"""Expected angle of gravity at a position, and the largest plausible deviation of a good part.
 
-The angle of a reading is φ = atan2(U_y, U_x) = α − θ + what gains, misalignment and biases do to it. None
-of these is known when a session begins, but each has a spread by the part's data sheet. They are carried
-as a linear Gaussian model, dwell by dwell: the first positions allow what the spread allows, later ones
-what the fixture allows, because the dwells before have shown the rest.
+The angle of a reading is φ = atan2(U_y, U_x) = α − θ + the effects of gains, misalignment and biases. These
+are unknown when a session begins, but the part's data sheet limits each of them. They are estimated by a
+linear Gaussian model, dwell by dwell. At the first positions the limits of the data sheet determine the
+allowed deviation; later the dwells have shown the gains and biases, and the fixture determines it.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ GAIN_LIMIT = 0.02
 ANGLE_LIMIT_DEG = 0.25 + 0.5
 """Non-orthogonality ±0.25° and axis to frame ±0.5° (CHIP, B)."""
 UNMODELLED_MG = SHIFT_MG / math.sqrt(3)
-"""What effects that this model lacks may do to a reading: as much as the watch leaves in a dwell."""
+"""Standard uncertainty of a reading from effects outside this model: the shift that the watch allows."""
 UNSTATED_FIXTURE_DEG = 0.5
-"""Where nobody states the fixture's uncertainty: half a division of a scale in degrees."""
+"""Assumed uncertainty of a fixture without a stated one: half a division of a scale in degrees."""
 _RECTANGULAR = 1 / math.sqrt(3)
 
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """What is known of a part and its fixture before they are measured.
+    """Prior knowledge of a part and its fixture before the first measurement.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class PriorKnowledge:
     reading_mg : float
         Standard uncertainty of a look at the sensor.
     fixture_deg : float or None
-        Standard uncertainty of a stage angle; None where it is not stated.
+        Standard uncertainty of a stage angle; None if it is not stated.
     gravity_mg : float
         Local gravity.
     """
@@ -55,14 +55,14 @@ class PriorKnowledge:
 
 @dataclass(frozen=True)
 class Off:
-    """How far a reading is from what is expected.
+    """Deviation of a reading from the expected angle.
 
     Attributes
     ----------
     off_deg : float
-        Angle by gravity minus the angle asked for, within ±180°, as the stage counts.
+        Angle by gravity minus the requested angle, within ±180°, in the sense of the stage.
     limit_deg : float
-        What a sane part in this fixture stays within.
+        Largest deviation of a good part in this fixture.
     """
 
     off_deg: float
@@ -70,7 +70,7 @@ class Off:
 
     @property
     def allowed(self) -> bool:
-        """True where it can be right."""
+        """True if the deviation is within the limit."""
         return abs(self.off_deg) <= self.limit_deg
 
 
@@ -81,7 +81,7 @@ class Expectation:
     ----------
     spread : PriorKnowledge
     sense : {1, -1}
-        -1 where the stage counts against the convention.
+        -1 if the stage counts against the convention.
     """
 
     def __init__(self, spread: PriorKnowledge, sense: int = 1) -> None:
@@ -99,7 +99,7 @@ class Expectation:
 
     @property
     def begun(self) -> bool:
-        """True once a dwell has been added: before that there is no start angle."""
+        """True after the first dwell, which gives the start angle."""
         return self._start_rad is not None
 
     def add(self, accel_mg: Floats, angle_deg: float) -> None:
@@ -117,7 +117,7 @@ class Expectation:
             self._weighted += row * value / u**2
 
     def off(self, accel_mg: Floats, angle_deg: float) -> Off:
-        """How far a reading is from a stage angle; nothing can be said before the first dwell."""
+        """Deviation of a reading from a stage angle; the limit is infinite before the first dwell."""
         if self._start_rad is None:
             return Off(0.0, math.inf)
         phi, _ = self._polar(accel_mg)
@@ -130,7 +130,7 @@ class Expectation:
         return Off(-self.sense * math.degrees(residual), math.degrees(limit))
 
     def angle_deg(self, accel_mg: Floats) -> float:
-        """Stage angle by gravity, corrected by what is known so far, within ±180°."""
+        """Stage angle by gravity, corrected by the parameters estimated so far, within ±180°."""
         phi, _ = self._polar(accel_mg)
         if self._start_rad is None:
             return -self.sense * math.degrees(phi)

@@ -15,11 +15,11 @@ from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Ses
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 
 REVERSE = "reverse"
-"""Stands for the degrees of positions to which the stage turned the other way."""
+"""Word in place of degrees: the stage turned the other way to these positions."""
 
 
 def as_it_is(reason: str) -> str:
-    """Why a file was refused, for commands that take no overrides: what its advice comes to there."""
+    """Reason for refusing a file, for commands without overrides: explain options that it mentions."""
     if not _OPTIONS.search(reason):
         return reason
     return f"{reason} (an option of fit, trace and report; here the file itself has to say it)"
@@ -34,9 +34,10 @@ class AngleChange:
     first, last : int
         Numbers of the dwells.
     degrees : float or None
-        The angle, or what is added to the declared ones; None: the stage turned the other way from the
-        position before the first on, so that each stands as far on the other side of that.
+        The new angle, or the angle to add to the declared ones. None means that the stage turned the other
+        way: each angle is mirrored at the position before the first.
     added : bool
+        True if `degrees` is added to the declared angles.
     """
 
     first: int
@@ -51,12 +52,12 @@ class AngleChange:
         return f"{where}{'+=' if self.added else '='}{self.degrees:g}"
 
     def applied(self, dwells: tuple[Dwell, ...]) -> tuple[Dwell, ...]:
-        """All dwells of a session after it.
+        """All dwells of a session with this change.
 
         Raises
         ------
         UsageError
-            There is no such position, or no declared angle before it from which to turn the other way.
+            There is no such position, or no declared angle before it at which to mirror.
         """
         numbers = [dwell.position for dwell in dwells]
         if not any(self.first <= number <= self.last for number in numbers):
@@ -88,29 +89,27 @@ class AngleChange:
 
 @dataclass(frozen=True)
 class Overrides:
-    """Corrections to what a session's file states; None, False or empty leaves it as it is.
+    """Corrections of the metadata of a session's file; None, False or empty means no correction.
 
-    The samples stay as they are: `accel_unit` says in which unit they always were. What was changed, old
-    and new, stands in `Session.facts["overrides"]` and, in words, in `Session.notes`.
+    The samples are not changed: `accel_unit` corrects the unit in which they are read. Old and new values
+    are recorded in `Session.facts["overrides"]` and as a sentence in `Session.notes`.
 
     Attributes
     ----------
     gravity_mps2 : float or None
-        Local gravity; anywhere above zero (`adis_gonio.model.records.checked_gravity_mps2` says whether it
-        is on Earth).
+        Local gravity; any value above zero (`adis_gonio.model.records.checked_gravity_mps2` checks whether
+        it occurs on Earth).
     fixture_sigma_deg : float or None
-        Standard uncertainty of a declared angle in degrees; `inf` where attitudes are free.
+        Standard uncertainty of a declared angle in degrees; `inf` if attitudes are free.
     reverse : bool
-        The stage turned the other way than declared: angles change their sign, and with them the
-        directions from which they were reached.
+        The stage turned the other way than declared: angles and directions of approach change their sign.
     angles : tuple of AngleChange
-        Declared angles that were mistyped or where the part has slipped, as the session has them (before
-        `reverse`).
+        Corrections of angles that were mistyped or at which the part slipped; applied before `reverse`.
     accel_unit : str or None
-        Unit of the accelerations; goes before a unit in the file's header.
+        Unit of the accelerations; takes precedence over a unit in the file's header.
     sensor : str or None
     columns : mapping of str to str
-        Column of the format → column of the file's header, where a CSV calls them otherwise.
+        Column of the format → column in the header of a CSV with other names.
 
     Raises
     ------
@@ -139,12 +138,12 @@ class Overrides:
                 raise UsageError(f"{name} is '{value}': known are {', '.join(known)}")
 
     def apply(self, session: Session) -> Session:
-        """The session as its file should have stated it.
+        """Session with the corrections.
 
         Raises
         ------
         UsageError
-            An angle is to be reversed where none is declared; a position is changed that is not there.
+            Angles are to be reversed but none is declared, or a position does not exist.
         """
         changes: dict[str, dict[str, Any]] = {}
         for name in ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor"):
@@ -232,21 +231,21 @@ _SQLITE_MAGIC = b"SQLite format 3\x00"
 def load_session(path: str | Path, overrides: Overrides | None = None) -> Session:
     """Session of an archive (SQLite, written by `calibrate` or `simulate`) or of a samples CSV.
 
-    The kind is told by the first bytes, not by the name.
+    The first bytes determine the kind of file, not its name.
 
     Parameters
     ----------
     path : str or Path
     overrides : Overrides, optional
-        What the file should have said.
+        Corrections of the file's metadata.
 
     Raises
     ------
     DataError
-        One line that names the file and, where there is one, the row: not there, another kind of file,
-        truncated, or with content that cannot be used.
+        The file is missing, of another kind or truncated, or its content cannot be used. The message is one
+        line that names the file and, if possible, the row.
     UsageError
-        An override that this file cannot take.
+        A correction that does not apply to this file.
     """
     path, overrides = Path(path), overrides or Overrides()
     if path.is_dir():

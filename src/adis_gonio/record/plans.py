@@ -1,19 +1,19 @@
-"""Plans: which positions a session visits, in which order, and what each is for.
+"""Plans: the positions of a session, their order and their use.
 
-| plan | positions | why |
+| plan | positions | reason |
 |---|---|---|
-| `two-position` | 0°, 90° | the seed paper's; sees ΔK and Δφ, cannot see a bias |
+| `two-position` | 0°, 90° | the seed paper's; determines ΔK and Δφ, but no bias |
 | `four-position` | 0°, 90°, 180°, 270° | opposite positions cancel a bias |
 | `mmpm` | nine, every 40° | all six planar parameters with the most information that nine can give |
 | `tumble` | n up and the same n back (12) | the way back shows backlash, hysteresis and drift |
 | `poses` | n free attitudes in space (14) | bias, scale and skew of all three axes; needs no stage |
 
-Why 40° for the nine: readings of a turn are a first-order trigonometric regression, for which equally
-spaced angles over the full circle are D-optimal, and the information of all six planar parameters (start
-angle, two gains, Δφ, two biases) is then the same whatever the start angle. Nine angles that close the
-circle at 45° spend one on a repetition, a quarter turn is worse by orders of magnitude (the test computes
-the determinants), and an odd number keeps the residual's harmonics apart up to the fourth
-(n harmonics need 2n + 1 positions).
+Why steps of 40° for nine positions: readings of a turn are a first-order trigonometric regression, for
+which equally spaced angles over the full circle are D-optimal. The information of all six planar parameters
+(start angle, two gains, Δφ, two biases) then does not depend on the start angle. Nine angles in steps of
+45° would repeat one angle, and a quarter turn is worse by orders of magnitude (the test computes the
+determinants). An odd number separates the harmonics of the residual up to the fourth (n harmonics need 2n +
+1 positions).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ DEFAULT_PLAN = "two-position"
 
 @dataclass(frozen=True)
 class Position(JsonRecord):
-    """One place to visit.
+    """One position of a plan.
 
     Attributes
     ----------
@@ -54,16 +54,16 @@ class Position(JsonRecord):
     use : {"fit", "check"}
         `check` positions are kept out of every fit.
     direction : tuple of 3 float or None
-        For a free attitude: what an ideal sensor would read there, in units of G. Only a suggestion, which
-        a stage that turns in space can follow; a fit never sees it.
+        For a free attitude: the reading of an ideal sensor there, in units of G. It is a suggestion that a
+        stage can follow if it turns in space; fits do not use it.
     wait_s : float
-        How long to wait there, beside what stillness takes.
+        Additional wait at the position, before the dwell.
     temperature_c, supply_v : float or None
-        Temperature of the part and supply to bring about first; None as they are. A fit takes what was
-        measured, never this.
+        Temperature of the part and supply to set first; None leaves them unchanged. Fits use the measured
+        values instead.
     turned_deg : float or None
-        How far the part is turned on the way here, by a mark or a stop, about the vertical, positive
-        counter-clockwise seen from above; None where it is brought here in any way.
+        Turn of the part on the way here, by a mark or a stop, about the vertical, positive
+        counter-clockwise seen from above; None if the way does not matter.
     """
 
     angle_deg: float | None
@@ -93,7 +93,7 @@ class Plan(JsonRecord):
     plane : {"xy", "none"}
         Plane of rotation, or none for attitudes anywhere in space.
     turns : int
-        Full turns of a continuous recording; 0 where the positions are what is visited.
+        Full turns of a continuous recording; 0 for a plan of positions.
     """
 
     document_keys = ("name", "plane", "positions", "turns")
@@ -107,12 +107,12 @@ class Plan(JsonRecord):
         return len(self.positions)
 
     def ordered(self, order: Order, rng: np.random.Generator) -> Plan:
-        """The same positions in another order, with the directions of approach that it leads to.
+        """Plan with the same positions in another order, with the resulting directions of approach.
 
         Parameters
         ----------
         order : {"plan", "reverse", "shuffled"}
-            A shuffled order separates what depends on time from what depends on the angle.
+            A shuffled order separates effects of time from effects of the angle.
         rng : numpy.random.Generator
             Draws the shuffled order.
         """
@@ -174,8 +174,8 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
         Number of angles (`tumble` visits each twice); None for the plan's own. The two- and the
         four-position plan have no choice.
     check : int
-        How many `check` positions to put between the others, spread over the session so that they are
-        not all at its end, where a drift would make them extrapolations.
+        Number of `check` positions between the others. They are spread over the session: at its end a drift
+        would make them extrapolations.
 
     Raises
     ------
@@ -261,16 +261,16 @@ def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
 
 @dataclass(frozen=True)
 class Blindness:
-    """What a plan cannot see, in numbers.
+    """Effect of an undetectable bias on the results of a plan.
 
     Attributes
     ----------
     bias_mg : float
-        Standard uncertainty of an unseen bias on each axis, in mg.
+        Standard uncertainty of the bias of each axis, in mg.
     delta_k_u, delta_phi_u_deg : float
-        What that does to ΔK (unit 1) and to Δφ (degrees).
+        Resulting standard uncertainties of ΔK (unit 1) and Δφ (degrees).
     message : str
-        The same in one sentence, with what to do.
+        One sentence with these numbers and a remedy.
     """
 
     bias_mg: float
@@ -280,7 +280,7 @@ class Blindness:
 
 
 def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindness | None:
-    """Say what two positions cannot see; None for a plan that sees a bias.
+    """Effect of a bias on a plan of two positions; None for a plan that determines the bias.
 
     In the closed form of the two positions a bias b_x turns the vector (U_x1, U_x2) by
     b_x (cos α - sin α)/G and lengthens it by b_x (cos α + sin α)/G; b_y does the same with the two
@@ -296,7 +296,7 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
     """
     angles = [position.angle_deg for position in plan.positions if position.use == "fit"]
     separate = {round((angle or 0.0) % 360.0, 6) for angle in angles}
-    # Three separate angles tell the mean direction of an axis from its bias.
+    # Three separate angles separate the bias of an axis from its direction.
     if any(angle is None for angle in angles) or len(separate) >= 3:
         return None
     relative = math.sqrt(2.0) * bias_mg / gravity_mg
@@ -311,31 +311,31 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
 
 
 def attitude(direction: Sequence[float]) -> str:
-    """Attitude in words, such as `one that reads +x −z`: axes that read much of gravity, with signs."""
+    """Attitude as text, such as `one that reads +x −z`: axes with a large part of gravity, with signs."""
     axes = [f"{'+' if part > 0 else '−'}{'xyz'[k]}" for k, part in enumerate(direction) if abs(part) > 0.3]
     return f"one that reads {' '.join(axes)}"
 
 
 def extended(plan: Plan, positions: Sequence[Position]) -> Plan:
-    """The same plan with further positions at its end."""
+    """Plan with further positions at its end."""
     return replace(plan, positions=(*plan.positions, *positions))
 
 
 def extension(plan: Plan, done: int) -> Plan | None:
-    """Plan that goes on where a finished one stops being able to see, or None.
+    """Plan that extends a finished two-position plan so that it determines the biases, or None.
 
     Parameters
     ----------
     plan : Plan
-        Plan in force.
+        Current plan.
     done : int
-        How many of its positions are done.
+        Number of its positions that are done.
 
     Returns
     -------
     Plan or None
-        For a completed two-position plan the four-position plan that begins with the positions already
-        visited; None for any other plan or while positions are missing.
+        For a completed two-position plan, the four-position plan that begins with its positions; None for
+        any other plan or if positions are missing.
     """
     if plan.name != "two-position" or done < len(plan):
         return None

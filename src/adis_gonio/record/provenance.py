@@ -1,4 +1,4 @@
-"""Where a calibration comes from: what a fit keeps of its session beside the parameters."""
+"""Provenance of a calibration: the facts of its session that a result keeps with the parameters."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Covered(JsonRecord):
 
 @dataclass(frozen=True)
 class Provenance:
-    """What is known of the session behind a result.
+    """Facts of the session behind a result.
 
     Attributes
     ----------
@@ -48,27 +48,28 @@ class Provenance:
     plane : {"xy", "none"}
     gravity_mps2 : float
     counts : bool
-        True where readings are in counts of unknown scale, False where they are mg.
+        True if readings are counts of unknown scale, False if they are in mg.
     title, serial, operator, stage : str
-        Free text; empty where nobody gave it.
+        Free text, or empty.
     source : str
         Name of the file, without its folder.
     sha256 : str
-        Of the dwells' data, whatever file they are in.
+        Checksum of the dwells' data, independent of the kind of file.
     recorded_utc : str
-        When the session began (ISO 8601); empty where the file does not say.
+        Begin of the session (ISO 8601); empty if the file does not state it.
     software : str
         Program that made the result.
     temperature_c, supply_v : Covered or None
-        Over all samples; None where not recorded.
+        Statistics over all samples; None if not recorded.
     offsets_lsb : tuple of int or None
-        Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF while it was recorded; None where the file does not say.
+        Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF during the recording; None if the file does not state
+        them.
     written_lsb : tuple of int or None
-        Numbers that were written there since; None where nothing was.
+        Numbers that were written there later; None if nothing was written.
     write_open : bool
-        True where a write was interrupted, so that only the sensor can tell.
+        True if a write was interrupted, so that only the sensor has the present numbers.
     gyro_offsets_lsb, gyro_written_lsb, gyro_write_open
-        The same of XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF.
+        The corresponding facts of XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF.
     """
 
     sensor: str
@@ -97,7 +98,7 @@ _FROM_SESSION = ("sensor", "plane", "gravity_mps2", "title", *METADATA)
 
 
 def provenance_of(session: Session) -> Provenance:
-    """What a result keeps of its session; worked out once and kept with it."""
+    """Provenance of a session; computed once and stored with the session."""
     kept: Provenance | None = vars(session).get("_provenance")  # the session is frozen: it cannot go stale
     if kept is None:
         from adis_gonio.base import __version__
@@ -121,7 +122,7 @@ def provenance_of(session: Session) -> Provenance:
 
 
 def changed_registers(session: Session) -> list[str]:
-    """Say that registers changed while the session was recorded: its biases belong to no one state."""
+    """Doubts that registers changed during the recording, so that its biases mix two states."""
     doubts = session.facts.get("doubts") or []
     return [str(doubt["message"]) for doubt in doubts if doubt["kind"] == "registers"]
 
@@ -129,7 +130,7 @@ def changed_registers(session: Session) -> list[str]:
 def digest_of(session: Session) -> str:
     """SHA-256 over sensor, unit, plane and every dwell's angle, use and samples, as hexadecimal digits.
 
-    It is that of the data: the same for an archive and for the CSV exported from it.
+    An archive and the CSV exported from it have the same digest.
     """
     digest = hashlib.sha256(f"{session.sensor} {session.accel_unit} {session.plane}".encode())
     for dwell in session.dwells:

@@ -1,8 +1,8 @@
 """The declaration of the samples CSV: its columns and its keys, for reading, writing and the template.
 
 A column has a name, the names and units that other programs give it, a largest value and a text form; a key
-of a line `# key: value` has a reader and a text form. A header's cell such as `Acc_X (g)`, `time [ms]` or
-`a_x / (m/s²)` is recognised if it has one meaning only; `--columns` names the others.
+of a line `# key: value` has a reader and a text form. A header cell such as `Acc_X (g)`, `time [ms]` or
+`a_x / (m/s²)` is recognised if it has one meaning only; the user names other cells by `--columns`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ AXES = ("ax", "ay", "az")
 GYROS = ("gx", "gy", "gz")
 
 Scale = tuple[float, float, float]
-"""(multiply, divide, add): ms become s by a division, which is exact where a decimal fraction is."""
+"""(multiply, divide, add); milliseconds are divided by 1000, which rounds only once."""
 SAME: Scale = (1.0, 1.0, 0.0)
 Units = Mapping[str, tuple[str, Scale]]
 """Spelling in small letters → the format's spelling, and the scale to the format's unit."""
@@ -38,17 +38,17 @@ class SamplesColumn:
     Attributes
     ----------
     aliases : tuple of str
-        Other names of it in a header.
+        Other names of the column in a header.
     units : Units
         Units that a header may state.
     largest : float
         Largest magnitude of a number in it.
     per_dwell : bool
-        True for a column with one value a dwell, else it has a number in every row.
+        True for a column with one value a dwell; other columns have a number in every row.
     text : callable
         Text form of a value.
     default : str
-        Text of a value that need not be written.
+        Text of the default value, which is not written.
     """
 
     aliases: tuple[str, ...] = ()
@@ -146,15 +146,15 @@ class CsvColumn:
     name : str
         One of `COLUMNS`.
     place : int
-        Which cell of a row, from 0.
+        Number of the cell in a row, from 0.
     text : str
         The header's own text.
     unit : str
-        What the header says, in the format's spelling once it is known; empty where it says nothing.
+        Unit from the header, in the format's spelling once it is known; empty if the header has none.
     plain : bool
-        True where the header has the format's own name.
+        True if the header has the format's own name.
     scale : Scale
-        What makes numbers of that unit numbers of the format's.
+        Conversion from that unit to the unit of the format.
     """
 
     name: str
@@ -212,7 +212,7 @@ class Key:
     Attributes
     ----------
     read : callable
-        Value of a text; `ValueError` if it has none, whose message may begin with "expected".
+        Value of a text; raises `ValueError`, with a message that may begin with "expected".
     text : callable
         Text of a value, on one line.
     """
@@ -231,8 +231,8 @@ def _choice(allowed: Sequence[str]) -> Key:
 
 
 def _number(text: str) -> float:
-    # Python's float takes '1_000', which no instrument writes. A key has one number: no mark between
-    # thousands can be meant where a comma stands alone before other than three digits.
+    # Python's float accepts '1_000', which no instrument writes. A single comma that is not followed by
+    # exactly three digits is a decimal comma, since it cannot separate thousands.
     if "_" in text:
         raise ValueError(text)
     whole, comma, fraction = text.partition(",")
@@ -285,11 +285,11 @@ _WITHOUT_FORMULA = re.compile(r"""([,;|][\s"']*)'""" + _BEGINS)
 def without_formulas(text: str) -> str:
     """Text in which a spreadsheet finds no formula, even if it begins a new cell at a comma.
 
-    An apostrophe stands before each sign that would begin one; `with_formulas` takes it out again.
+    An apostrophe is put before each sign that would begin a formula; `with_formulas` removes it.
     """
     return _FORMULA.sub(r"\1'", text)
 
 
 def with_formulas(text: str) -> str:
-    """The text before `without_formulas`."""
+    """Undo `without_formulas`."""
     return _WITHOUT_FORMULA.sub(r"\1", text)

@@ -1,13 +1,13 @@
 """The head of a samples file: its text, its number format, and which column is which.
 
 Text is UTF-8, with or without a byte order mark, or UTF-16, as Excel's "Unicode text" has it. A byte that
-is no UTF-8 is read as Windows-1252, where the degree sign and the superscript two of older programs stand:
-digits are the same in both.
+is no UTF-8 is read as Windows-1252, in which older programs write the degree sign and the superscript two;
+digits are the same in both encodings.
 
 Cells are separated by the delimiter that makes most names of the header known. In a file separated by
-commas a fraction has a point, as the format says. Elsewhere the numbers of the whole file have to prove it:
-`0,5` or `1234,5` can only be a decimal comma and `1.2345` only a decimal point, while `1,234` may be
-either. A file without proof is refused, and so is a file that proves both.
+commas a fraction has a point, as the format requires. In other files the numbers have to prove the decimal
+mark: `0,5` or `1234,5` can only have a decimal comma and `1.2345` only a decimal point, while `1,234` may
+have either. A file without proof is refused, and so is a file that proves both.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from adis_gonio.record.samples_columns import (
 )
 
 CHUNK = 1 << 20
-"""Bytes that are read at a time: what stands in memory as text is some twenty times that."""
+"""Bytes that are read at a time; their text takes some twenty times as much memory."""
 
 _FOREIGN = {
     b"PK\x03\x04": "an Excel or LibreOffice workbook (or a zip): save the sheet as CSV",
@@ -52,7 +52,7 @@ _HTML = re.compile(
 )
 """The first tag of a page, after comments and an XML declaration."""
 LONGEST_LINE = 1 << 16
-"""Characters: rows have hundreds; a file without line ends would fill the memory."""
+"""Limit of characters in a line; rows have hundreds. A file without line ends would fill the memory."""
 MOST_GROWTH, SMALL = 200, 1 << 24
 """Unpacked bytes for each byte of a gzip file, and unpacked bytes that are always allowed.
 
@@ -85,7 +85,7 @@ class Chunk:
         Part of the file that has been read, 0 to 1.
     last : bool
     cut : bool
-        True in the last chunk where the last line has no end.
+        True in the last chunk if its last line has no line end.
     """
 
     first: int
@@ -105,7 +105,7 @@ def chunks_of(path: Path) -> Iterator[Chunk]:
     """
     first, carry = 1, ""
     for text, share in _texts(path):
-        # A carriage return at the end may be one half of a line's end.
+        # A carriage return at the end may be the first half of a line end.
         text = carry + text
         held = len(text) - len(text.rstrip("\r"))
         *lines, carry = _plain_ends(text[: len(text) - held]).split("\n")
@@ -199,7 +199,7 @@ def _refuse_binary(path: Path, text: str) -> None:
 # -- cells and numbers ----------------------------------------------------------------------------
 
 SPACE = " "
-"""Stands for runs of white space."""
+"""Delimiter that means any run of white space."""
 DELIMITERS = ("\t", ";", ",", SPACE)
 _IN_WORDS = {"\t": "tab", ";": "semicolon", ",": "comma", SPACE: "space"}
 
@@ -228,7 +228,7 @@ class Dialect:
     decimal : str
         Point or comma.
     grouped : bool
-        True where it is proved, so that the other mark may stand between thousands.
+        True if the decimal mark is proved, so that the other mark may separate thousands.
     """
 
     delimiter: str = ","
@@ -258,7 +258,7 @@ class Dialect:
         Raises
         ------
         ValueError
-            It is none in this dialect.
+            The cell has no number in this dialect.
         """
         text = cell.strip().replace("−", "-")
         plain, grouped = _FORMS[self.decimal]
@@ -270,16 +270,16 @@ class Dialect:
 
     @property
     def delimiter_in_words(self) -> str:
-        """Name of what separates the cells."""
+        """Name of the delimiter."""
         return _IN_WORDS.get(self.delimiter, f"'{self.delimiter}'")
 
     def with_decimal(self, mark: str, *, proved: bool) -> Dialect:
-        """The same with the mark of its fractions."""
+        """Dialect with the given decimal mark."""
         return replace(self, decimal=mark, grouped=proved)
 
 
 def header_cells(line: str, delimiter: str) -> list[str]:
-    """Cells of a header; where white space separates, a unit in brackets stays with its name."""
+    """Cells of a header; if white space is the delimiter, a unit in brackets stays with its name."""
     if delimiter == SPACE:
         return [cell.strip('"') for cell in _TOKENS.split(line.strip())]
     try:
@@ -292,7 +292,7 @@ def header_cells(line: str, delimiter: str) -> list[str]:
 
 
 def proved_mark(cells: Iterable[str]) -> str:
-    """The mark that a cell proves to be decimal; empty where none does."""
+    """Decimal mark that a cell proves; empty if no cell proves one."""
     for cell in cells:
         text = cell.strip()
         if ("." not in text and "," not in text) or _UNDECIDED.fullmatch(text):
@@ -301,26 +301,26 @@ def proved_mark(cells: Iterable[str]) -> str:
             plain, grouped = _FORMS[mark]
             if mark in text and plain.fullmatch(text):
                 return mark
-            # Two marks of a kind can only stand between thousands.
+            # Two equal marks can only separate thousands.
             if (mark in text or text.count(other) > 1) and grouped.fullmatch(text):
                 return mark
     return ""
 
 
 _SEPARATORS = ("\t", ";", ",", "|", ":", "^", "~")
-"""What Excel's first line `sep=…` may state."""
+"""Delimiters that Excel's first line `sep=…` may state."""
 _EXPECTED = "time_s,position,angle_deg,ax,ay"
 MOST_HEAD_LINES = 10_000
 MOST_HEAD_CHARACTERS = 10_000_000
-"""Before the first row."""
+"""Limits of the part before the first row."""
 MOST_COLUMNS = 1000
 _PREAMBLE_LINES = 200
-"""Lines in which a header is looked for, behind what a logger prints when it starts."""
+"""Lines in which a header is searched; a logger may print other text when it starts."""
 
 
 @dataclass(frozen=True)
 class Head:
-    """What stands before the rows.
+    """The part of a file before its rows.
 
     Attributes
     ----------
@@ -330,13 +330,13 @@ class Head:
     width : int
         Cells of the header.
     dialect : Dialect
-        Its decimal mark is still to be decided where `keys` does not state it.
+        Its decimal mark is still unknown unless `keys` states it.
     columns : dict of str to CsvColumn
-        Those that are read, by the format's names.
+        Columns to read, by the format's names.
     keys : dict of str to object
         Values that the leading lines state.
     notes : tuple of str
-        What has to be said of the leading lines and of the header.
+        Remarks on the leading lines and the header.
     """
 
     path: Path
@@ -348,12 +348,12 @@ class Head:
     notes: tuple[str, ...]
 
     def settings(self, *, unit_told: bool) -> dict[str, Any]:
-        """Fields of the `Session`; units of the header go with those of the keys.
+        """Fields of the `Session`, from the keys and the units in the header.
 
         Raises
         ------
         DataError
-            Header and key state different units, and the user has not told the right one.
+            Header and key state different units, and the user has not given the unit.
         """
         values = {name: value for name, value in self.keys.items() if name != "decimal"}
         for key, axes, table in (("accel_unit", AXES, "accelerations"), ("gyro_unit", GYROS, "rates")):
@@ -376,14 +376,14 @@ def head_of(path: Path, wanted: Mapping[str, str]) -> Head:
     ----------
     path : Path
     wanted : mapping of str to str
-        Column of the format → column of the header, as told by the user.
+        Column of the format → column of the header, from the user.
 
     Raises
     ------
     DataError
-        No header, a column that is missing, stands there twice or has a unit that is not known.
+        The header is missing, or a column is missing, occurs twice or has an unknown unit.
     UsageError
-        `wanted` names a column that is not there.
+        `wanted` names a column that does not exist.
     """
     top = _leading(path, wanted)
     delimiter, cells = _split(top.text, top.separator, wanted)
@@ -420,7 +420,7 @@ class _Top:
     line, text : int, str
         Number and text of the header; 0 and empty without any line.
     separator : str or None
-        What `sep=` states.
+        Delimiter stated by `sep=`.
     """
 
     comments: list[tuple[int, str]] = field(default_factory=list)
@@ -430,7 +430,7 @@ class _Top:
     separator: str | None = None
 
     def without_header(self) -> _Top:
-        """Take the first line for the header, which was not found, with the comments above it."""
+        """Take the first line as the header if none was found, with the comments above it."""
         if self.skipped:
             self.line, self.text = self.skipped[0]
             self.comments = [comment for comment in self.comments if comment[0] < self.line]
@@ -441,9 +441,9 @@ class _Top:
 def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
     """Read down to the header.
 
-    The header is the first line without `#` that names a time and two accelerations, if one of the first
-    does: a logger prints text when it starts, and a log may begin in the middle of a row. Else it is the
-    first line, for an error that shows it.
+    The header is the first line without `#` that names a time and two accelerations, within the first
+    lines: a logger prints text when it starts, and a log may begin in the middle of a row. If there is
+    none, the first line is taken, so that the error shows it.
     """
     top, characters = _Top(), 0
     for chunk in chunks_of(path):
@@ -478,7 +478,7 @@ def _names_samples(line: str, separator: str | None, wanted: Mapping[str, str]) 
 
 
 def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
-    """Delimiter and cells of a header: those that make most names known."""
+    """Delimiter and cells of a header, for the delimiter by which most names are recognised."""
     if separator is not None:
         return separator, header_cells(line, separator)
     named = {text.strip().lower() for text in wanted.values()}
@@ -496,12 +496,12 @@ def _read_keys(
 ) -> tuple[dict[str, Any], list[str]]:
     """Values and notes of the leading lines with `#`.
 
-    A spreadsheet writes these lines as rows too, in the dialect and with the number of columns of the rows.
+    A spreadsheet writes these lines like rows, in the file's dialect and with as many columns.
 
     Raises
     ------
     DataError
-        A key that stands there twice, or an unknown value of one.
+        A key occurs twice or has an unknown value.
     """
     values: dict[str, Any] = {}
     notes: list[str] = []
@@ -532,7 +532,7 @@ def _read_keys(
 
 
 def _bare(line: str, dialect: Dialect, columns: int) -> str:
-    """A line without its `#`, and without what a spreadsheet has added to it."""
+    """A line without its `#` and without quotes and delimiters that a spreadsheet has added."""
     if line.startswith('"'):
         try:
             line = dialect.cells(line)[0]
@@ -547,7 +547,7 @@ def _bare(line: str, dialect: Dialect, columns: int) -> str:
 
 @dataclass(frozen=True)
 class _Assignment:
-    """Cells of a header on their way to columns."""
+    """Assignment of the cells of a header to columns."""
 
     path: Path
     line: int
@@ -573,7 +573,7 @@ class _Assignment:
         return chosen, [*self._ignored(found), *_renamed(chosen), *notes]
 
     def _told(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
-        """A column that the user names."""
+        """Column that the user has named."""
         known = recognised(mine)
         if known is None:
             raise UsageError(f"columns: '{mine}' is no column of the format; known: {', '.join(COLUMNS)}")
@@ -610,7 +610,7 @@ class _Assignment:
         return found
 
     def _with_units(self, found: Mapping[str, CsvColumn]) -> tuple[dict[str, CsvColumn], list[str]]:
-        """Columns with the format's spelling of their units; what is optional and unknown is left out."""
+        """Columns with the format's spelling of units; optional ones of unknown unit are left out."""
         chosen: dict[str, CsvColumn] = {}
         notes = []
         for name, column in found.items():
@@ -671,7 +671,7 @@ class _Assignment:
 
 
 def _likely(name: str, spare: Sequence[str]) -> str:
-    """The unknown column that ends as an axis does, or begins as a time does; dots where there is none."""
+    """Unknown column that ends like the axis or begins like a time; dots if there is none."""
     for cell in spare:
         text = split_unit(cell)[0].lower()
         if text.endswith(name[1]) if name in AXES else text.startswith(("t", "z")):
@@ -692,7 +692,7 @@ def _numeric(cell: str) -> bool:
 
 
 def _renamed(chosen: Mapping[str, CsvColumn]) -> list[str]:
-    """What stands for what, where the file has names of its own."""
+    """Remark on columns whose names differ from the format's."""
     own = [column for column in chosen.values() if column.text.strip().lower() != column.name]
     if not own:
         return []

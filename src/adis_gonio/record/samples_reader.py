@@ -1,11 +1,11 @@
 """The samples CSV as a session: its rows as arrays, chunk by chunk, and the dwells in them.
 
-A chunk is converted in bulk; only if that fails are its rows walked one by one: comments, empty rows at
-the end and a last row that was cut are left out, and everything else is named with its row. Columns that
-hold one value a dwell are kept as runs of equal text. Memory holds the numbers and little else.
+A chunk is converted in bulk. Only if that fails are its rows read one by one: comments, empty rows at the
+end and an incomplete last row are left out, and any other fault is an error that names the row. Columns
+with one value a dwell are kept as runs of equal text, so that memory is used for little but the numbers.
 
 A file without the column `position` is one continuous recording: its dwells are found by stillness
-(`adis_gonio.record.segmentation`), and `Session.notes` says what was found.
+(`adis_gonio.record.segmentation`), and `Session.notes` describes them.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from adis_gonio.record.segmentation import segment_with_notes, shows_a_free_turn
 _WALL_CLOCK = re.compile(
     r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII
 )
-"""ISO 8601 with date and time, as loggers write it; with Z or an offset, or in one zone without."""
+"""ISO 8601 with date and time, as loggers write it, with or without Z or an offset."""
 _SLOWEST_S = 2.0
-"""Step between rows from which a time without a unit may as well be in ms."""
+"""Step between rows from which a time without a unit may also be in ms."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,11 @@ class SamplesTable:
     head : Head
     dialect : Dialect
     series : dict of str to (n,), (n, 2) or (n, 3) float
-        Samples by the fields of a `Dwell`; without those that the file does not have.
+        Samples by the fields of a `Dwell`, without fields that the file lacks.
     runs : dict of str to list of (int, str)
-        Rows at which a text begins that lasts until the next one.
+        Runs of equal text: first row and text of each.
     lines : list of (int, int)
-        Rows from which on the number of the line is known, and that number.
+        Pairs of a row and its line number; the rows up to the next pair follow line by line.
     notes : tuple of str
     """
 
@@ -71,11 +71,11 @@ class SamplesTable:
 
     @property
     def path(self) -> Path:
-        """Where it came from."""
+        """Path of the file."""
         return self.head.path
 
     def line_of(self, row: int) -> int:
-        """Number of the line, counted from 1, that holds a row."""
+        """Line number of a row, counted from 1."""
         at, line = self.lines[bisect_right(self.lines, (row, 1 << 62)) - 1]
         return line + row - at
 
@@ -84,12 +84,12 @@ class SamplesTable:
         return DataError(f"{self.path.name}, row {self.line_of(row)}: {message}")
 
     def number(self, name: str, text: str) -> float:
-        """Number of a cell of a column that holds one value a dwell, in the format's unit."""
+        """Number of a cell in a column with one value a dwell, in the format's unit."""
         multiply, divide, add = self.head.columns[name].scale
         return self.dialect.number(text) * multiply / divide + add
 
     def texts(self, name: str, rows: slice) -> Iterator[tuple[int, str]]:
-        """Each text of such a column within rows, with the row where it begins there."""
+        """Texts of such a column within rows, each with the first row of its run."""
         runs = self.runs[name]
         at = bisect_right(runs, rows.start, key=lambda run: run[0]) - 1
         while at < len(runs) and runs[at][0] < rows.stop:
@@ -98,7 +98,7 @@ class SamplesTable:
 
 
 class _Reader:
-    """Rows of one file on their way into arrays."""
+    """Collects the rows of one file in arrays."""
 
     def __init__(self, head: Head, dialect: Dialect) -> None:
         self.head, self.dialect = head, dialect
@@ -122,7 +122,7 @@ class _Reader:
         self._joined = ""
         """Note on marks between thousands, once there are any."""
         self._waiting: tuple[int, str, str] | None = None
-        """Line that may only stand at the end: number, what is wrong with it elsewhere, note at the end."""
+        """Line that is allowed only at the end: its number, the error elsewhere, the note at the end."""
 
     def fail(self, line: int, message: str) -> DataError:
         return DataError(f"{self.head.path.name}, row {line}: {message}")
@@ -135,14 +135,14 @@ class _Reader:
                 try:
                     columns = {name: self._numbers(name, cells[self.place[name]]) for name in self.series}
                 except ValueError:
-                    pass  # whatever it is, the rows one by one will tell
+                    pass  # reading row by row names the fault
                 else:
                     self._add([(0, chunk.first)], cells, columns)
                     return
         self._walk(chunk)
 
     def _regular(self, chunk: Chunk) -> list[list[str]] | None:
-        """Columns of a chunk whose rows are all alike and have neither quotes nor comments; else None."""
+        """Columns of a chunk if all rows have the same form, without quotes and comments; else None."""
         delimiter, lines = self.dialect.delimiter, chunk.lines
         if delimiter == SPACE or not lines or chunk.cut:
             return None
@@ -159,12 +159,12 @@ class _Reader:
         return columns
 
     def _numbers(self, name: str, cells: list[str]) -> Floats:
-        """Numbers of a column's cells, all of them plain.
+        """Numbers of a column's cells.
 
         Raises
         ------
         ValueError
-            One is not.
+            A cell has no plain number.
         """
         if name == "time_s" and (self._began or (not self.n and _WALL_CLOCK.fullmatch(cells[0].strip()))):
             return np.array([self._since_beginning(cell) for cell in cells])
@@ -184,7 +184,7 @@ class _Reader:
         Raises
         ------
         ValueError
-            No date with a time, or an offset from UTC in some rows only.
+            The cell has no date with a time, or only some rows have an offset from UTC.
         """
         text = cell.strip()
         if not _WALL_CLOCK.fullmatch(text):
@@ -222,7 +222,7 @@ class _Reader:
         self._add([(k, numbers[k]) for k in (0, *jumps)], columns, values)
 
     def _cells(self, number: int, line: str) -> list[str] | None:
-        """Cells of a row, as many as the header has; None for one that may stand at the end."""
+        """Cells of a row, as many as the header has; None for a row that is allowed only at the end."""
         width = self.head.width
         try:
             cells = self.dialect.cells(line)
@@ -283,7 +283,7 @@ class _Reader:
         return values
 
     def _what(self, name: str, cell: str) -> str:
-        """What is wrong with a cell that should be a number."""
+        """Fault of a cell that should be a number."""
         if not cell:
             return "empty"
         try:
@@ -302,7 +302,7 @@ class _Reader:
         return f"'{cell}' is not a number in a file with decimal {own}s"
 
     def _add(self, lines: list[tuple[int, int]], cells: list[list[str]], values: dict[str, Floats]) -> None:
-        """Add rows: lines on which they stand, texts by place, numbers by name."""
+        """Add rows: their line numbers, texts by place, and numbers by name."""
         for row, line in lines:
             if not self.lines or self._next_line(self.n + row) != line:
                 self.lines.append((self.n + row, line))
@@ -377,9 +377,9 @@ def table_of(path: Path, wanted: dict[str, str]) -> SamplesTable:
     Raises
     ------
     DataError
-        As `read_samples_csv`.
+        See `read_samples_csv`.
     UsageError
-        As `head_of`.
+        See `head_of`.
     """
     head = head_of(path, wanted)
     reader = _Reader(head, _decided(head))
@@ -429,7 +429,7 @@ def _decided(head: Head) -> Dialect:
 
 
 def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
-    """Mark that a chunk's numbers prove (empty: none), and line and text of the first undecided one."""
+    """Decimal mark that a chunk proves, or empty; and line and text of the first ambiguous number."""
     places = [column.place for name, column in head.columns.items() if name not in ("approach", "use")]
     undecided: tuple[int, str] | None = None
     for number, line in enumerate(chunk.lines, chunk.first):
@@ -452,7 +452,7 @@ def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
 
 
 def _refuse_unclear_time(table: SamplesTable) -> None:
-    """Refuse a time without a unit whose rows are far apart: it may be in milliseconds."""
+    """Refuse a time without a unit if its rows are far apart: it may be in milliseconds."""
     column = table.head.columns["time_s"]
     if column.plain or column.unit or len(table) < 2:
         return
@@ -471,18 +471,17 @@ MOST_DWELLS = MOST_POSITIONS
 def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Session:
     """Session of a samples CSV.
 
-    Rows are named by the number of their line in the file, counted from 1, comment lines included. What was
-    left out, and what the file calls otherwise than the format, stands in `Session.notes`.
+    Messages name rows by the line number in the file, counted from 1 with comment lines. `Session.notes`
+    lists the parts that were left out and the columns with other names.
 
     Raises
     ------
     DataError
-        In one line with file and row: not text, damaged gzip, empty, unknown value of a key, missing
-        column, unit that is not known, text in a number, numbers that may be read in two ways, NaN or
-        infinity, time that goes back, a position whose rows are not contiguous, an angle, approach or use
-        that changes within a dwell.
+        One line with file and row: not text, damaged gzip, empty, unknown value of a key, missing column,
+        unknown unit, text in place of a number, ambiguous numbers, NaN or infinity, decreasing time, a
+        position whose rows are not contiguous, an angle, approach or use that changes within a dwell.
     UsageError
-        `overrides` names a column that is not there.
+        `overrides` names a column that does not exist.
     """
     path, overrides = Path(path), overrides or Overrides()
     table = table_of(path, dict(overrides.columns))
@@ -536,7 +535,7 @@ def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dw
 
 
 def _dwells_by_stillness(file: str, recording: Dwell) -> tuple[list[slice], list[str], bool]:
-    """Dwells of a continuous recording, what was found, and whether it is a free turn."""
+    """Dwells of a continuous recording, remarks on them, and whether it is a free turn."""
     try:
         slices, notes = segment_with_notes(recording.time_s, recording.accel, recording.gyro)
     except DataError as error:
@@ -596,11 +595,11 @@ class _Remarks:
     given : list of str
         Columns with a value in any row.
     taken : dict of str to int
-        Dwells whose value was noted before their first row, by column.
+        Number of dwells whose value was noted before their first row, by column.
     filled, unused : list of str
-        Columns with empty cells within a dwell, and columns of which no dwell has a value.
+        Columns with empty cells within a dwell, and columns without a value in any dwell.
     lost : list of str
-        Values without a dwell, in words.
+        Sentences on values that belong to no dwell.
     """
 
     dwells: int
@@ -611,7 +610,7 @@ class _Remarks:
     lost: list[str] = field(default_factory=list)
 
     def notes(self, *, free: bool) -> tuple[str, ...]:
-        """One line each."""
+        """All remarks, one line each."""
         notes = []
         unused = self.given if free else self.unused
         if unused:
@@ -636,11 +635,11 @@ def _per_dwell(
     parse: Callable[[SamplesTable, str], Any],
     said: _Remarks,
 ) -> list[Any]:
-    """Values of a column that has one value a dwell; None for a dwell without a value.
+    """Values of a column with one value a dwell; None for a dwell without a value.
 
     Cells of a dwell may be empty if another cell of the dwell has the value. If all of them are empty, the
-    last value between the dwell and the one before counts: a dwell that is found by stillness begins some
-    rows after the row where somebody noted the angle.
+    last value between this dwell and the dwell before is used: a dwell that is found by stillness begins
+    some rows after the row with the noted angle.
     """
     if name not in table.runs:
         return [None] * len(slices)
@@ -655,7 +654,7 @@ def _per_dwell(
     last: list[tuple[int, str]] = []
     for k, (rows, texts) in enumerate(zip(slices, inside, strict=True)):
         if not texts and before:
-            # Two dwells without a row between them are one that was split at a step.
+            # Two dwells without a row between them are parts of one dwell that was split at a step.
             texts = gaps[k][-1:] or (last if rows.start == edges[k] else [])
             taken += bool(texts)
             last = texts
@@ -673,7 +672,7 @@ def _per_dwell(
 
 
 def _stated(table: SamplesTable, name: str, rows: slice) -> list[tuple[int, str]]:
-    """Texts of a column within rows that are not empty, each with the row where it begins."""
+    """Texts of a column within rows that are not empty, each with its first row."""
     if rows.start >= rows.stop:
         return []
     return [(row, text.strip()) for row, text in table.texts(name, rows) if text.strip()]

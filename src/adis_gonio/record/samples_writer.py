@@ -1,7 +1,7 @@
 """Sessions as samples CSV and JSON, templates to fill in, and a recording written while it is measured.
 
-Numbers are written with the fewest digits that give the same float again, so that what is written is read
-back without a change.
+Numbers are written with the fewest digits that give the same float again, so that a file is read back
+unchanged.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     Raises
     ------
     DataError
-        If dwells differ in their columns (one has gyros, another has not) or the session has no dwell.
+        Dwells differ in their columns (only some have gyros), or the session has no dwell.
     """
     path = Path(path)
     dwells = session.sampled
@@ -55,7 +55,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
 
 
 def _leading_lines(values: Mapping[str, Any]) -> list[str]:
-    """Lines of keys; one without a value, to be filled in, for None or an empty text."""
+    """Lines of keys; for None or an empty text the value is left empty, to be filled in."""
     texts = {name: "" if value is None else KEYS[name].text(value) for name, value in values.items()}
     return [f"# {name}: {without_formulas(text)}".rstrip() for name, text in texts.items()]
 
@@ -65,7 +65,7 @@ def _file_text(leading: list[str], names: list[str], rows: Iterable[Iterable[str
 
 
 def _columns_to_write(dwells: tuple[Dwell, ...], file: str) -> list[str]:
-    """Columns in the file's order; those that no dwell has are left out."""
+    """Columns in the file's order, without columns that no dwell has."""
     columns = [dwell.columns() for dwell in dwells]
     first = [{name: COLUMNS[name].text(values[0]) for name, values in c.items()} for c in columns]
     names = []
@@ -113,14 +113,14 @@ def template_text(
     gravity_mps2: float = STANDARD_GRAVITY_MPS2,
     fixture_sigma_deg: float | None = None,
 ) -> str:
-    """A file to fill in by hand, as text: keys, what they mean, and one row a position of a plan.
+    """Text of a file to fill in by hand: keys, their meaning, and one row for each position of a plan.
 
-    Times and readings are left empty, and whoever fills them in changes nothing else.
+    Only times and readings are left empty.
 
     Raises
     ------
     UsageError
-        Readings in LSB of a sensor whose LSB is not known.
+        Readings are in LSB of a sensor of unknown LSB.
     """
     if sensor == "generic" and accel_unit == "lsb":
         raise UsageError("a generic sensor has no LSB that is known: give --unit mg, g, mps2 or counts")
@@ -165,9 +165,10 @@ def write_template(path: Path, text: str) -> None:
 
 
 def export_csv(session: Session, path: str | Path) -> None:
-    """Write the samples CSV (gzipped where the name ends in `.gz`).
+    """Write the samples CSV (gzipped if the name ends in `.gz`).
 
-    What the format has no key for (registers, configuration, truth) stays behind; `export_json` has it.
+    Registers, configuration and truth are left out, since the format has no keys for them; `export_json`
+    writes them.
 
     Raises
     ------
@@ -176,14 +177,14 @@ def export_csv(session: Session, path: str | Path) -> None:
     SessionError
         It cannot be written.
     DataError
-        As `write_samples_csv`.
+        See `write_samples_csv`.
     """
     with _new_file(path) as beside:
         write_csv(session, beside)
 
 
 def write_csv(session: Session, path: Path) -> None:
-    """Write the samples CSV to a file that is still called otherwise; `DataError` names the session."""
+    """Write the samples CSV to a temporary file; a `DataError` names the session instead of the file."""
     try:
         write_samples_csv(session, path)
     except DataError as error:
@@ -192,7 +193,7 @@ def write_csv(session: Session, path: Path) -> None:
 
 
 def export_json(session: Session, path: str | Path) -> None:
-    """Write everything that the session holds, samples included, as one JSON document.
+    """Write all data of a session, with its samples, as one JSON document.
 
     Raises
     ------
@@ -212,7 +213,7 @@ def export_json(session: Session, path: str | Path) -> None:
 
 
 def session_dict(session: Session) -> dict[str, Any]:
-    """JSON form of a session; units as in `Session`, `fixture_sigma_deg` is "free" where it is infinite."""
+    """JSON form of a session in the units of `Session`; an infinite `fixture_sigma_deg` is "free"."""
     stated = {name: getattr(session, name) for name in KEYS if hasattr(session, name)}
     if session.free_attitudes:
         stated["fixture_sigma_deg"] = "free"
@@ -233,7 +234,7 @@ def _dwell_dict(dwell: Dwell) -> dict[str, Any]:
 
 @contextmanager
 def _new_file(path: str | Path) -> Iterator[Path]:
-    """Path beside a file that does not exist yet, which takes its place at the end."""
+    """Temporary path for a file that does not exist yet; it is renamed to the file at the end."""
     path = Path(path)
     if path.exists():
         raise exists_error(path)
@@ -247,14 +248,14 @@ def _new_file(path: str | Path) -> Iterator[Path]:
 class SamplesRecorder:
     """Writes scans to a samples CSV (`.csv` or `.csv.gz`), a row a scan; use it as a context manager.
 
-    Accelerometers are written in LSB, as the sensor gave them (of a generic one in mg); gyros in °/s,
-    temperature in °C, supply in V. Registers that the format has no column for are left out.
+    Accelerations are written in LSB of the sensor (of a generic sensor in mg), rates in °/s, temperatures
+    in °C, the supply in V. Registers without a column in the format are left out.
 
     Attributes
     ----------
     path : Path
     notes : list of str
-        What the reader of the file has to know; written with its header, before the first row.
+        Remarks for the reader of the file, written before its first row.
 
     Raises
     ------

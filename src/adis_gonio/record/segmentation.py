@@ -1,17 +1,18 @@
-"""Dwells of a continuous recording: where the sensor stood still, however long the recording is.
+"""Dwells of a continuous recording of any length: the stretches in which the sensor was still.
 
-A window of samples is still where the standard deviation of every axis lies between the limits of
-`adis_gonio.record.stillness`; the noise of an axis is that of its quietest stretches (median of all
-windows whose deviation is less than twice the lowest twentieth).
+A window of samples is still if the standard deviation of every axis lies between the limits of
+`adis_gonio.record.stillness`. The noise of an axis is the median deviation of its quiet windows, those with
+a deviation of less than twice the 5 % quantile.
 
-Gyros see a slow turn that the accelerations hide, but a part held by hand wobbles far above their noise
-without harm; so their limit is ten times their median where the accelerations are still.
+Gyros detect a slow turn that the accelerations do not show, but a part held by hand moves far above their
+noise without harm. Their limit is therefore ten times their median in windows in which the accelerations
+are still.
 
-Every run of still windows is trimmed at both ends, where the hand is still near, and kept if it lasts. A
+Every run of still windows is trimmed at both ends, which the hand may disturb, and kept if it is long. A
 run within which the mean moves on (a slip, or a slow turn) is split there.
 
 The recording is read several times from its beginning, a block at a time: its extent, its noise, the gyros'
-noise, its dwells. Memory holds one block and what was found, not the samples.
+noise, its dwells. Memory is needed for one block and the results only.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _LEAST_WINDOW = 8
 _BLOCK = 1 << 16
 """Rows that are worked on at a time."""
 _FIRST = 20_000
-"""Rows at the beginning that tell the converter's step."""
+"""Rows at the beginning that determine the converter's step."""
 
 Flags = NDArray[np.bool_]
 
@@ -80,7 +81,7 @@ Reading = Callable[[], Iterable[Piece]]
 def segment_with_notes(
     time_s: Floats, accel: Floats, gyro: Floats | None = None
 ) -> tuple[list[slice], list[str]]:
-    """Dwells of a continuous recording in memory, and lines on what was found.
+    """Dwells of a continuous recording in memory, and remarks on them.
 
     Parameters
     ----------
@@ -94,25 +95,25 @@ def segment_with_notes(
     Returns
     -------
     list of slice
-        Rows of each dwell, in order; empty where the sensor never rests.
+        Rows of each dwell, in order; empty if the sensor never rests.
     list of str
 
     Raises
     ------
     DataError
-        If the samples never change (stuck data).
+        The samples never change (stuck data).
     """
     whole = Piece(time_s, accel, gyro)
     return segment_pieces(lambda: (whole,))
 
 
 def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
-    """Same of a recording that need not fit into memory; how it is cut into pieces changes nothing.
+    """Dwells of a recording that may be larger than memory; its division into pieces changes nothing.
 
     Parameters
     ----------
     read : callable
-        Returns the recording's pieces in order, anew at each of up to four calls.
+        Returns the pieces of the recording in order; called up to four times.
     """
     extent = _Extent()
     for piece in _blocks(read()):
@@ -148,7 +149,7 @@ def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
 
 
 def _blocks(pieces: Iterable[Piece]) -> Iterator[Piece]:
-    """The same samples in blocks of `_BLOCK` rows, the last one shorter."""
+    """Samples in blocks of `_BLOCK` rows; the last block is shorter."""
     waiting: list[Piece] = []
     held = 0
     for piece in pieces:
@@ -193,8 +194,8 @@ _SHIFT = 52 - 10
 class Quantiles:
     """Numbers of zero or more, fed in pieces; any quantile of them to 0.1 %.
 
-    A bin answers with the mean of what fell into it, so that numbers which are all alike come back as they
-    are. Memory grows with the logarithm of the largest over the smallest number only.
+    A quantile is the mean of the numbers in its bin, so that equal numbers are returned unchanged. Memory
+    grows only with the logarithm of the ratio of the largest to the smallest number.
     """
 
     def __init__(self) -> None:
@@ -261,12 +262,12 @@ class Quantiles:
             self._first -= before
 
 
-# What a pass finds --------------------------------------------------------------------------------------
+# Results of the passes ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Sizes:
-    """Lengths in samples: of a window, of what is trimmed at an end, of the shortest dwell."""
+    """Lengths in samples: of a window, of the part trimmed at an end, of the shortest dwell."""
 
     window: int
     trim: int
@@ -310,13 +311,13 @@ class _Range:
 
     @property
     def rounding(self) -> Floats:
-        """Variance (axes,) below which a window is constant: what rounding of the running sums leaves."""
+        """Variance (axes,) below which a window is constant: the rounding error of the running sums."""
         least: Floats = 1e-12 * np.maximum(self.high - self.middle, self.middle - self.low) ** 2
         return least
 
     @property
     def quantum(self) -> Floats:
-        """The converter's step (axes,), 0 where the first rows do not change."""
+        """The converter's step (axes,); 0 for an axis that does not change in the first rows."""
         steps = np.zeros(self.axes)
         largest = np.maximum(np.abs(self.low), np.abs(self.high))
         first = np.concatenate(self._first)
@@ -339,7 +340,7 @@ class _Range:
 
 @dataclass
 class _Extent:
-    """First pass: how long the recording is, and between what its samples lie."""
+    """First pass: length of the recording and ranges of its samples."""
 
     rows: int = 0
     steps: Quantiles = field(default_factory=Quantiles)
@@ -373,7 +374,7 @@ def _deviation(samples: Floats, window: int, middle: float, rounding: float) -> 
 
 
 def _deviations(samples: Floats, window: int, extent: _Range) -> Iterator[Floats]:
-    """The same of samples (n, axes), axis by axis."""
+    """Standard deviations in every window of samples (n, axes), axis by axis."""
     for axis in range(extent.axes):
         middle, rounding = float(extent.middle[axis]), float(extent.rounding[axis])
         yield _deviation(samples[:, axis], window, middle, rounding)
@@ -390,7 +391,7 @@ def _limits(read: Reading, extent: _Range, window: int) -> tuple[Floats, Stillne
 
 
 def _own_noise(spread: Quantiles) -> float:
-    """Noise of an axis: typical deviation of its quiet windows; zero where words often repeat."""
+    """Noise of an axis: median deviation of its quiet windows; zero if words often repeat."""
     alive = spread.positive
     if not alive or alive < (1 - _OFTEN) * (alive + spread.zeros):
         return 0.0
@@ -417,7 +418,7 @@ def _turn_limits(read: Reading, extent: _Extent, limits: StillnessLimits) -> Flo
 
 
 def _outside(accel: Floats, extent: _Range, limits: StillnessLimits) -> tuple[Flags, Flags]:
-    """Windows (w,) in which an axis moves, and in which one shows less than a living sensor would."""
+    """Windows (w,) in which an axis moves, and windows in which an axis shows too little noise."""
     windows = max(len(accel) - limits.window_samples + 1, 0)
     high, low = np.zeros((2, windows), dtype=np.bool_)
     for axis, deviation in enumerate(_deviations(accel, limits.window_samples, extent)):
@@ -493,7 +494,7 @@ class _Cutter:
             means = (sums[window:] - sums[:-window]) / window
             np.maximum(jump, np.abs(means[window:] - means[:-window]) / self._unit[axis], out=jump)
         rows = np.flatnonzero((jump > UPPER) & still[window:] & still[:-window])
-        # A pair of windows lies in one block only: the overlap is a row shorter.
+        # The overlap of blocks is one row shorter than a pair of windows, so that no pair occurs twice.
         if rows.size:
             self._steps.append((start + rows, jump[rows]))
 
@@ -525,7 +526,7 @@ class _Cutter:
 
 
 class _Runs:
-    """Runs of true flags, fed in pieces, each told as (first, last) when it has ended."""
+    """Runs of true flags, fed in pieces; each run is returned as (first, last) when it has ended."""
 
     def __init__(self) -> None:
         self._fed = 0
@@ -544,7 +545,7 @@ class _Runs:
         return found
 
     def end(self) -> list[tuple[int, int]]:
-        """The run that stands at the end, if one does."""
+        """The unfinished run at the end, if any."""
         return [] if self.open is None else [(self.open, self._fed - 1)]
 
 
@@ -556,14 +557,14 @@ _OUT_OF_PLANE = 0.25
 
 
 def shows_a_free_turn(recording: Dwell, dwells: Sequence[slice]) -> bool:
-    """True where a continuous recording with gyros is one turn in the plane of X and Y.
+    """True if a continuous recording with gyros is one turn in the plane of X and Y.
 
-    It turns half around or more, and for more than half of its time.
+    A free turn is half a turn or more and takes more than half of the time.
 
     Parameters
     ----------
     dwells : sequence of slice
-        Rests that were found in it; a hand that takes a new grip leaves some too.
+        Dwells that were found; a hand that changes its grip also causes some.
     """
     rest = sum(rows.stop - rows.start for rows in dwells)
     if recording.gyro is None or rest > _MOST_REST * len(recording) or len(recording) < 2 * _LEAST_WINDOW:

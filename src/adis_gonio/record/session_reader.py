@@ -35,9 +35,9 @@ from adis_gonio.record.plans import Plan
 FREE_TURN = "free-turn"
 """Name of the plan."""
 GOES_ON = "the turn goes on"
-"""Reason of an attempt that is a piece of a free turn and not its last."""
+"""Reason of an attempt that is a piece of a free turn, but not the last piece."""
 TURNED = "turned"
-"""Reason of an attempt that is a whole turn, and not a dwell; its scans are those before the next dwell."""
+"""Reason of an attempt that is a whole turn and no dwell; its scans precede the next dwell."""
 
 
 @dataclass(frozen=True)
@@ -48,19 +48,19 @@ class ArchivedTurns:
     ----------
     path : Path
     attempts : tuple of int
-        Attempts that are the session's dwells, in order: those of the time when it was read.
+        Numbers of the attempts that were the session's dwells when it was read, in order.
     """
 
     path: Path
     attempts: tuple[int, ...]
 
     def __call__(self) -> tuple[Turn, ...]:
-        """Turns, one less than dwells; none where the file is not there any more or is another by now.
+        """Turns, one less than dwells; empty if the file is missing or was replaced.
 
         Raises
         ------
         DataError
-            As `ArchiveView`.
+            See `ArchiveView`.
         """
         if not self.path.is_file():
             return ()
@@ -75,7 +75,7 @@ class ArchivedTurns:
             for k, (before, after) in enumerate(pairwise(dwells)):
                 blocks = list(_between(view, stored, before, after))
                 declared = plan.positions[after.place].turned_deg if after.place < len(plan) else None
-                # A mark is reached from the place before it alone: of anything else nobody says how far.
+                # The turn is declared only if the part came from the position before in the plan.
                 declared = declared if after.place == before.place + 1 else None
                 made.append(_turn(k, blocks, after, declared))
         return tuple(made)
@@ -84,11 +84,11 @@ class ArchivedTurns:
 def _between(
     view: ArchiveView, stored: Sequence[StoredAttempt], before: StoredAttempt, after: StoredAttempt
 ) -> Iterator[Block]:
-    """Scans from the end of a dwell to the beginning of another, in order.
+    """Scans from the end of a dwell to the beginning of the next dwell, in order.
 
-    Attempts in between (interrupted ones, dwells that were repeated) belong to it with all their scans.
-    Those of another run than the second dwell's are of another stream: left out, and the gap tells. Whole
-    turns begin and end at a mark: the last one that was made counts, without what was tried before.
+    Attempts in between (interrupted or repeated dwells) are included with all their scans. Attempts of
+    another run than the second dwell's are left out, since their stream is another one; this makes a gap.
+    Whole turns begin and end at a mark: only the last one counts.
     """
     between = [a for a in stored if before.number < a.number < after.number and a.run == after.run]
     whole = [k for k, attempt in enumerate(between) if attempt.reason == TURNED]
@@ -124,9 +124,10 @@ def _turn(number: int, blocks: list[Block], after: StoredAttempt, turned_deg: fl
 
 
 def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
-    """The whole of the last complete turn, else of the longest one, and what broke that one off.
+    """Recording of the last complete free turn and an empty text.
 
-    None where nothing was recorded.
+    If no turn is complete: the longest recording and the reason why it was broken off; None if there is no
+    recording.
     """
     chains: list[list[StoredAttempt]] = [[]]
     for attempt in view.attempts():
@@ -161,14 +162,13 @@ def read_session(path: str | Path) -> Session:
     """Read a session file: its complete dwells, in the order in which they were recorded.
 
     A session may be read while another program records it. Samples are in LSB (of a generic sensor in mg)
-    and °/s, times in seconds since the session began. `facts` holds `configuration`, `registers` (before,
+    and °/s, times in seconds since the session began. `facts` has `configuration`, `registers` (before,
     configured, after), `plan`, `settings`, `url`, `note`, `runs`, `dwells` (times, lost and dropped scans,
-    STATUS and alarms of each), `reversed` (True where the stage's angles were taken with the other sign),
-    `doubts` (why the result cannot be right: what was kept against a guard), `remarks` (the operator's),
-    `scanning` (how scans were got), `problems`, `advised` (what an advisor asked for, round by round),
-    `turned` (the gyros' integrals between dwells, as the bench had them),
-    `offset_writes` (what `adis_gonio.bench.writeback` has written to the sensor since, step by step),
-    `complete`, and for simulated sessions alone `truth`, which no fit may use.
+    STATUS and alarms of each), `reversed` (True if the stage's angles were taken with the opposite sign),
+    `doubts` (guards that were overruled), `remarks` (of the operator), `scanning` (how scans were read),
+    `problems`, `advised` (requests of an advisor, round by round), `turned` (the gyros' integrals between
+    dwells, as computed on the bench), `offset_writes` (steps of `adis_gonio.bench.writeback` since then),
+    `complete`, and for simulated sessions `truth`, which no fit may use.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def read_session(path: str | Path) -> Session:
         The file is missing, of another kind, damaged, truncated or newer than this program, or has no
         complete dwell.
     SessionError
-        It cannot be read here, or holds no session yet.
+        It cannot be read here, or has no session yet.
     """
     with ArchiveView(path) as view, view.snapshot():
         header, plan, stored = view.header(), view.plan(), view.dwells()
@@ -207,7 +207,7 @@ def read_session(path: str | Path) -> Session:
 
 
 def _free_turn(path: str | Path, view: ArchiveView) -> Session:
-    """One continuous turn; what a broken one has is taken, and said."""
+    """Session of one continuous turn; if it was broken off, a note gives the reason."""
     recording, reason = recording_of(view)
     if recording is None:
         raise DataError(f"{path}: holds no turn yet; resume the session")
@@ -270,7 +270,7 @@ def _session(
 
 
 def _of_writes(facts: JsonDict) -> tuple[str, ...]:
-    """What a write-back to the sensor means for the results; nothing where there was none."""
+    """Remarks on a later write-back to the sensor; empty if there was none."""
     recorded = facts["registers"]["configured"]
     if not facts["offset_writes"] or not recorded:
         return ()
@@ -307,7 +307,7 @@ def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
 
 
 def _changed_registers(view: ArchiveView) -> list[JsonDict]:
-    """Return the doubt about a session whose registers were not the same at its end as at its beginning."""
+    """Return a doubt if the registers at the end of a session differ from those at its beginning."""
     then, now = view.last("registers-configured"), view.last("registers-after")
     changed = changed_settings(then or {}, now or {})
     if not changed:

@@ -14,10 +14,10 @@ from adis_gonio.device.sensor.registers import ACCEL_OUT
 from adis_gonio.device.sensor.settings import sample_period_s, sens_avg_word
 
 LEAST_SAMPLES = 16
-"""A dwell of fewer samples tells too little about its own noise."""
+"""Samples that a dwell needs so that its noise can be estimated."""
 
 TURN_S = 10.0
-"""Estimate of a turn by hand, until one has been timed."""
+"""Estimate of a turn by hand, until the first one has been timed."""
 
 
 def expected_each_s(settle_s: float, dwell_s: float) -> float:
@@ -44,12 +44,12 @@ class Settings(JsonRecord):
     gyro_range_dps : int
         300, 150 or 75.
     data_ready : bool or None
-        Data-ready pulses for the time of the session; None uses them where the bus can and the line is
-        wired, True insists on it, False polls.
+        Use of data-ready pulses: None uses them if the bus supports it and the line is wired, True requires
+        them, False polls.
     registers : tuple of str
-        What a scan holds; the three accelerometer outputs are the least.
+        Registers of a scan; the three accelerometer outputs are required.
     turns : bool
-        Keep what is scanned between the dwells too: the last minutes before each one.
+        Keep the scans of the last minutes before each dwell too.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Where a session's samples come from: the chip behind its driver, or any other sensor.
+"""Sources of samples for a session: the chip behind its driver, or any other sensor.
 
-`SampleSource` is all that a session knows of its sensor. `ChipSource` is the driver as one; a package adds
-others by an entry point in the group `adis_gonio.source`: scheme = "module:opener".
+A session knows its sensor only as a `SampleSource`. `ChipSource` is the source for the driver; a package
+adds other sources by an entry point in the group `adis_gonio.source`: scheme = "module:opener".
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ class Measuring(Protocol):
 
     @property
     def sample_period_s(self) -> float:
-        """Time between two of them."""
+        """Time between two samples."""
 
     @property
     def settling_s(self) -> float:
-        """Time until a filter has forgotten what was before; 0 where none is known."""
+        """Settling time of the filter; 0 if no filter is known."""
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -50,23 +50,23 @@ class SampleStream(Protocol):
     Attributes
     ----------
     how : str
-        How the samples are got, in words.
+        How the samples are read, as text.
     """
 
     how: str
 
     @property
     def caveat(self) -> str:
-        """What has to be known of the samples, in words; empty where nothing has."""
+        """Limitation of the samples, as text, or empty."""
 
     def __iter__(self) -> Iterator[Block]:
         """Itself."""
 
     def __next__(self) -> Block:
-        """Next block; raises `BusError` where the sensor fails."""
+        """Next block; raises `BusError` if the sensor fails."""
 
     def close(self) -> None:
-        """Stop, and set back what was changed for the stream; may be called twice."""
+        """Stop and undo changes made for the stream; may be called twice."""
 
     def __enter__(self) -> Self:
         """Itself."""
@@ -82,7 +82,7 @@ class SampleStream(Protocol):
 
 @dataclass(frozen=True)
 class KnownPart:
-    """What is known of a sensor before it is measured.
+    """Properties of a sensor that are known before it is measured.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class KnownPart:
     initial_bias_mg : float
         Typical bias of an axis.
     step_mg : float
-        Step of the converter; 0 where it is not known.
+        Step of the converter; 0 if it is not known.
     """
 
     name: str
@@ -100,22 +100,22 @@ class KnownPart:
 
 
 class SampleSource(Closing):
-    """A sensor as a session sees it; a context manager. Errors are those of `adis_gonio.base.errors`.
+    """A sensor for a session; a context manager. It raises the errors of `adis_gonio.base.errors`.
 
     Methods about registers have defaults for a sensor without any.
 
     Attributes
     ----------
     url : str
-        What it was opened by.
+        URL by which it was opened.
     part : KnownPart
     stage, world : object or None
-        What moves it and what is hidden, where these are simulated (see `bench.MovableStage`,
-        `bench.SimulatedWorld`).
+        Stage that moves it and simulated world, if any (see `session_bench.MovableStage` and
+        `session_bench.SimulatedWorld`).
     kept : tuple of str
-        The settings of `Settings` that mean something to it; the archive keeps these.
+        Names of the `Settings` that apply to it; the archive keeps these.
     why_polled : str
-        Why samples are polled where data-ready could start them; else empty. Known after `configure`.
+        Reason why samples are polled instead of started by data-ready, or empty. Known after `configure`.
     """
 
     url: str
@@ -127,7 +127,7 @@ class SampleSource(Closing):
 
     @abstractmethod
     def now_s(self) -> float:
-        """The sensor's own monotonic clock, on which its samples' times are."""
+        """Time of the sensor's monotonic clock, which also gives the times of samples."""
 
     @abstractmethod
     def sleep_s(self, seconds: float) -> None:
@@ -135,62 +135,62 @@ class SampleSource(Closing):
 
     @abstractmethod
     def configure(self, settings: Settings) -> Measuring:
-        """Let it measure as the settings say, as far as it can, and say how it does.
+        """Set the sensor up by the settings, as far as they apply, and return its configuration.
 
-        What is borrowed for the samples' time alone (data-ready) stands until `give_back`.
+        Data-ready is borrowed until `give_back`.
         """
 
     def give_back(self) -> None:
-        """Set back what `configure` and `mark_restart` borrowed; may be called twice."""
+        """Undo temporary changes of `configure` and `mark_restart`; may be called twice."""
 
     def mark_restart(self) -> None:
-        """Write a number that a restart loses into a register that nothing uses, if there is one."""
+        """Mark an unused register, if there is one, with a number that a restart erases."""
 
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:
-        """Return the settings that shift or scale a sample, and the mark; empty without registers.
+        """Return the settings that shift or scale a sample, and the mark; empty if there are no registers.
 
         With `checked` raise `ChipError` if the replies cannot be the sensor's.
         """
         return {}
 
     def registers(self) -> dict[str, int]:
-        """All that can be read of its state; empty where there are no registers."""
+        """All readable registers by name; empty if there are none."""
         return {}
 
     @abstractmethod
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """What must be the same when a session goes on, out of registers and configuration then."""
+        """Facts from registers and configuration that must not change until a session is resumed."""
 
     @abstractmethod
     def expected_noise_mg(self, measuring: Measuring) -> float:
-        """Estimate of a sample's noise at rest; ten times that is motion."""
+        """Estimate of a sample's noise at rest; ten times this estimate counts as motion."""
 
     @abstractmethod
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
-        """Samples from now on, with nothing changed at the sensor that `configure` has set."""
+        """Stream of samples from now on, with the sensor as `configure` has set it."""
 
     def status(self) -> Status | None:
-        """Faults that the sensor reports, which clears them; None where it reports none."""
+        """Read and clear the reported faults; None if the sensor cannot report any."""
         return None
 
     @abstractmethod
     def close(self) -> None:
-        """Forget the sensor; may be called twice."""
+        """Close the sensor; may be called twice."""
 
 
 MARK = 0x2A5A
-"""Number in the level of an unused alarm while a session runs: after a restart its flash copy is there."""
+"""Number in the level of an unused alarm while a session runs; a restart restores the flash copy."""
 
 HOLDING_SETTINGS = tuple(
     row.name
     for row in REGISTERS
     if row.readable and row.writable and row.name not in ("GPIO_CTRL", "SLP_CNT")
 )
-"""Control registers that hold settings; the two left out hold levels of lines and a count that runs."""
+"""Control registers with settings; the two excluded registers have levels of lines and a counter."""
 
 
 class ChipSource(SampleSource):
-    """The driver as a source of samples."""
+    """Source of samples from the chip's driver."""
 
     kept = tuple(Settings.__dataclass_fields__)
 
@@ -213,14 +213,14 @@ class ChipSource(SampleSource):
         self.sensor.bus.sleep_s(seconds)
 
     def configure(self, settings: Settings) -> Configuration:
-        """Set the chip up, and borrow data-ready where it is wired unless the settings forbid it.
+        """Set the chip up, and borrow data-ready if it is wired, unless the settings forbid it.
 
         Raises
         ------
         SessionError
-            The settings insist on data-ready, and it cannot be used.
+            The settings require data-ready, and it cannot be used.
         ChipError
-            The manual self-test is on, or the chip lost its settings meanwhile.
+            The manual self-test is on, or the chip has lost its settings.
         """
         self._forget_old_mark()
         asked = (settings.smpl_prd, settings.filter_m, settings.gyro_range_dps)
@@ -237,7 +237,7 @@ class ChipSource(SampleSource):
         return now
 
     def _refuse_self_test(self) -> None:
-        """Raise `ChipError` while the stimulus of the manual self-test shifts every reading."""
+        """Raise `ChipError` if the stimulus of the manual self-test is on, which shifts every reading."""
         control = BY_NAME["MSC_CTRL"]
         stimulus = control.field("positive").mask | control.field("negative").mask
         word = self.sensor.read(control)
@@ -266,7 +266,7 @@ class ChipSource(SampleSource):
             raise SessionError(f"{self.url}: {self.why_polled} (the session asks for it)")
 
     def give_back(self) -> None:
-        """Set data-ready and the alarm's level back; may be called twice."""
+        """Restore data-ready and the level of the alarm; may be called twice."""
         loan, self._loan = self._loan, None
         marked, self._marked = self._marked, None
         try:
@@ -281,8 +281,8 @@ class ChipSource(SampleSource):
 
         If both alarms are in use, a restart shows only in registers that differ from their flash copies.
 
-        The offsets and the rate may be the same before and after a restart, because nobody changed what
-        the flash holds. ALM_MAG1 and ALM_MAG2 do nothing while their source in ALM_CTRL is 0 (DS, B).
+        Offsets and rate may be equal before and after a restart, if they have the values in the flash.
+        ALM_MAG1 and ALM_MAG2 have no effect while their source in ALM_CTRL is 0 (DS, B).
         """
         control = BY_NAME["ALM_CTRL"]
         word = self.sensor.read_words([control])[0]
@@ -295,15 +295,15 @@ class ChipSource(SampleSource):
                 return
 
     def _forget_old_mark(self) -> None:
-        """Clear the mark of a session whose program was killed."""
+        """Clear the mark of a session that was killed."""
         for name in ("ALM_MAG1", "ALM_MAG2"):
             if self.sensor.read(name) == MARK:
                 self.sensor.write(name, 0)
 
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:
-        """Bits of `READING_BITS` in their registers, and the alarm's level that holds the mark.
+        """Bits of `READING_BITS` in their registers, and the level of the marked alarm.
 
-        If both alarms are in use and nothing is marked, ALM_CTRL: a restart ends alarms set in RAM.
+        If both alarms are in use and no register is marked, ALM_CTRL: a restart ends alarms set in RAM.
         """
         names = [*READING_BITS, self._marked[0] if self._marked else "ALM_CTRL"]
         words = self.sensor.read_checked(names) if checked else self.sensor.read_words(names)
@@ -315,20 +315,20 @@ class ChipSource(SampleSource):
         return self.sensor.read_all()
 
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """The control registers that hold settings; without data-ready, whose wire may be there or not."""
+        """Control registers with settings, without the bits of data-ready, which depend on the wiring."""
         held = {name: registers.get(name) for name in HOLDING_SETTINGS}
         if held["MSC_CTRL"] is not None:
             held["MSC_CTRL"] &= ~DATA_READY_BITS
         return held
 
     def expected_noise_mg(self, measuring: Measuring) -> float:
-        """The variant's estimate behind the filter that is set."""
+        """The variant's noise estimate behind the present filter."""
         filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
         return self.sensor.variant.performance.noise_mg * white_noise_gain(filter_m)
 
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
         """Scans of the registers that the settings name."""
-        # The session has set the registers, and they stay as the archive says.
+        # The session has set the registers, and the archive has recorded them: the stream leaves them.
         return self.sensor.stream(
             settings.registers,
             block_scans=block_samples,
@@ -346,12 +346,12 @@ class ChipSource(SampleSource):
 
 
 def as_source(sensor: Adis16354 | SampleSource) -> SampleSource:
-    """A source of what may be the chip's driver."""
+    """Return a source for the chip's driver; return any other source unchanged."""
     return ChipSource(sensor) if isinstance(sensor, Adis16354) else sensor
 
 
 def has_frames(url: str) -> bool:
-    """False where a URL names a source of samples without a chip's frames behind it."""
+    """True if a URL names a bus with the chip behind it, False for other sources of samples."""
     return BusUrl.parse(url).scheme not in {point.name for point in entry_points(group=SOURCE_GROUP)}
 
 
@@ -361,12 +361,12 @@ def open_source(url: str, *, variant: str = "adis16354", check: bool = True) -> 
     Parameters
     ----------
     variant, check
-        As `open_sensor`; they mean the chip only.
+        See `open_sensor`; for the chip only.
 
     Raises
     ------
     UsageError, CannotOpenError
-        As `open_bus`.
+        See `open_bus`.
     """
     parsed = BusUrl.parse(url)
     for point in entry_points(group=SOURCE_GROUP):
@@ -377,7 +377,7 @@ def open_source(url: str, *, variant: str = "adis16354", check: bool = True) -> 
 
 
 def refuse_chip_options(url: str, given: Mapping[str, object]) -> None:
-    """Raise `UsageError` where options for the chip come with a URL that has none behind it."""
+    """Raise `UsageError` if options for the chip are given with a URL of another sensor."""
     names = [name for name, value in given.items() if value]
     if names and not has_frames(url):
         raise UsageError(f"{', '.join(names)}: for the ADIS16354 only; set up {url} by its own means")

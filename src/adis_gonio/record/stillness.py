@@ -1,4 +1,4 @@
-"""When a sensor counts as still: limits from its own noise, and the live watch by these limits.
+"""Stillness of a sensor: limits from its noise, and the live watch that applies them.
 
 The upper limit of the standard deviation within a window is four times the noise: rotation by hand exceeds
 it a hundredfold, the window's own scatter and a building's hum do not. The lower limit catches an axis
@@ -34,7 +34,7 @@ class StillnessLimits:
     window_samples : int
         Length of the window.
     lower, upper : (axes,) float
-        Limits in the unit of the samples; `lower` is zero where a constant word is normal.
+        Limits in the unit of the samples; `lower` is zero if a constant word is normal.
     """
 
     window_samples: int
@@ -56,7 +56,7 @@ def limits_from_noise(noise_sd: Floats, window_samples: int, quantum: Floats | f
     """
     noise = np.asarray(noise_sd, dtype=float)
     step = np.broadcast_to(np.asarray(quantum, dtype=float), noise.shape)
-    # Quantization alone shows as up to half a step where the value sits between two codes.
+    # Quantization alone gives up to half a step if the value lies between two codes.
     upper = UPPER * np.maximum(noise, step / np.sqrt(12))
     lower = np.where(noise > 0.5 * step, _LOWER * noise, 0.0)
     return StillnessLimits(window_samples, lower, upper)
@@ -65,15 +65,15 @@ def limits_from_noise(noise_sd: Floats, window_samples: int, quantum: Floats | f
 WINDOW_S = 0.25
 LEAST_WINDOW = 32
 SETTLINGS_PER_WINDOW = 8
-"""A window spans so many settling times of the filter, else its spread says little: neighbours agree."""
+"""Settling times of the filter in a window: in a shorter window neighbouring samples are correlated."""
 
 SHIFT_MG = 5.0
-"""A dwell whose mean goes so far from its beginning has moved (0.3° at the horizontal); slower and smaller
-changes are left in, they are effects to be found, not motion."""
+"""Shift of the mean since the beginning of a dwell that counts as motion (0.3° at the horizontal); smaller
+changes are kept in the dwell as effects to be found."""
 
 BEGIN_RATIO = 1.5
-"""Multiple of the noise below which a dwell may begin; it is broken off only by the limits' upper one. What
-rings out after a move shall not reach into the dwell."""
+"""Multiple of the noise below which a dwell may begin, so that ringing after a move has ended. A dwell is
+broken off only above the upper limit."""
 
 METER_WINDOWS = 8
 METER_RATIO = 1.6
@@ -92,19 +92,19 @@ def window_samples(measuring: Measuring) -> int:
 
 @dataclass(frozen=True)
 class Look:
-    """What one window shows.
+    """Result of one window.
 
     Attributes
     ----------
     end : int
-        Number of samples that had been fed at the window's end; it begins `window_samples` before.
+        Number of samples up to the end of the window, which begins `window_samples` before.
     state : {"still", "moving", "stuck"}
     why : str
-        What moves or is stuck, with numbers; empty where it is still.
+        The axis that moves or is stuck, with numbers; empty if the part is still.
     mean_mg, spread_mg : (3,) float
         Mean and standard deviation of the window.
     shifted : bool
-        True where the window itself is quiet, but its mean is not where the dwell began.
+        True if the window is quiet, but its mean has shifted since the dwell began.
     """
 
     end: int
@@ -138,14 +138,14 @@ class _Windows:
 
 
 class NoiseMeter:
-    """Finds the noise of a sample at rest: waits until eight windows in a row agree.
+    """Measures the noise of a sample at rest: waits until eight consecutive windows agree.
 
     Parameters
     ----------
     window : int
         Length of a window in samples.
     expected_mg : float
-        What the variant's estimated noise would be behind the filter; ten times that is motion.
+        Estimate of the variant's noise behind the filter; ten times this estimate counts as motion.
     """
 
     def __init__(self, window: int, expected_mg: float) -> None:
@@ -171,7 +171,7 @@ class NoiseMeter:
         Raises
         ------
         SessionError
-            An axis does not change at all: it is stuck.
+            An axis is stuck: it does not change at all.
         """
         for _, window in self._windows.feed(accel_mg):
             self._spreads = [*self._spreads, window.std(axis=0, ddof=1)][-METER_WINDOWS:]
@@ -189,14 +189,14 @@ class NoiseMeter:
 
 
 class StillnessWatch:
-    """Says of every window whether the part is still, moves, or an axis is stuck.
+    """Decides for every window whether the part is still, moves, or an axis is stuck.
 
     Parameters
     ----------
     limits : StillnessLimits
         In mg, from the noise of `NoiseMeter`.
     noise_mg : (3,) float
-        That noise, or what quantization alone gives where this is more.
+        This noise, or the effect of quantization alone if that is larger.
     """
 
     def __init__(self, limits: StillnessLimits, noise_mg: Floats) -> None:
@@ -215,7 +215,7 @@ class StillnessWatch:
         return self._windows.fed
 
     def anchor(self, sample: int | None) -> None:
-        """From this sample on the mean must stay where it is (a dwell begins); None lets it go."""
+        """Compare the mean with the mean at this sample (a dwell begins); None ends the comparison."""
         self._anchor_from, self._anchor = sample, None
 
     def feed(self, accel_mg: Floats) -> list[Look]:
@@ -225,7 +225,7 @@ class StillnessWatch:
     def _look(self, end: int, window: Floats) -> Look:
         mean, spread = window.mean(axis=0), window.std(axis=0, ddof=1)
         flat = spread < self._lower
-        # One flat window can be chance; a stuck axis stays flat.
+        # One flat window may be chance; a stuck axis stays flat.
         self._stuck = np.where(flat, self._stuck + 1, 0)
         if (self._stuck >= STUCK_LOOKS).any():
             k = int(np.argmax(self._stuck))

@@ -1,14 +1,13 @@
-"""The journal of writes in a session's archive, and what it says of a sensor that is looked at again.
+"""The journal of writes in a session's archive, and the state of a sensor by its journal.
 
-Every step is a record of kind `offsets`, written **before** what it announces (`planned`, `saving`) or
-**after** what it reports (`written`, `verified`, `saved`, `done`, `set-back`). A power cut therefore finds
-the journal at most one step behind the sensor, and registers, ENDURANCE and journal together tell where it
-was:
+Every step is a record of kind `offsets`, written **before** an action (`planned`, `saving`) or **after** it
+(`written`, `verified`, `saved`, `done`, `set-back`). A power cut therefore finds the journal at most one
+step behind the sensor, and the registers, ENDURANCE and the journal together determine the state:
 
 | registers | after |
 |---|---|
 | old | a cut before anything was saved (the part takes its flash copies at power-on), or an undo |
-| new | a write; in flash where ENDURANCE went up by one since `saving` |
+| new | a write; in flash if ENDURANCE went up by one since `saving` |
 | half | the program ended between two bytes or two registers while the power stayed |
 | other | somebody else wrote them, or it is another part |
 """
@@ -61,13 +60,13 @@ AFTER: dict[WriteStep | None, tuple[WriteStep, ...]] = {
     WriteStep.DONE: (),
     WriteStep.SET_BACK: (),
 }
-"""Which steps may follow which; what is in flash already is `saved` without `saving`. An autonull is
-`saving` from the start, since the part saves it by itself, and `saved` says what it found."""
+"""Steps that may follow each step. Numbers that are in flash already are `saved` without `saving`. An
+autonull begins with `saving`, since the part saves it automatically, and `saved` has the numbers found."""
 
 
 @dataclass(frozen=True)
 class Operation(JsonRecord):
-    """One write or undo as the journal tells it.
+    """One write, undo or autonull in the journal.
 
     Attributes
     ----------
@@ -75,15 +74,15 @@ class Operation(JsonRecord):
         From 1.
     op : {"write", "undo", "autonull"}
     old, new : dict of str to int
-        Numbers before the write and those that it writes; an undo has those of the write that it undoes, an
-        autonull the old ones until it is `saved`.
+        Numbers before the write and numbers to write. An undo has the numbers of the write that it undoes;
+        an autonull has the old numbers until it is `saved`.
     found : dict of str to int
-        Numbers at its start, or the old ones where these were neither old nor new; a write that breaks off
-        goes back to them.
+        Numbers at its start, or the old numbers if the registers were half written; a write that is broken
+        off restores them.
     save : bool
-        Flash was asked for.
+        True if saving to flash was requested.
     steps : tuple of WriteStep
-        What was recorded.
+        Recorded steps.
     endurance : int or None
         ENDURANCE when saving began.
     endurance_after : int or None
@@ -91,7 +90,8 @@ class Operation(JsonRecord):
     utc : str
         Time of the last record.
     beside : dict of str to int
-        Numbers in the other part's offset registers when saving began: the flash takes them too.
+        Numbers in the offset registers of the other half of the sensor when saving began; a flash update
+        saves them too.
     """
 
     document_keys = ("number", "op", "utc")
@@ -110,33 +110,33 @@ class Operation(JsonRecord):
 
     @property
     def open(self) -> bool:
-        """True where it was not brought to its end."""
+        """True if it was not completed."""
         return self.steps[-1] not in (WriteStep.DONE, WriteStep.SET_BACK)
 
     def concerns(self, names: Sequence[str]) -> bool:
-        """True where it is about registers of these names."""
+        """True if it writes a register of these names."""
         return any(name in names for name in self.old)
 
     @property
     def target_of_saving(self) -> dict[str, int]:
-        """Numbers that its flash update puts there."""
+        """Numbers that its flash update saves."""
         return self.old if self.op == "undo" else self.new
 
     @property
     def saved(self) -> bool:
-        """True where the flash was written and the journal knows it."""
+        """True if the journal records that the flash was written."""
         return WriteStep.SAVED in self.steps
 
     @property
     def target(self) -> dict[str, int]:
-        """Numbers that stand after it."""
+        """Numbers in the registers after it."""
         if self.steps[-1] is WriteStep.SET_BACK:
             return self.found
         return self.old if self.op == "undo" else self.new
 
 
 def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
-    """Operations out of the journal's records, in order (`Session.facts["offset_writes"]`)."""
+    """Operations from the records of the journal (`Session.facts["offset_writes"]`), in order."""
     found: dict[int, Operation] = {}
     for entry in entries:
         number, step = int(entry["number"]), WriteStep(entry["step"])
@@ -151,13 +151,13 @@ def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
 
 
 def operations_of(session: Session, names: Sequence[str] = ACCEL_OFF) -> tuple[Operation, ...]:
-    """Operations on these registers that a session's archive knows; none where it is no archive."""
+    """Operations on these registers in a session's archive; empty for other sessions."""
     known = operations(session.facts.get("offset_writes") or ())
     return tuple(operation for operation in known if operation.concerns(names))
 
 
 def remarks_on(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
-    """What a session's results have to say of its writes: a line a part, or none where nothing stands."""
+    """Remarks on writes for a session's results: one line for each half of the sensor that was written."""
     own = [tuple(one for one in known if one.concerns(names)) for names in (ACCEL_OFF, GYRO_OFF)]
     said = (*_remarks(own[0], recorded, "biases"), *_remarks(own[1], recorded, "zero rates"))
     return tuple(dict.fromkeys(said))
@@ -180,7 +180,7 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
 
 
 def to_undo(known: Sequence[Operation]) -> Operation | None:
-    """The write that an undo takes back: the last one that is not taken back already."""
+    """The write that an undo would undo: the last one that was not undone already."""
     for operation in reversed(known):
         if operation.op != "undo" and operation.steps[-1] is not WriteStep.SET_BACK:
             return operation
@@ -194,22 +194,22 @@ RegisterState = Literal["old", "new", "half", "other"]
 
 @dataclass(frozen=True)
 class HeldOffsets(JsonRecord):
-    """What the sensor holds, in the words of the journal.
+    """State of the sensor's offset registers by the journal.
 
     Attributes
     ----------
     registers : {"untouched", "old", "new", "half", "other"}
-        `untouched` where the journal knows no write.
+        `untouched` if the journal has no write.
     saved : bool or None
-        True where the flash holds what the registers hold, as far as the journal knows; None not known.
+        True if the flash has the same numbers as the registers by the journal; None if unknown.
     open : bool
-        An operation was not brought to its end.
+        True if an operation was not completed.
     axes : dict of str to str
         State of each register.
     operation : Operation or None
-        The last one.
+        The last operation.
     text : str
-        All of it in a line.
+        One line with all of this.
     """
 
     registers: str
@@ -223,12 +223,13 @@ class HeldOffsets(JsonRecord):
 def standing_of(
     known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
 ) -> HeldOffsets:
-    """What a sensor with these numbers and this ENDURANCE holds.
+    """State of a sensor with these numbers and this ENDURANCE.
 
     Parameters
     ----------
     known, others : sequence of Operation
-        Those on these registers, and those on the other part's, whose flash updates take these along.
+        Operations on these registers and on the registers of the other half of the sensor; a flash update
+        saves both.
     """
     if not known:
         return HeldOffsets(
@@ -250,12 +251,12 @@ def standing_of(
 def flash_untouched(
     known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
 ) -> bool:
-    """True where the flash certainly holds what it held before the first write."""
+    """True if the flash certainly has the same numbers as before the first write."""
     return not known or _in_flash(known, now, endurance, others) in ({}, known[-1].old)
 
 
 def _together(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
-    """One state for all registers; what an operation leaves as it was is both old and new."""
+    """One state for all registers; a register that an operation does not change is both old and new."""
     both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
     written = last.op == "write" or (last.op == "autonull" and last.saved)
     for state, numbers in both if written else reversed(both):
@@ -268,7 +269,7 @@ def _state(name: str, now: int, old: int, new: int) -> RegisterState:
     if now in (old, new):
         return "new" if now == new else "old"
     row = BY_NAME[name]
-    # A register is written low byte first: a program that ends between the two leaves one of each.
+    # A register is written low byte first: a program that ends in between leaves one old and one new byte.
     halves = {row.word(a) & 0x00FF | row.word(b) & 0xFF00 for a, b in ((old, new), (new, old))}
     return "half" if row.word(now) in halves else "other"
 
@@ -276,7 +277,7 @@ def _state(name: str, now: int, old: int, new: int) -> RegisterState:
 def _in_flash(
     known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation]
 ) -> dict[str, int] | None:
-    """Numbers that were put into flash; {} none, so that what was there is there still; None not known."""
+    """Numbers that were saved to flash; {} if nothing was saved; None if unknown."""
     flash: dict[str, int] | None = {}
     names = tuple(known[-1].old)
     for operation in sorted((*known, *others), key=lambda one: one.number):
@@ -308,7 +309,7 @@ def _words(
 
 
 def _flash(registers: str, flash: dict[str, int] | None, last: Operation) -> str:
-    """What is known of the flash, as a part of a sentence."""
+    """State of the flash, as a part of a sentence."""
     held, other = (last.new, last.old) if registers == "new" else (last.old, last.new)
     if flash is None:
         return ", and whether these or the others are in flash is not known"

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT, Kind
 from adis_gonio.device.sensor.scanning import ScanStream
 from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
-from adis_gonio.device.sensor.variants import Variant, variant
+from adis_gonio.device.sensor.variants import variant
 from adis_gonio.fitting import fit
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
@@ -78,6 +78,13 @@ class Rest(JsonRecord):
     u_dps: Floats | None = field(default=None, metadata=OPTIONAL)
     sample_dps: Floats | None = None
     temperatures_c: Floats | None = None
+
+    @property
+    def of_gyros(self) -> tuple[Floats, Floats]:
+        """Mean (3,) of the gyros and its standard uncertainty; `UsageError` if they were not read."""
+        if self.mean_dps is None or self.u_dps is None:
+            raise UsageError("the dwell has no gyros")
+        return self.mean_dps, self.u_dps
 
 
 def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool = False) -> Rest:
@@ -229,77 +236,24 @@ class Agreement(JsonRecord):
         return f"{self.what}: {'; '.join(figures)}"
 
 
-def against_session(
-    session: Session, result: FitResult, plan: WritePlan, rest: Rest, angle_deg: float | None
-) -> Agreement:
-    """A dwell at rest against what the session says of the part, with the offsets that are in it now.
-
-    Parameters
-    ----------
-    angle_deg : float or None
-        Declared angle of the stage; None (or a session without angles) compares the length of gravity.
+class _FittedSensor:
+    """The session's fit as a function of its parameters, with the uncertainties of these and of a dwell.
 
     Raises
     ------
     FitError
-        The fit lacks what is needed, or the part does not stand in the session's plane.
+        The fit lacks a gain or all uncertainties.
     """
-    bias = _Biased(session, result, plan, rest)
-    angled = session.plane == "xy" and angle_deg is not None and "alpha" in result
-    if angled and angle_deg is not None and math.isfinite(result.fixture_sigma_deg or 0.0):
-        return _at_angle(bias, math.radians(angle_deg))
-    return _by_length(bias)
-
-
-def bias_found(
-    session: Session, result: FitResult, plan: WritePlan, rest: Rest, angle_deg: float
-) -> tuple[Floats, Floats]:
-    """Biases (2,) in mg that a dwell at a declared angle shows by itself, and their standard uncertainties.
-
-    The fit's gains and angles enter, its biases do not.
-    """
-    bias = _Biased(session, result, plan, rest)
-    turn = math.radians(angle_deg)
-
-    def left(values: Floats, mean: Floats) -> Floats:
-        return np.asarray(mean[:2] - bias.ideal_mg(values, turn))
-
-    return bias.propagated(left, bias.fixture_u(turn))
-
-
-def effect_of(plan: WritePlan, before: Rest, after: Rest) -> Agreement:
-    """How far the outputs moved between two dwells in the same place, against the plan."""
-    part = variant(plan.variant)
-    rows = [AXES.index(axis.axis) for axis in plan.axes]
-    # Between neighbouring dwells the bias wanders by the floor of its Allan deviation, and with the warmth.
-    wander = math.hypot(
-        math.sqrt(2) * part.performance.bias_instability_mg,
-        part.performance.bias_tempco_mg_per_c * (after.temperature_c - before.temperature_c),
-    )
-    u = np.sqrt(before.u_mg**2 + after.u_mg**2 + wander**2)[rows]
-    return Agreement(
-        "the write moved the outputs by",
-        tuple(axis.axis.upper() for axis in plan.axes),
-        (after.mean_mg - before.mean_mg)[rows],
-        np.array([axis.effect for axis in plan.axes]),
-        u,
-    )
-
-
-class _Biased:
-    """The fit as a function of its parameters, with what they and a dwell are uncertain by."""
 
     def __init__(self, session: Session, result: FitResult, plan: WritePlan, rest: Rest) -> None:
         self.session, self.result, self.rest = session, result, rest
-        self.planar = session.plane == "xy"
-        self.model = PlanarTurn(session.gravity_mg) if self.planar else FreeAttitude(session.gravity_mg)
+        planar = session.plane == "xy"
+        self.model = PlanarTurn(session.gravity_mg) if planar else FreeAttitude(session.gravity_mg)
         axes = AXES[: self.model.axes]
-        self.names = [*self.model.names, *(f"bias_{axis}" for axis in axes)]
-        if "alpha" not in result and self.planar:
-            self.names.remove("alpha")
-        # Skews that a session in space did not show are zero in its fit, biases too.
-        self.known = [name for name in self.names if name in result]
-        missing = [name for name in self.names if name.startswith("scale") and name not in result]
+        names = [*self.model.names, *(f"bias_{axis}" for axis in axes)]
+        # Skews and biases that a session did not show are zero in its fit.
+        self.known = [name for name in names if name in result]
+        missing = [name for name in names if name.startswith("scale") and name not in result]
         if missing or result.covariance is None:
             raise FitError(
                 f"{session.source}: the fit does not give {', '.join(missing) or 'uncertainties'}"
@@ -309,47 +263,88 @@ class _Biased:
         self.covariance = np.asarray(result.covariance)[np.ix_(order, order)]
         moved = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
         self.moved_mg = np.array([moved.get(axis, 0.0) for axis in axes])
-        self.u_mg = self._reading_u(variant(plan.variant))
-
-    def _reading_u(self, part: Variant) -> Floats:
-        """Standard uncertainty (axes,) of a dwell as a sample of what the session saw."""
-        axes = self.model.axes
-        then = [float(d.temperature_c.mean()) for d in self.session.dwells if d.temperature_c is not None]
-        warmer = self.rest.temperature_c - float(np.mean(then)) if then else 0.0
-        shared = math.hypot(
-            math.sqrt(2) * part.performance.bias_instability_mg,
-            part.performance.bias_tempco_mg_per_c * warmer,
-            self.result.extra_mg,
+        # Standard uncertainty (axes,) of the dwell as a sample of the sensor that the session saw.
+        then = [float(d.temperature_c.mean()) for d in session.dwells if d.temperature_c is not None]
+        warmer = rest.temperature_c - float(np.mean(then)) if then else 0.0
+        figures = variant(plan.variant).performance
+        self.u_mg = np.hypot(
+            rest.u_mg[: len(axes)],
+            math.hypot(
+                math.sqrt(2) * figures.bias_instability_mg,
+                figures.bias_tempco_mg_per_c * warmer,
+                result.extra_mg,
+            ),
         )
-        return np.hypot(self.rest.u_mg[:axes], shared)
 
-    def base(self, values: Floats) -> Floats:
+    def at_angle(self, angle_rad: float) -> Agreement:
+        """Readings at a declared angle against the fit."""
+
+        def left(values: Floats, mean: Floats) -> Floats:
+            return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad) - self._bias_mg(values))
+
+        value, u = self._propagated(left, self._fixture_u(angle_rad))
+        predicted = self._ideal_mg(self.values, angle_rad) + self._bias_mg(self.values)
+        where = f"readings at {math.degrees(angle_rad):g}° against the session"
+        return Agreement(where, ("X", "Y"), predicted + value, predicted, u)
+
+    def by_length(self) -> Agreement:
+        """Length of gravity by the session's calibration against local gravity.
+
+        Raises
+        ------
+        FitError
+            The part does not stand in the session's plane.
+        """
+        gravity = self.session.gravity_mg
+
+        def length(values: Floats, mean: Floats) -> Floats:
+            free = (mean[: self.model.axes] - self._bias_mg(values))[None, :]
+            calibrated = self.model.calibrated(self._base(values), free)
+            return np.asarray(gravity * np.linalg.norm(calibrated, axis=1))
+
+        value, u = self._propagated(length, np.zeros(1))
+        if value[0] < LEAST_SHARE * gravity:
+            raise FitError(
+                f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the"
+                " session, its plane of rotation vertical"
+            )
+        what = "gravity's length by the session's calibration"
+        return Agreement(what, ("|g|",), value, np.array([gravity]), u)
+
+    def bias_found(self, angle_rad: float) -> tuple[Floats, Floats]:
+        """Biases (2,) in mg by the dwell, the fit's gains and its angles, and their u."""
+
+        def left(values: Floats, mean: Floats) -> Floats:
+            return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad))
+
+        return self._propagated(left, self._fixture_u(angle_rad))
+
+    def _base(self, values: Floats) -> Floats:
         """Base parameters in natural units."""
         held = dict(zip(self.known, values, strict=True))
         return np.array(
             [held[p.name] / p.per_natural if p.name in held else p.nominal for p in self.model.parameters]
         )
 
-    def bias_mg(self, values: Floats) -> Floats:
-        """Biases (axes,) with the offsets of now."""
+    def _bias_mg(self, values: Floats) -> Floats:
+        """Biases (axes,) with the present offsets."""
         held = dict(zip(self.known, values, strict=True))
         found = [held.get(name, 0.0) for name in BIASES[: self.model.axes]]
         return np.asarray(np.array(found) + self.moved_mg)
 
-    def ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
-        """What gravity alone gives (2,) at a declared angle."""
-        ideal: Floats = self.model.ideal(self.base(values), np.zeros(1), np.array([-angle_rad]))[0]
+    def _ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
+        """Readings (2,) of gravity alone at a declared angle."""
+        ideal: Floats = self.model.ideal(self._base(values), np.zeros(1), np.array([-angle_rad]))[0]
         return ideal
 
-    def fixture_u(self, angle_rad: float) -> Floats:
-        """What the uncertainty of the declared angle makes of a reading (2,)."""
-        unstated = self.session.fixture_sigma_deg is None
-        more = SET_ANEW_U_DEG if unstated else 0.0
+    def _fixture_u(self, angle_rad: float) -> Floats:
+        """Part of the standard uncertainty of a reading (2,) that comes from the declared angle."""
+        more = SET_ANEW_U_DEG if self.session.fixture_sigma_deg is None else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
-        tangent = self.model.tangent(self.base(self.values), np.zeros(1), np.array([-angle_rad]))
+        tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))
         return np.asarray(sigma * np.abs(tangent[0, :, 0]))
 
-    def propagated(
+    def _propagated(
         self, function: Callable[[Floats, Floats], Floats], more_u: Floats
     ) -> tuple[Floats, Floats]:
         """Value (k,) of a function of parameters and mean, and its standard uncertainty."""
@@ -359,34 +354,6 @@ class _Biased:
         variance = np.einsum("kp,pq,kq->k", by_parameter, self.covariance, by_parameter)
         variance = variance + (by_reading**2) @ self.u_mg**2 + more_u**2
         return function(self.values, mean), np.sqrt(variance)
-
-
-def _at_angle(bias: _Biased, angle_rad: float) -> Agreement:
-    def left(values: Floats, mean: Floats) -> Floats:
-        return np.asarray(mean[:2] - bias.ideal_mg(values, angle_rad) - bias.bias_mg(values))
-
-    value, u = bias.propagated(left, bias.fixture_u(angle_rad))
-    predicted = bias.ideal_mg(bias.values, angle_rad) + bias.bias_mg(bias.values)
-    where = f"readings at {math.degrees(angle_rad):g}° against the session"
-    return Agreement(where, ("X", "Y"), predicted + value, predicted, u)
-
-
-def _by_length(bias: _Biased) -> Agreement:
-    gravity = bias.session.gravity_mg
-
-    def length(values: Floats, mean: Floats) -> Floats:
-        free = (mean[: bias.model.axes] - bias.bias_mg(values))[None, :]
-        return np.asarray(gravity * np.linalg.norm(bias.model.calibrated(bias.base(values), free), axis=1))
-
-    value, u = bias.propagated(length, np.zeros(1))
-    if value[0] < LEAST_SHARE * gravity:
-        raise FitError(
-            f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the session, its"
-            " plane of rotation vertical"
-        )
-    return Agreement(
-        "gravity's length by the session's calibration", ("|g|",), value, np.array([gravity]), u
-    )
 
 
 def _slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:
@@ -399,7 +366,7 @@ PRECISE_S = 30.0
 
 
 @dataclass(frozen=True)
-class AutonullFound:
+class AutonullFound(JsonRecord):
     """Zero rates (3,) in °/s in this pose, at the offsets of the recording, by the chip and by the session.
 
     Attributes
@@ -411,6 +378,11 @@ class AutonullFound:
     force_dps : (3,) float
         Part of the session's that force makes in this pose, and that the chip takes for a zero rate.
     """
+
+    document_keys = (
+        *("new", "chip_dps", "u_chip_dps", "session_dps", "u_session_dps", "force_dps", "off_dps", "u_dps"),
+        "agrees",
+    )
 
     new: dict[str, int]
     chip_dps: Floats
@@ -459,15 +431,6 @@ class AutonullFound:
         ]
         return f"zero rates in this pose by the chip against the session: {'; '.join(figures)}"
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        arrays = ("chip_dps", "u_chip_dps", "session_dps", "u_session_dps", "force_dps", "off_dps", "u_dps")
-        return {
-            "new": dict(self.new),
-            **{name: getattr(self, name).tolist() for name in arrays},
-            "agrees": self.agrees,
-        }
-
 
 def compared(
     part: Gyros, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float | None
@@ -507,6 +470,7 @@ def compared(
     )
 
 
+GYRO_NAMES = tuple(axis.upper() for axis in AXES)
 TEMPCO_DPS_PER_C = 0.02
 """What a zero rate may follow the temperature by where the session does not tell (D, as the catalogue)."""
 
@@ -524,7 +488,7 @@ class Accelerometers:
     remarks: tuple[str, ...] = ()
 
     def __init__(self, session: Session, method: str | None, angle_deg: float | None) -> None:
-        self.session, self._method, self._angle_deg = session, method, angle_deg
+        self.session, self._method, self.angle_deg = session, method, angle_deg
 
     @cached_property
     def result(self) -> FitResult:
@@ -535,23 +499,48 @@ class Accelerometers:
         """As `plan_offsets`."""
         return plan_offsets(self.session, self.result, now)
 
-    def measure(self, sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
-        """As `rest.measure`."""
-        return measure(sensor, dwell_s, patience_s)
-
     def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
-        """As `against_session`."""
-        return against_session(self.session, self.result, plan, rest, self._angle_deg)
+        """A dwell at rest against the session's fit, with the present offsets.
+
+        Both readings at the declared angle; without an angle, the length of gravity.
+
+        Raises
+        ------
+        FitError
+            The fit lacks a parameter, or the part does not stand in the session's plane.
+        """
+        sensor = _FittedSensor(self.session, self.result, plan, rest)
+        if self._angle_rad is not None and math.isfinite(self.result.fixture_sigma_deg or 0.0):
+            return sensor.at_angle(self._angle_rad)
+        return sensor.by_length()
 
     def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
-        """As `effect_of`."""
-        return effect_of(plan, before, after)
+        """How far the outputs moved between two dwells in the same place, against the plan."""
+        figures = variant(plan.variant).performance
+        rows = [AXES.index(axis.axis) for axis in plan.axes]
+        # Between neighbouring dwells the bias wanders by the floor of its Allan deviation and the warmth.
+        wander = math.hypot(
+            math.sqrt(2) * figures.bias_instability_mg,
+            figures.bias_tempco_mg_per_c * (after.temperature_c - before.temperature_c),
+        )
+        u = np.sqrt(before.u_mg**2 + after.u_mg**2 + wander**2)[rows]
+        names = tuple(axis.axis.upper() for axis in plan.axes)
+        planned = np.array([axis.effect for axis in plan.axes])
+        moved = (after.mean_mg - before.mean_mg)[rows]
+        return Agreement("the write moved the outputs by", names, moved, planned, u)
 
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
-        """As `bias_found`, where the angle is declared."""
-        if self._angle_deg is None or self.session.plane != "xy" or "alpha" not in self.result:
+        """Biases (2,) in mg by a dwell at the declared angle and their u; None without a declared angle."""
+        if self._angle_rad is None:
             return None
-        return bias_found(self.session, self.result, plan, rest, self._angle_deg)
+        return _FittedSensor(self.session, self.result, plan, rest).bias_found(self._angle_rad)
+
+    @property
+    def _angle_rad(self) -> float | None:
+        """Declared angle, if the fit knows the start angle of the plane."""
+        if self.angle_deg is None or self.session.plane != "xy" or "alpha" not in self.result:
+            return None
+        return math.radians(self.angle_deg)
 
 
 class Gyros:
@@ -584,21 +573,17 @@ class Gyros:
         """As `plan_gyro_offsets`."""
         return plan_gyro_offsets(self.session, self.gyro, now, self._found.doubts)
 
-    def measure(self, sensor: Adis16354, dwell_s: float, patience_s: float) -> Rest:
-        """As `rest.measure`, with the gyros."""
-        return measure(sensor, dwell_s, patience_s, gyros=True)
-
     def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
         """Zero rates in this pose by the session, force and warmth in them, against the dwell's means."""
-        mean, u = _of_gyros(rest)
+        mean, u = rest.of_gyros
         moved = np.array([(axis.now - axis.recorded) * axis.lsb for axis in plan.axes])
         zero, of_zero = self.zero(rest)
         u = np.sqrt(u**2 + of_zero**2 + self.wander(rest) ** 2)
-        return Agreement("zero rates here against the session", _names(), mean, zero + moved, u, "dps")
+        return Agreement("zero rates here against the session", GYRO_NAMES, mean, zero + moved, u, "dps")
 
     def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
         """How far the gyros moved between two dwells in the same place, against the plan."""
-        (first, u_first), (second, u_second) = _of_gyros(before), _of_gyros(after)
+        (first, u_first), (second, u_second) = before.of_gyros, after.of_gyros
         wander = math.hypot(
             math.sqrt(2) * self._figures.gyro_instability_dps,
             TEMPCO_DPS_PER_C * (after.temperature_c - before.temperature_c),
@@ -606,11 +591,11 @@ class Gyros:
         )
         u = np.sqrt(u_first**2 + u_second**2 + wander**2)
         planned = np.array([axis.effect for axis in plan.axes])
-        return Agreement("the write moved the gyros by", _names(), second - first, planned, u, "dps")
+        return Agreement("the write moved the gyros by", GYRO_NAMES, second - first, planned, u, "dps")
 
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
         """Zero rates (3,) of a dwell without what force adds there, and their standard uncertainties."""
-        mean, u = _of_gyros(rest)
+        mean, u = rest.of_gyros
         force, of_force = self.by_force(rest)
         return mean - force, np.hypot(u, of_force)
 
@@ -652,13 +637,3 @@ def part_of(
     if method is not None:
         raise UsageError(f"{Path(session.source).name}: --method is of the accelerometers; leave it out")
     return Gyros(session)
-
-
-def _of_gyros(rest: Rest) -> tuple[Floats, Floats]:
-    assert rest.mean_dps is not None  # `measure` of this part reads them
-    assert rest.u_dps is not None
-    return rest.mean_dps, rest.u_dps
-
-
-def _names() -> tuple[str, ...]:
-    return tuple(axis.upper() for axis in AXES)

@@ -28,6 +28,7 @@ from adis_gonio.bench.writeback.offset_checks import (
     Gyros,
     Rest,
     compared,
+    measure,
     part_of,
 )
 from adis_gonio.bench.writeback.offset_plan import UNITS, WritePlan, recorded_offsets
@@ -530,7 +531,8 @@ class OffsetWriter:
 
     def _measure(self, what: str) -> Rest:
         self._tell(f"{what}: {self.settings.dwell_s:g} s")
-        rest = self._part.measure(self.sensor, self.settings.dwell_s, self.settings.patience_s)
+        own = self.settings
+        rest = measure(self.sensor, own.dwell_s, own.patience_s, gyros=own.gyros)
         self._require_supply(rest.supply_v)
         return rest
 
