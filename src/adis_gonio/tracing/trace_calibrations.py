@@ -1,9 +1,9 @@
-"""From a trace to a calibration of accelerometers or gyros; the gyros of a session, fitted or traced.
+"""Calibrations from sessions: by the final model of a trace, or by a fit; accelerometers and gyros.
 
-`load_calibration`, `load_gyro_calibration`: from a JSON file, or from a session that is fitted.
+`load_calibration` and `load_gyro_calibration` read a JSON file, or fit a session.
 
-Importing this module teaches `Calibration.load` and `GyroCalibration.load` to fit a session; the classes
-themselves stand below the fits.
+Importing this module enables `Calibration.load` and `GyroCalibration.load` to fit a session; the classes
+themselves are in a lower package than the fits.
 """
 
 from __future__ import annotations
@@ -54,23 +54,23 @@ _GYRO_UNKNOWN = "is not known to be a function of the rate, the force, the tempe
 
 
 def calibration_of_trace(result: TraceResult) -> Calibration:
-    """Calibration by the final model of a trace: base parameters, and effects that can be corrected.
+    """Return the calibration by the final model: base parameters and the effects that can be corrected.
 
-    What follows the clock alone is taken at the middle of the session: bias, gain and start angle are
-    those of that time, which `not_corrected` states.
+    Terms that depend only on the session's clock are evaluated at the middle of the session. Bias, gain and
+    start angle refer to that time, which `not_corrected` states.
 
-    Covariance and u are those of the final model. Models that predict the same readings may share a bias
-    out in other ways, so that the trace states a larger u of single parameters; angles do not differ by it.
-    Where functions of the reading are left out and one has no name, or no bias stands beside them, or a
-    function of anything without a name stands in its place, the others are fitted anew with a bias: what
-    these carried of it would else stand nowhere.
+    Covariance and u are those of the final model. Equivalent models may divide a bias differently among
+    parameters, so the trace states a larger u for single parameters, but the angles are equal. Terms that
+    cannot be corrected are left out. If one is a function of the reading, it may have absorbed a part of
+    the bias, so the other terms are fitted again with a bias. This is done if an unnamed function of the
+    reading is left out, if the model has no bias, or if an unnamed function replaces the bias.
 
     Raises
     ------
     UsageError
         The result was not made from a session (`trace_readings`).
     FitError
-        The trace was not finished, or is one of a single pose, which has no base model.
+        The trace was not finished, or is of a single pose, which has no base model.
     """
     where = known_provenance(result.provenance)
     if not result.fits:
@@ -83,7 +83,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
         for term in final.terms
         if isinstance(term, NamedTerm) and term.effect.correctable and _stands(term, result)
     ]
-    others = [term for term in final.terms if term not in standing and term.name != "bias"]
+    others = [term for term in final.terms if term not in standing and not term.constant]
     left = [_left_out(term, result, middle_s(final)) for term in others]
     if result.unnamed is not None and all(term.name is not None for term in final.terms):
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
@@ -93,7 +93,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     columns = _Columns(fit)
     for parameter in fit.data.model.parameters:
         columns.base(parameter)
-    biased = columns.biases([term for term in named if term.name == "bias"])
+    biased = columns.biases([term for term in named if term.constant])
     effects = tuple(columns.effect(term) for term in corrected)
     parameters, matrix = columns.stated(inflation)
     names = [one.name for one in parameters if one.u is not None]
@@ -114,18 +114,18 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
 
 
 def _of_reading(term: Term) -> bool:
-    """True for what follows the reading and nothing else."""
+    """Whether a term depends on the reading only."""
     return not term.enters_angle and term.covariates == ("reading",)
 
 
 def _holds_bias(term: Term) -> bool:
-    """True for a function without a name in the place of a bias, of which no value at one time is known."""
+    """Whether an unnamed function replaces a bias whose value at a given time is unknown."""
     return term.name is None and not term.enters_angle and not follows_clock(term)
 
 
 def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
-    """The terms that stay and a bias fitted anew; the factor on the variance by which u holds the rest."""
-    biased = any(term.name == "bias" for term in fit.terms)
+    """Fit the remaining terms again with a bias; return the fit and the factor on its variance."""
+    biased = any(term.constant for term in fit.terms)
     terms = [term for term in terms if _of_reading(term) or (not biased and _holds_bias(term))]
     if not terms or (biased and all(term.name is not None for term in terms)):
         return fit, inflation
@@ -135,16 +135,16 @@ def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, fl
         axes = fit.data.axes
         kept.append((NamedTerm("bias", (), 0.0, effect("bias", tuple(AXES[:axes]))), np.zeros(axes)))
     values = replace(fit.values, terms=tuple(own for _, own in kept))
-    # Not what `fit` makes of itself: an average over functions keeps the covariance of its members.
+    # A plain `Fit`: an `AveragedFit` would keep the covariance of its members.
     again = Fit(fit.data, tuple(term for term, _ in kept), values, fit.with_prior).refit()
     misfit = again.chi2 / again.dof if again.dof > 0 else 1.0
     return again, max(inflation, misfit)
 
 
 class _Columns:
-    """Values of a fit with their places among its parameters, in the units that results are stated in.
+    """Parameters of a fit in the units of results, with their gradients.
 
-    What follows the clock is taken at the middle of the session.
+    Terms in time are evaluated at the middle of the session.
     """
 
     def __init__(self, fit: Fit) -> None:
@@ -165,7 +165,7 @@ class _Columns:
         self.rows.append(gradient)
 
     def _gain(self, axis: int) -> tuple[float, Floats]:
-        """Factor on the gain of an axis at the middle, and its gradient (p,)."""
+        """Factor on the gain of an axis at the middle of the session, and its gradient (p,)."""
         ideal_mg = np.zeros(self.fit.data.axes)
         ideal_mg[axis] = MG_PER_G
         full, slope = clock_at_middle(self.fit, ideal_mg)
@@ -179,7 +179,7 @@ class _Columns:
         return gradient
 
     def base(self, parameter: BaseParameter) -> None:
-        """A base parameter; the start angle only where the dwells show it."""
+        """Add a base parameter; the start angle only if the dwells determine it."""
         k = self.fit.data.model.index(parameter.name)
         if parameter.name == "alpha" and not self.fit.data.visible[k]:
             return
@@ -200,7 +200,7 @@ class _Columns:
         self._add(parameter.name, stated, unit, gradient)
 
     def biases(self, terms: Sequence[NamedTerm]) -> list[str]:
-        """Bias of every axis, zero where the model has none; names of those that it has a term for."""
+        """Add the bias of every axis, zero without a term; return the names that have a term."""
         at: dict[str, int] = {}
         for term in terms:
             start = self.fit.slice_of(self.fit.terms.index(term)).start
@@ -215,7 +215,7 @@ class _Columns:
         return list(at)
 
     def effect(self, term: NamedTerm) -> EffectTerm:
-        """Values of an effect."""
+        """Add the values of an effect."""
         index = self.fit.terms.index(term)
         start = self.fit.slice_of(index).start
         names = []
@@ -229,7 +229,7 @@ class _Columns:
         return EffectTerm(term.effect, tuple(names))
 
     def stated(self, inflation: float) -> tuple[tuple[Coefficient, ...], Floats]:
-        """Parameters, and their covariance (p, p)."""
+        """Return the parameters and their covariance (p, p)."""
         rows = np.stack(self.rows)
         matrix = rows @ self.fit.covariance @ rows.T * inflation
         sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
@@ -240,7 +240,7 @@ class _Columns:
 
 
 def _stands(term: NamedTerm, result: TraceResult) -> bool:
-    """True for a finding, and for an effect that is confounded with nothing but its like."""
+    """Whether an effect is a finding, or confounded only with other effects that are corrected."""
     if term.name in {finding.effect for finding in result.found}:
         return True
     rivals = {name for names in result.confounded if term.name in names for name in names}
@@ -265,7 +265,7 @@ def _left_out(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
 
 
 def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
-    """Of `trace --sensor-part gyro`: zero rates and the effects that can be corrected, by its final model.
+    """Return zero rates and correctable effects of gyros by the final model of a trace.
 
     Raises
     ------
@@ -299,7 +299,7 @@ def _not_corrected(term: Term, nameless: str, unknown: str) -> NotCorrected:
 def _gyro_stated(
     fit: Fit, kept: Sequence[NamedTerm], inflation: float
 ) -> tuple[tuple[Coefficient, ...], Floats]:
-    """Parameters with gains K and misalignments of D, and their covariance."""
+    """Return parameters with gains K and misalignments of D, and their covariance."""
     parameters = list(fit.data.model.parameters)
     units = [one.unit for one in parameters]
     names, places = [one.name for one in parameters], list(range(len(parameters)))
@@ -317,7 +317,7 @@ def _gyro_stated(
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:
-    """The calibration with the session's gyros in it; as it was where these cannot be calibrated.
+    """Add the session's gyros to a calibration; unchanged if they cannot be calibrated.
 
     Raises
     ------
@@ -334,7 +334,7 @@ def with_gyros(calibration: Calibration, session: Session, *, traced: bool = Fal
 
 
 def gyros_alone(session: Session) -> str:
-    """What to do where a session calibrates its gyros and not its accelerometers; else nothing."""
+    """Advice if a session calibrates its gyros but not its accelerometers; else empty."""
     try:
         gyro_calibration_of(session)
     except AdisGonioError:
@@ -346,35 +346,35 @@ def gyros_alone(session: Session) -> str:
 
 
 def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibration:
-    """Calibration of a session's gyros, for the part as it is: with the offsets that were written since.
+    """Return the calibration of a session's gyros with the offsets that were written afterwards.
 
     Parameters
     ----------
     traced : bool
-        By the traced model, with its effects.
+        Use the traced model with its effects.
 
     Raises
     ------
     FitError
         The session has no gyros, or does not determine their zero rates.
     SessionError
-        A write of gyro offsets was interrupted, so that only the sensor can tell.
+        A write of gyro offsets was interrupted, so that the current offsets are unknown.
     """
     return gyro_as_written(gyros_as_recorded(session, traced=traced), provenance_of(session))
 
 
 def gyros_as_recorded(session: Session, *, traced: bool = False) -> GyroCalibration:
-    """As `gyro_calibration_of`, for the offsets that stood while the session was recorded."""
+    """Like `gyro_calibration_of`, with the offsets in effect during the recording."""
     return make_gyro_calibration(gyro_estimates_of(session, traced=traced), provenance_of(session))
 
 
 def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimates:
-    """Parameters of a session's gyros by name.
+    """Return the parameters of a session's gyros by name.
 
     Raises
     ------
     DataError, FitError
-        The session has no gyros, or none whose unit is known, or no dwell.
+        The session has no gyros of known unit, or no dwell.
     """
     if traced:
         from adis_gonio.tracing.trace import trace
@@ -384,16 +384,16 @@ def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimate
 
 
 _FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")
-"""Endings of what `export` and `report` write and nothing here reads."""
+"""Endings of files that `export` and `report` write for other programs."""
 
 
 def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
-    """Calibration of a JSON file, or of a session by `fit`; told apart by the first character.
+    """Load a calibration from a JSON file or fit a session; the first character decides.
 
     Parameters
     ----------
     method : str, optional
-        Of the fit, where the file is a session.
+        Method of the fit if the file is a session.
 
     Raises
     ------
@@ -424,15 +424,15 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
 def load_gyro_calibration(
     path: str | Path, part: Provenance | None = None, *, traced: bool = False
 ) -> GyroCalibration:
-    """As `GyroCalibration.load`.
+    """Load a gyro calibration; see `GyroCalibration.load`.
 
     Parameters
     ----------
     part : Provenance, optional
-        Of the accelerometers beside which the gyros shall stand: another sensor's or serial number's are
-        refused with `UsageError`.
+        Origin of the accelerometers that the gyros will be combined with. Gyros of another sensor or
+        serial number raise `UsageError`.
     traced : bool
-        Of a session: by the traced model of its gyros, with its effects.
+        For a session, use the traced model of its gyros with its effects.
     """
     document = json_document(Path(path))
     if document is None:
@@ -451,7 +451,7 @@ def load_gyro_calibration(
             raise FitError(f"{path}: is a calibration without gyros")
         return whole.gyro
     if schema is None and isinstance(document, dict) and isinstance(document.get("gyro"), dict):
-        # What `export` makes of a session that calibrates its gyros alone, as one of the plan gyro-turns.
+        # Export of a session that calibrates only its gyros, such as one of the plan gyro-turns.
         _refuse_another_part(part, _exported(document.get("session")), path)
         return gyro_calibration_from(document["gyro"], str(path))
     if schema != GYRO_SCHEMA:

@@ -56,6 +56,11 @@ class Term(ABC):
         return None
 
     @property
+    def constant(self) -> bool:
+        """True for a named bias, which every sensor has."""
+        return False
+
+    @property
     def prior_sd(self) -> float | None:
         """Prior standard deviation of each value about zero; None where the data alone decide."""
         return None
@@ -118,6 +123,11 @@ class NamedTerm(Term):
     def name(self) -> str | None:
         """Name of the catalogue."""
         return self.effect.name
+
+    @property
+    def constant(self) -> bool:
+        """True for an effect of the group `constant` (`Effect.prior`)."""
+        return self.effect.prior == "constant"
 
     @property
     def prior_sd(self) -> float | None:

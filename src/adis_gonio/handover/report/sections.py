@@ -26,6 +26,7 @@ from adis_gonio.base.numbers import (
     use_minus,
     with_unit,
 )
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer
@@ -39,8 +40,8 @@ from adis_gonio.page.svg import Role, Series, Style, plot
 from adis_gonio.record.provenance import digest_of_file
 from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.trace_figures import Panel, Views
-from adis_gonio.tracing.trace_result import TraceResult, Value, WithinFinding
-from adis_gonio.tracing.within.samples import Place
+from adis_gonio.tracing.trace_result import TraceResult
+from adis_gonio.tracing.within.samples import Place, WithinFinding
 
 _COVARIATES = {
     "angle": "declared angle / °",
@@ -277,15 +278,15 @@ def within(traced: TraceResult) -> Section:
             seen, fit = _ROLES if view.points else _ROLES[::-1]
             style: Style = "points" if view.points else "line"
             series = [Series(view.x, view.y, "samples", role=seen, style=style)]
-            if len(view.model_x):
-                series.append(Series(view.model_x, view.model_y, view.model_label, role=fit, style="line"))
+            if view.model is not None:
+                series.append(Series(view.x, view.model, view.model_label, role=fit, style="line"))
             drawn = plot(
                 series,
                 view.x_label,
                 view.y_label,
                 title=view.caption,
                 y_log=view.y_log,
-                zero=view.points and bool(len(view.model_x)),
+                zero=view.points and view.model is not None,
             )
             figures.append(Figure(drawn, view.caption))
         rows += [_place(finding, place) for place in finding.places[:_MOST_PLACES]]
