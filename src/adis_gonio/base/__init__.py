@@ -12,14 +12,14 @@ __version__ = "0.1.0"
 
 
 def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """The `__getattr__` of a package, so that the package itself costs nothing.
+    """Return a `__getattr__` for a package that imports its names when they are first used (PEP 562).
 
     Parameters
     ----------
     package : str
-        Its `__name__`.
+        `__name__` of the package.
     homes : mapping
-        Module within it by public name.
+        Module within the package by public name.
     """
 
     def get(name: str) -> Any:
@@ -33,11 +33,11 @@ def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
 
 
 class Closing(ABC):
-    """Context manager that closes itself, after an exception too."""
+    """Context manager that closes itself at the end of the block, also after an exception."""
 
     @abstractmethod
     def close(self) -> None:
-        """Give back what it holds; may be called twice."""
+        """Release the resources; may be called twice."""
 
     def __enter__(self) -> Self:
         return self

@@ -21,13 +21,13 @@ from adis_gonio.base.numbers import format_uncertain
 INADEQUATE = 0.01
 """p-value of χ² below which a residual is too large for the noise that was measured."""
 FOUND_WITHIN = 0.01
-"""Probability that a session without faults shows any finding inside its dwells (family-wise)."""
+"""Probability of any finding inside the dwells of a session without faults (family-wise)."""
 FOUND_IN_ONE_POSE = 0.01
 """Probability that one pose without effects shows one, over all candidates."""
 OUTLYING = 0.01
 """Probability that a fleet without any outlying unit, stage or operator names one (family-wise)."""
 DRIFTING = 0.05
-"""Probability of a drift claimed where none is, over all quantities of a sensor (Bonferroni)."""
+"""Probability of a false drift, over all quantities of a sensor (Bonferroni)."""
 SLOW_NOISE = 0.025
 """One-sided level of a noise process: its interval of 95 % leaves zero."""
 LINE_IN_NOISE = 1e-4
@@ -37,7 +37,7 @@ LINK_REFUSED = 1e-3
 COMMON_DIVISOR = 1e-6
 """Probability that differences of words have a common divisor by chance."""
 POSITION_QUESTIONED = 1e-4
-"""Probability that one position of a sound part is questioned: one in a hundred tumbles of 100."""
+"""Probability that a correct position is questioned: one in a hundred tumbles of 100."""
 CREDIBLE_SET = 0.95
 """Least probability of a set of names in one session."""
 POPULATION_SET = 0.99
@@ -45,13 +45,13 @@ POPULATION_SET = 0.99
 
 
 COVERED = 0.95
-"""Probability that an expanded uncertainty U stands for."""
+"""Probability of the interval of an expanded uncertainty U."""
 NORMAL_95 = 1.959963984540054
 """Coverage factor at unlimited degrees of freedom."""
 
 
 def coverage_factor(dof: float) -> float:
-    """K of 95 %: Student's quantile at `dof`; below one degree of freedom that of one, the worst stated."""
+    """Coverage factor k of 95 %: Student's quantile at `dof`, at least 1 degree of freedom."""
     if math.isinf(dof):
         return NORMAL_95
     from scipy.special import stdtrit
@@ -60,7 +60,7 @@ def coverage_factor(dof: float) -> float:
 
 
 def wilson(hits: float, n: int, z: float = NORMAL_95) -> tuple[float, float]:
-    """Wilson's interval (1927), of 95 % unless told, of a probability; 0 to 1 where n is 0."""
+    """Wilson's interval (1927) of a probability, by default of 95 %; 0 to 1 if n is 0."""
     if n == 0:
         return 0.0, 1.0
     share = hits / n
@@ -77,7 +77,7 @@ def effective_dof(parts: Sequence[tuple[float, float]]) -> float:
 
 
 def expanded(u: float | None, dof: float, factor: float | None = None) -> tuple[float | None, float | None]:
-    """(k, U), k by `factor` where it is given; (None, None) where u is not known."""
+    """(k, U), with k = `factor` if given; (None, None) if u is not known."""
     if u is None or not math.isfinite(u):
         return None, None
     k = coverage_factor(dof) if factor is None else factor
@@ -85,10 +85,10 @@ def expanded(u: float | None, dof: float, factor: float | None = None) -> tuple[
 
 
 def factor_over(variances: Floats, dof: float) -> float:
-    """K of 95 % for an error whose variance (m,) differs from place to place, by the root of their mean.
+    """Coverage factor of 95 % for errors with different variances (m,), relative to the root of their mean.
 
-    Student's distribution with `dof` at each place: where some are far surer than others, the mixture has
-    longer tails than any of them.
+    Each error has Student's distribution with `dof`; if the variances differ much, the mixture has longer
+    tails than each of them.
     """
     from scipy.optimize import brentq
     from scipy.special import stdtr
@@ -114,7 +114,7 @@ class Value:
     unit: str
     dof: float = math.inf
     factor: float | None = None
-    """Coverage factor, where the distribution is not Student's with `dof`."""
+    """Coverage factor, if the distribution is not Student's with `dof`."""
 
     def __str__(self) -> str:
         """Value ± standard uncertainty with unit, such as `1.08 ± 0.13 mg`."""
@@ -122,7 +122,7 @@ class Value:
 
     @property
     def k(self) -> float | None:
-        """Coverage factor of 95 %, by `dof` where `factor` is None; None without an uncertainty."""
+        """Coverage factor of 95 %: `factor`, or from `dof` if it is None; None without an uncertainty."""
         return expanded(self.u, self.dof, self.factor)[0]
 
     @property
@@ -131,7 +131,7 @@ class Value:
         return expanded(self.u, self.dof, self.factor)[1]
 
     def as_dict(self) -> dict[str, Any]:
-        """`{"value", "u", "dof", "k", "U", "unit"}`; `dof` None where unlimited or unknown."""
+        """`{"value", "u", "dof", "k", "U", "unit"}`; `dof` is None if unlimited or unknown."""
         k, expanded_u = expanded(self.u, self.dof, self.factor)
         return {
             "value": finite_or_none(self.value),
@@ -144,13 +144,13 @@ class Value:
 
 
 def finite_or_none(value: float | None) -> float | None:
-    """JSON has no infinities and no NaN."""
+    """Return None for an infinity or NaN, which JSON does not have."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 @dataclass(frozen=True)
 class Detectable(JsonRecord):
-    """Smallest amplitude that the session would have shown; None where it can show none.
+    """Smallest amplitude that the session can show; None if it cannot show any.
 
     The JSON document is one value of `detectable`.
     """

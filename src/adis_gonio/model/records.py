@@ -1,17 +1,9 @@
-"""Local gravity: from latitude and height, and whether a stated one can be right.
+"""Measured data as plain records: samples, dwells, turns, sessions; local gravity. No files or devices.
 
-How often a part went all around: on and on, or forth and back.
-
-What lies between two dwells: the samples while the part was turned from one to the other.
-
-A samples CSV that holds its dwells alone has none. An archive has what was recorded before and after its
-dwells, a continuous recording has everything.
-
-What was measured, as plain data: samples, dwells, sessions. No files, no devices.
-
-A *dwell* is the scans taken while the part is still in one *position*; a *session* is all dwells with
-what surrounded them. Files become sessions in `adis_gonio.record`; fits read them in
-`adis_gonio.fitting`.
+A *dwell* is the scans taken while the part is at rest in one *position*; a *session* is all dwells with
+their circumstances. A *turn* is the samples between two dwells; a samples CSV with positions has none, an
+archive has the samples before and after its dwells, a continuous recording has all. Files become sessions
+in `adis_gonio.record`; fits read them in `adis_gonio.fitting`.
 """
 
 from __future__ import annotations
@@ -43,17 +35,17 @@ _F = 1 / 298.257223563
 _M = 0.00344978650684
 
 ON_EARTH_MPS2 = (9.7, 9.9)
-"""What a stated gravity lies within: 9.764 (Huascarán) to 9.834 (Arctic Ocean), with room."""
+"""Limits of a stated gravity: 9.764 (Huascarán) to 9.834 (Arctic Ocean), with a margin."""
 _SLIPS = {0.01: "cm/s² (Gal)", 1e-5: "mGal", 9.80665: "g", 9.80665e-3: "mg", 0.3048: "ft/s²"}
 
 
 def checked_gravity_mps2(value: float, *, anywhere: bool = False) -> float:
-    """A stated local gravity in m/s², if there is such a place on Earth.
+    """Return a stated local gravity in m/s² if it exists on Earth.
 
     Parameters
     ----------
     anywhere : bool
-        Another place will do too, unless the number is that of the Earth in another unit.
+        Accept gravity of another place too, unless the number is gravity of the Earth in another unit.
 
     Raises
     ------
@@ -74,8 +66,8 @@ def checked_gravity_mps2(value: float, *, anywhere: bool = False) -> float:
 def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:
     """Normal gravity of the WGS 84 ellipsoid in m/s² (Somigliana's formula, second order in height).
 
-    Real gravity differs by tens of mGal (1e-5 m/s² each): enough for ΔK and Δφ, which do not depend on
-    it, and an uncertainty of some 3e-5 for the scale factors.
+    Real gravity differs by tens of mGal (1e-5 m/s² each). ΔK and Δφ do not depend on it; the scale factors
+    get an uncertainty of about 3e-5.
 
     Raises
     ------
@@ -93,20 +85,20 @@ def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:
 
 
 REVERSED_DEG = 10.0
-"""Going back by less is the hand's unevenness."""
+"""A smaller motion back counts as unevenness of the hand."""
 NEARLY_DEG = 5.0
-"""What may be wanting: nobody sees where exactly a turn is full."""
+"""Angle that may be missing from a full turn."""
 
 
 class Sweeps:
-    """Follows an angle that is seen bit by bit.
+    """Counts full turns of an angle that is observed in steps: on and on, or forth and back.
 
     Attributes
     ----------
     angle_deg : float
-        Where it is, from the start on, with its sign.
+        Present angle from the start, with its sign.
     span_deg : float
-        From the least angle to the greatest.
+        From the smallest angle to the largest.
     """
 
     def __init__(self) -> None:
@@ -116,7 +108,7 @@ class Sweeps:
         self._from = self._farthest = 0.0
 
     def see(self, angle_deg: float) -> None:
-        """Take the next angle, unwrapped."""
+        """Add the next unwrapped angle."""
         self.angle_deg = angle_deg
         self._least, self._greatest = min(self._least, angle_deg), max(self._greatest, angle_deg)
         on = self._farthest - self._from
@@ -128,17 +120,17 @@ class Sweeps:
 
     @property
     def span_deg(self) -> float:
-        """From the least angle to the greatest."""
+        """From the smallest angle to the largest."""
         return self._greatest - self._least
 
     @property
     def travelled_deg(self) -> float:
-        """All the way, there and back; what a hand trembles does not count."""
+        """Total path, forth and back, without the tremor of the hand."""
         return self._gone + abs(self._farthest - self._from)
 
     @property
     def full(self) -> int:
-        """Full turns that were made; a way back over a full turn is one too."""
+        """Number of full turns; a full turn back counts too."""
         if self.span_deg < 360.0 - NEARLY_DEG:
             return 0
         return int((self.travelled_deg + NEARLY_DEG) // 360.0)
@@ -146,22 +138,22 @@ class Sweeps:
 
 @dataclass(frozen=True)
 class Turn:
-    """Samples between two dwells that follow one another.
+    """Samples between two successive dwells.
 
     Attributes
     ----------
     before, position : int
-        Numbers (`Dwell.position`) of the dwell in which it begins and of the one in which it ends.
+        Numbers (`Dwell.position`) of the dwells before and after the turn.
     time_s : (n,) float
         Time of each sample, increasing, on the clock of the dwells; n may be 0.
     accel, gyro : (n, 3) float
-        As in `Dwell`; `gyro` None where there are no gyros.
+        As in `Dwell`; `gyro` is None without gyros.
     temperature_c, supply_v : (n,) float or None
     temperatures_c : (n, 3) float or None
         As in `Dwell`.
     turned_deg : float or None
-        How far the part was turned by a mark or a stop, about the vertical, positive counter-clockwise seen
-        from above; None where nobody declares it.
+        Declared angle of the turn by a mark or a stop, about the vertical, positive counter-clockwise seen
+        from above; None if it is not declared.
     """
 
     before: int
@@ -222,7 +214,7 @@ MG_PER_G = 1000.0
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 
 METADATA = ("operator", "serial", "stage")
-"""Fields of a session that hold what the operator wrote down besides its title."""
+"""Fields of a session with notes of the operator in addition to the title."""
 
 
 @dataclass(frozen=True)
@@ -248,9 +240,9 @@ class Dwell:
     temperature_c, supply_v : (n,) float or None
         Temperature in °C (of several thermometers their mean) and supply in V.
     temperatures_c : (n, 3) float or None
-        Of the three gyros' dies, where all three were recorded.
+        Temperatures of the three gyros' dies, if all three were recorded.
     first_row : int or None
-        Row of the file where the dwell begins, for messages.
+        First row of the dwell in the file, for messages.
     """
 
     position: int
@@ -294,7 +286,7 @@ class Dwell:
 
 @dataclass(frozen=True)
 class Session:
-    """All dwells of a calibration with what surrounded them.
+    """All dwells of a calibration with their circumstances.
 
     Attributes
     ----------
@@ -305,10 +297,10 @@ class Session:
     gravity_mps2 : float
         Local gravity in m/s².
     fixture_sigma_deg : float or None
-        Standard uncertainty of a declared angle in degrees; `inf` where attitudes are free; None not
+        Standard uncertainty of a declared angle in degrees; `inf` if attitudes are free; None if not
         stated.
     plane : {"xy", "none"}
-        Plane of rotation, or none where attitudes are anywhere in space.
+        Plane of rotation, or none for attitudes anywhere in space.
     reading_u_mg : float or None
         Standard uncertainty of a dwell that has one sample only.
     title, operator, serial, stage : str
@@ -317,18 +309,17 @@ class Session:
     source : str
         File that it came from.
     notes : tuple of str
-        What the reader of the file has to tell, one line each (segmentation, an unfinished session).
+        Remarks of the reader of the file, one line each (segmentation, an unfinished session).
     cut_by_stillness : bool
-        True where the dwells were cut out of a continuous recording, so that nobody declared that the part
-        was at rest.
+        True if the dwells were cut out of a continuous recording, so that rest of the part is not declared.
     recording : Dwell or None
-        The whole of a continuous recording, what lies between its dwells too.
+        The whole continuous recording, including the samples between dwells.
     free_turn : bool
-        True where that is one turn without declared angles; there may then be no dwells.
+        True if the recording is one turn without declared angles; there may then be no dwells.
     facts : mapping
-        Whatever else the file knows (configuration, registers, versions, truth of a simulation).
+        Other facts of the file (configuration, registers, versions, truth of a simulation).
     turns_from : callable or None
-        Reads the turns between the dwells as the file has them; None without any.
+        Reads the turns between the dwells from the file; None without turns.
     """
 
     dwells: tuple[Dwell, ...]
@@ -390,12 +381,12 @@ class Session:
 
     @property
     def sampled(self) -> tuple[Dwell, ...]:
-        """What an export holds the samples of: the dwells, or a free turn as one."""
+        """Dwells with the samples of an export; a free turn counts as one dwell."""
         return (self.recording,) if self.free_turn and self.recording is not None else tuple(self.dwells)
 
     @property
     def free_attitudes(self) -> bool:
-        """True where declared angles carry no information."""
+        """True if declared angles have no information."""
         return self.fixture_sigma_deg is not None and math.isinf(self.fixture_sigma_deg)
 
     @property
@@ -404,5 +395,5 @@ class Session:
         return 1000.0 * self.gravity_mps2 / STANDARD_GRAVITY_MPS2
 
     def used_for(self, use: Use) -> Session:
-        """Session that holds only the dwells of one use."""
+        """Session with the dwells of one use only."""
         return replace(self, dwells=tuple(dwell for dwell in self.dwells if dwell.use == use))

@@ -1,4 +1,4 @@
-"""Sections, tables and figures, and the self-contained HTML document that holds them."""
+"""Sections, tables and figures, and the self-contained HTML document made of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Figure:
     Attributes
     ----------
     svg : str
-        Result of `adis_gonio.page.svg.plot`; put into the page as it is.
+        Result of `adis_gonio.page.svg.plot`; inserted into the page unchanged.
     caption : str
         Plain text.
     """
@@ -31,7 +31,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class KeyFigure:
-    """A number that is read from across the bench, with its name above it.
+    """A large number with its name above it.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """A section; its parts stand in the order key figures, words, list, figures, tables, notes.
+    """A section; the order of its parts is key figures, words, list, figures, tables, notes.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Section:
     points : sequence of str
         Items of a list.
     figures : sequence of Figure
-        Side by side where there is room.
+        Figures, side by side if there is room.
     tables : sequence of Table
     notes : sequence of str
         Small print.
@@ -104,7 +104,7 @@ class Section:
 
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-"""Characters of control that have no place in a page: C0, C1, and those that turn the sense of writing."""
+"""Control characters that a page must not contain: C0, C1, and changes of the writing direction."""
 
 
 def render(
@@ -123,7 +123,7 @@ def render(
     Parameters
     ----------
     shape : str
-        What it is about, in the line below the title.
+        Subject, in the line below the title.
     begun : str
         ISO time in UTC, or nothing.
     closing : str
@@ -136,7 +136,7 @@ def render(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    # Figures are the package's own drawings, whose texts are escaped already.
+    # Figures are drawings of this package with escaped texts.
     environment.filters |= {"drawing": Markup, "number_kept": _number_kept, "unit_kept": _unit_kept}
     page = environment.get_template("page.html").render(
         kind=kind,
@@ -152,24 +152,14 @@ def render(
 
 
 def _filled(section: Section) -> bool:
-    return any(
-        (
-            section.key,
-            section.words,
-            section.points,
-            section.figures,
-            section.tables,
-            section.notes,
-            section.parts,
-        )
-    )
+    return any(part for name, part in vars(section).items() if name not in ("title", "folded"))
 
 
 def _number_kept(cell: str) -> str:
-    """A number's text, which a narrow column may break before its uncertainty only."""
+    """Text of a number that may only be broken before its uncertainty."""
     return cell.replace(" ", NO_BREAK).replace(f"{NO_BREAK}±", " ±")
 
 
 def _unit_kept(head: str) -> str:
-    """A column's head, never broken between slash and unit."""
+    """Head of a column that is never broken between slash and unit."""
     return head.replace(" / ", f" /{NO_BREAK}")

@@ -1,14 +1,13 @@
-"""Matplotlib's SVG as an element of a page.
+"""Line and point plots as inline SVG, drawn by matplotlib.
 
-What matplotlib writes is a file of its own: its ids clash with those of the next figure, its style sheet
-would hold for the whole page, its black does not follow a dark page, and every marker repeats its style.
+Every series has its own shape or dash in addition to its colour, so that a page printed in black and white
+is readable. Colours are CSS variables with a fallback: the style sheet of a page adapts them to light and
+dark; a separate SVG uses the fallback on a transparent ground. Text remains text. Equal data give equal
+bytes, independent of the user's matplotlibrc.
 
-Line and point plots as inline SVG, drawn by matplotlib.
-
-Every series has a shape or a dash of its own besides its colour, so that a page printed in black and white
-stays readable. Colours are CSS variables with a fallback: a page's style sheet adapts them to light and
-dark, and an SVG that stands alone is drawn on a transparent ground by the fallback. Text stays text. The
-same data give the same bytes, whatever the user's matplotlibrc says.
+Matplotlib writes a complete file: its ids clash with the ids of the next figure, its style sheet would
+apply to the whole page, its black does not follow a dark page, and every marker repeats its style.
+`inline_svg` makes an element of a page from it.
 
 Matplotlib is the extra `report`, imported when the first plot is drawn.
 """
@@ -40,16 +39,16 @@ _NAMESPACE = re.compile(r"\{[^}]*\}")
 
 
 def inline_svg(drawing: str, colours: Mapping[str, str], *, title: str, description: str = "") -> str:
-    """One `<svg>` element from a file of matplotlib's.
+    """One `<svg>` element from a file of matplotlib.
 
     Parameters
     ----------
     drawing : str
         Written with `svg.fonttype: none` and a fixed `svg.hashsalt`.
     colours : mapping of str to str
-        What stands in the page for a colour of the file, such as `{"#000000": "currentColor"}`.
+        Replacements for the colours of the file, such as `{"#000000": "currentColor"}`.
     title, description : str
-        What a screen reader says.
+        Text for screen readers.
 
     Returns
     -------
@@ -91,7 +90,7 @@ def inline_svg(drawing: str, colours: Mapping[str, str], *, title: str, descript
 
 
 def _attributes(element: ET.Element, colours: Mapping[str, str]) -> None:
-    """Attributes as a page needs them."""
+    """Adapt the attributes of an element to a page."""
     given = {_NAMESPACE.sub("", key): value for key, value in element.attrib.items()}
     if element.tag in ("g", "text"):
         given.pop("id", None)
@@ -115,7 +114,7 @@ def _short(found: re.Match[str]) -> str:
 
 
 def _say_style_once(group: ET.Element) -> None:
-    """The markers of a series look alike."""
+    """Move the common style of the markers to their group."""
     markers = group.findall("use")
     if len({marker.get("style") for marker in markers}) == 1:
         group.set("style", markers[0].get("style", ""))
@@ -124,7 +123,7 @@ def _say_style_once(group: ET.Element) -> None:
 
 
 def _rename(root: ET.Element, name: str) -> None:
-    """Ids in the order of the drawing, begun with the figure's own name."""
+    """Replace the ids by the name of the figure and a number."""
     named = [element for element in root.iter() if element.get("id")]
     new = {element.get("id", ""): f"{name}{k}" for k, element in enumerate(named)}
     for element in named:
@@ -161,7 +160,7 @@ _MARKERS: dict[Role, dict[str, Any]] = {
     "model": {"marker": "o", "markersize": 4.0, "markeredgewidth": 0},
 }
 _MOST_MARKERS = 400
-"""Up to so many points have markers with error bars; more are dots."""
+"""Most points with markers and error bars; more points are drawn as dots."""
 _MOST_POINTS = 2000
 _CHARACTER = 6.9
 """Mean width of a character at the size of the labels, in units of the drawing."""
@@ -207,7 +206,7 @@ class Series:
 
 
 def require_matplotlib() -> None:
-    """Check that plots can be drawn, before work is spent on what they shall show.
+    """Check that plots can be drawn before the data for them are computed.
 
     Raises
     ------
@@ -245,17 +244,17 @@ def plot(
     x_label, y_label : str
         With the unit, such as `residual of x / mg`.
     title, description : str
-        What a screen reader says; they are not drawn (a page has captions).
+        Text for screen readers; not drawn (a page has captions).
     x_log, y_log : bool
         Logarithmic axes.
     x_ticks : mapping of float to str, optional
-        Ticks by hand, such as `{-1: "from above", 1: "from below"}`.
+        Given ticks, such as `{-1: "from above", 1: "from below"}`.
     x_range : (float, float), optional
         Limits; by default from the data. Points outside are left out.
     zero : bool
-        Draw the line y = 0 and let the axis hold it.
+        Draw the line y = 0 and include it in the axis.
     width, height : int
-        Size of the drawing; it scales with its place in the page.
+        Size of the drawing; it scales with the page.
 
     Returns
     -------
@@ -310,7 +309,7 @@ def _clean(one: Series, x_log: bool, y_log: bool, x_range: tuple[float, float] |
 
 
 def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
-    """Draw a series; the line that stands for it in the legend."""
+    """Draw a series and return its line for the legend."""
     x, y, error = points
     alike: dict[str, Any] = {"color": _COLOURS[role], "clip_on": False}
     if one.style != "points":
@@ -318,7 +317,7 @@ def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
         return axes.plot(x, y, label=one.label, drawstyle=stepped, **_LINES[role], **alike)[0]
     marked: dict[str, Any] = {"label": one.label, "linestyle": "none", **_MARKERS[role], **alike}
     if len(x) > _MOST_MARKERS:
-        # Strokes without length in one path: a third of the bytes of as many markers.
+        # Strokes without length in one path take a third of the bytes of markers.
         dots: dict[str, Any] = {"alpha": 0.55, "linewidth": 2, "solid_capstyle": "round"}
         axes.plot(*_upright(x, y, y), **dots, **alike)
         return axes.plot([], [], **marked)[0]

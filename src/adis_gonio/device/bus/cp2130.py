@@ -1,25 +1,6 @@
-"""Requests of the CP2130 (AN792): bytes here, no device.
+"""`cp2130:` - a board with Silicon Labs' CP2130, by pyusb (extra `usb`).
 
-Every parser takes any bytes and either returns what they mean or raises `ProtocolError`.
-
-The CP2130 as a bus: one bulk WriteRead of two bytes a frame.
-
-Timing
-    The chip selects, clocks and deselects within a command; stall and period are kept by the host: the
-    next command is only sent when both have passed since the last reply came in, which is later than its
-    rise of CS. So a command is never queued behind another, which the chip would not survive. A frame
-    takes one bulk transfer each way: 500 frames a second where each waits for a USB frame of its own
-    (1 ms), 4000 where both together take 0.25 ms. These are bounds; none was measured.
-Errors
-    Bulk replies carry no tag, so a late one would look like the next one's. After a time-out the device
-    is therefore reset (USB port reset) and set up anew; after any other failure halts of its pipes are
-    ended and replies thrown away. A frame whose command may have left is never repeated.
-Not protected
-    The data carry no checksum of their own. On the cable USB's CRC guards them.
-
-`cp2130:` - a board with Silicon Labs' CP2130, by pyusb (extra `usb`).
-
-`cp2130:` where one board is connected, `cp2130:SERIAL` where there are several. Options:
+`cp2130:` if one board is connected, `cp2130:SERIAL` if there are several. Options:
 
 | option | meaning | default |
 |---|---|---|
@@ -27,7 +8,23 @@ Not protected
 | `reset_gpio` | GPIO on the chip's RST | none |
 | `event_counter` | 1: data-ready is wired to the event counter, GPIO.4 | 0 |
 | `timeout_ms` | time for one transfer | 250 |
-| `bus`, `address` | where it is, if serial numbers do not tell boards apart | |
+| `bus`, `address` | location of the board, if boards have equal serial numbers | |
+
+A frame is one bulk WriteRead of two bytes. Requests are described in AN792; every parser takes any bytes
+and either returns their meaning or raises `ProtocolError`.
+
+Timing
+    The chip selects, clocks and deselects within a command; the host keeps stall and period: it sends the
+    next command only when both have passed since the last reply arrived, which is later than the rise of
+    CS. A command is therefore never queued behind another, which the chip would not survive. A frame takes
+    one bulk transfer each way: 500 frames a second if each transfer waits for its own USB frame (1 ms),
+    4000 if both together take 0.25 ms. These are bounds; none was measured.
+Errors
+    Bulk replies carry no tag, so a late reply would look like the next one. After a time-out the device
+    is therefore reset (USB port reset) and configured again; after any other failure halts of its pipes are
+    cleared and replies discarded. A frame is never repeated if its command may have left.
+Not protected
+    The data carry no checksum of their own. On the cable the CRC of USB protects them.
 """
 
 from __future__ import annotations
@@ -78,11 +75,11 @@ CLOCKS_HZ = (12e6, 6e6, 3e6, 1.5e6, 750e3, 375e3, 187.5e3, 93.75e3)
 
 CS_LOW_FOR_A_WHOLE_COMMAND = True
 """[M] Chip select stays low for one bulk command, and the chip's own "CS toggle" works per byte: so a
-frame is one WriteRead of two bytes with the toggle off. Where a scope shows CS rising between the two
-bytes, the delay mask in `delay_request` is the place to mend."""
+frame is one WriteRead of two bytes with the toggle off. If a scope shows CS rising between the two bytes,
+change the delay mask in `delay_request`."""
 
 CPHA_BIT, CPOL_BIT, PUSH_PULL_BIT = 5, 4, 3
-"""[M] Bits of the SPI word beside the clock code in bits 2:0."""
+"""[M] Bits of the SPI word; bits 2:0 are the clock code."""
 
 EVENT_PIN = 4
 """GPIO.4, the only pin that can count."""
@@ -92,11 +89,11 @@ The pin's duty is programmed at the factory or once by its owner (OTP), never by
 
 PIN_BITS = (3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14)
 """[M] Bits of GPIO.0 to GPIO.10 in a word of pins. The answer about chip selects has a word of channels,
-which count from bit 0, and a word of pins: those whose function is a chip select and which are on."""
+which count from bit 0, and a word of pins: the pins that are an active chip select."""
 
 
 class ControlRequest(IntEnum):
-    """Control requests that this package sends; those of the OTP memory are not among them."""
+    """Control requests that this package sends; none of the OTP memory."""
 
     SET_GPIO_MODE = 0x23
     GET_CHIP_SELECT = 0x24
@@ -108,7 +105,7 @@ class ControlRequest(IntEnum):
 
 
 class GpioMode(IntEnum):
-    """What drives a pin."""
+    """Mode of a pin."""
 
     INPUT = 0
     OPEN_DRAIN = 1
@@ -123,7 +120,7 @@ _SELECTS = struct.Struct(">HH")
 
 
 def clock_code(clock_hz: float) -> int | None:
-    """Code of the fastest clock that is not above `clock_hz`; None where all are."""
+    """Code of the fastest clock not above `clock_hz`; None if all are faster."""
     return next((code for code, clock in enumerate(CLOCKS_HZ) if clock <= clock_hz), None)
 
 
@@ -150,7 +147,7 @@ def select_request(channel: int) -> bytes:
 
 
 def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
-    """Channels and pins whose chip select is on, the answer to `GET_CHIP_SELECT`."""
+    """Channels and pins with an active chip select, from the answer to `GET_CHIP_SELECT`."""
     if len(data) != _SELECTS.size:
         raise ProtocolError(f"CP2130: chip selects of {len(data)} bytes instead of {_SELECTS.size}")
     channels, pins = _SELECTS.unpack(data)
@@ -176,7 +173,7 @@ def frame_command(frame: int) -> bytes:
 
 
 def parse_frame(data: bytes) -> int:
-    """Word that came in during a frame."""
+    """Word received during a frame."""
     if len(data) != FRAME_BYTES:
         raise ProtocolError(f"CP2130: {len(data)} bytes came in for a frame of {FRAME_BYTES}")
     return int.from_bytes(data, "big")
@@ -199,7 +196,7 @@ _LATE = (errno.ETIMEDOUT, 10060)
 
 
 class UsbDevice(Protocol):
-    """What of a pyusb device is used."""
+    """The used methods of a pyusb device."""
 
     def ctrl_transfer(
         self,
@@ -234,7 +231,7 @@ class Cp2130Bus(HostBus):
     device : UsbDevice
         Interface 0 is claimed.
     usb_error : type
-        What `device` raises.
+        Class of the errors of `device`.
     claim : callable
         Claims the interface again after a port reset.
     release : callable
@@ -248,7 +245,7 @@ class Cp2130Bus(HostBus):
     reset_gpio : int or None
         GPIO on the chip's RST, driven open-drain.
     event_counter : bool
-        Offer the event counter of GPIO.4, which the board's OTP must have made one.
+        Offer the event counter of GPIO.4, which must be configured in the board's OTP.
     timeout_s : float
         Time for one transfer.
     clock : Clock
@@ -416,7 +413,7 @@ class Cp2130Bus(HostBus):
     # -- after a failure -----------------------------------------------------------------------------------
 
     def _fail(self, error: BusError) -> None:
-        """Note what a failure asks for, and do it where the device is there."""
+        """Note the recovery that a failure needs, and do it if the device is present."""
         self._unsure = True
         self._must_reset |= isinstance(error, BusTimeoutError)
         if not isinstance(error, CannotOpenError):
@@ -426,7 +423,7 @@ class Cp2130Bus(HostBus):
                 self._unsure = True  # the first error counts, the next use tries again
 
     def _settle(self) -> None:
-        """Bring the device to a known state where it may not be in one."""
+        """Bring the device to a known state after a failure."""
         if not self._unsure:
             return
         if self._must_reset:
@@ -453,7 +450,7 @@ class Cp2130Bus(HostBus):
             self._call(functools.partial(self._device.clear_halt, endpoint), "ending a halt")
 
     def _drain(self) -> None:
-        """Throw away what waits in the pipe."""
+        """Discard the replies in the pipe."""
         for _ in range(_MOST_LATE):
             try:
                 self._bulk_in(PACKET, _DRAIN_MS / 1000)
@@ -461,7 +458,7 @@ class Cp2130Bus(HostBus):
                 return
             except ProtocolError:
                 self._end_halts()
-        raise ProtocolError(f"{self.url}: replies that nobody asked for; does another program use it?")
+        raise ProtocolError(f"{self.url}: unexpected replies; does another program use it?")
 
 
 def _bytes(data: object) -> bytes:
@@ -586,7 +583,7 @@ def _boards(usb: Any, backend: Any) -> list[Any]:
 def _endpoints(usb: Any, url: str, device: Any) -> tuple[int, int]:
     """Bulk endpoints out and in by the board's descriptors.
 
-    They are 0x01 and 0x82, or 0x02 and 0x81 where the board's OTP gives reading the higher priority.
+    They are 0x01 and 0x82, or 0x02 and 0x81 if the board's OTP gives reading the higher priority.
     """
     interface = usb.util.find_descriptor(
         device.get_active_configuration(), bInterfaceNumber=_INTERFACE, bAlternateSetting=0
@@ -604,7 +601,7 @@ def _endpoints(usb: Any, url: str, device: Any) -> tuple[int, int]:
 
 
 def _serial(usb: Any, board: Any) -> str | None:
-    """Serial number, which only an opened device tells; None without permission."""
+    """Serial number, read by opening the device; None without permission."""
     try:
         return str(board.serial_number or "")
     except (usb.core.USBError, ValueError, NotImplementedError):

@@ -1,36 +1,6 @@
-"""Reports of the MCP2210: 64 bytes each way, little endian; bytes here, no device.
+"""`mcp2210:` - a board with Microchip's MCP2210, by hidapi (extra `hid`).
 
-Every parser takes any bytes and either returns what they mean or raises `ProtocolError`.
-
-Writes to a HID device that cannot hold up the caller.
-
-A write of hidapi knows no time-out: on hidraw the kernel waits 5 s for a device that takes
-nothing, on libusb hidapi waits 1 s and then calls it a failure. So writes are done by a thread, and whoever
-asked waits for it as long as he likes.
-
-The MCP2210 as a bus: one transaction of two bytes a frame.
-
-Timing
-    The chip makes CS around every transaction; its own delays come in steps of 100 µs and lie within the
-    CS-low time, so they are zero. Stall and period are kept by the host: a transfer is only sent when
-    both have passed since the answer that reported the last frame's end, which is later than its rise of
-    CS. A frame takes two commands, start and fetch. A command is a report each way, which the maker's
-    sibling MCP2221 does 500 times a second at xHCI controllers and 333 times at EHCI (EasyMCP2221, "USB
-    speed limits"): at most 167 to 250 frames a second, whatever the clock. A fetch that is answered "not
-    yet" (engine started, or status 0xF8) costs a command more.
-Errors
-    HID answers come in order and carry the command's code. After any failure the transfer is cancelled,
-    and answers are thrown away up to that to a mark with a number of its own, so that a late one, be it
-    of an earlier cancel, is never taken for another's.
-    A transfer that was refused (busy, stuck engine) has clocked nothing and is tried once more; one that
-    was accepted is never repeated. Where the device does not even take a report, nothing more is sent to it
-    until the bus is used again.
-Not protected
-    The data of an answer carry no checksum of their own. On the cable USB's CRC guards them.
-
-`mcp2210:` - a board with Microchip's MCP2210, by hidapi (extra `hid`).
-
-`mcp2210:` where one board is connected, `mcp2210:SERIAL` where there are several. Options:
+`mcp2210:` if one board is connected, `mcp2210:SERIAL` if there are several. Options:
 
 | option | meaning | default |
 |---|---|---|
@@ -39,7 +9,31 @@ Not protected
 | `event_counter` | 1: data-ready is wired to GP6 | 0 |
 | `timeout_ms` | time for one answer | 250 |
 | `backend` | `hidraw` or `libusb`, on Linux | hidraw |
-| `path` | the device's path as hidapi names it, where serial numbers do not tell boards apart | |
+| `path` | the device's path in hidapi, if boards have equal serial numbers | |
+
+A frame is one SPI transaction of two bytes. Reports have 64 bytes each way, little endian; every parser
+takes any bytes and either returns their meaning or raises `ProtocolError`.
+
+Timing
+    The chip drives CS around every transaction; its own delays have steps of 100 µs and lie within the
+    CS-low time, so they are zero. The host keeps stall and period: it sends a transfer only when both have
+    passed since the answer that reported the end of the last frame, which is later than the rise of CS. A
+    frame takes two commands, start and fetch. A command is a report each way. The maker's sibling MCP2221
+    exchanges 500 reports a second at xHCI controllers and 333 at EHCI (EasyMCP2221, "USB speed limits"): at
+    most 167 to 250 frames a second, for any clock. A fetch with the answer "not yet" (engine started, or
+    status 0xF8) costs one more command.
+Errors
+    HID answers arrive in order and carry the code of their command. After any failure the transfer is
+    cancelled, and answers are discarded up to the answer to a mark with a unique number, so that a late
+    answer, even to an earlier cancel, is never used for another command. A transfer that was refused (busy,
+    stuck engine) has clocked nothing and is tried once more; a transfer that was accepted is never
+    repeated. If the device does not take a report, nothing more is sent to it until the bus is used again.
+Writes
+    A write of hidapi has no time-out: on hidraw the kernel waits 5 s for a device that takes nothing, on
+    libusb hidapi waits 1 s and then reports a failure. A thread therefore writes, and the caller limits its
+    wait.
+Not protected
+    The data of an answer carry no checksum of their own. On the cable the CRC of USB protects them.
 """
 
 from __future__ import annotations
@@ -86,20 +80,20 @@ SLOWEST_HZ = 1_500
 FRAME_BYTES = 2
 
 STARTS_WITHOUT_DATA = True
-"""[M] The answer that accepts a transfer carries no data, even where the bytes are already through; the
-data come with the next one. Holds by the maker's example; a board that differs shows as the error
-"data before the transfer has started"."""
+"""[M] The answer that accepts a transfer carries no data, even if the bytes were already clocked; the next
+answer has the data. From the maker's example; a board that differs causes the error "data before the
+transfer has started"."""
 
 EVENT_PIN = 6
 """GP6, the only pin that can count."""
 COUNT_RISING_EDGES = 0b010
-"""[M] Chip settings, bits 3:1: what GP6 counts."""
+"""[M] Chip settings, bits 3:1: events that GP6 counts."""
 EVENT_MODE_MASK = 0b1110
 
 
 ECHO = 2
-"""[M] Byte of the answer to an EEPROM read that repeats the address. The address is the only thing that
-this chip repeats of a harmless request, and so serves as a mark in the order of answers."""
+"""[M] Byte of the answer to an EEPROM read that repeats the address. It is the only part of a harmless
+request that this chip repeats, so it marks a place in the order of answers."""
 
 
 class Command(IntEnum):
@@ -152,7 +146,7 @@ class Engine(IntEnum):
 
 
 class Designation(IntEnum):
-    """What a pin is."""
+    """Function of a pin."""
 
     GPIO = 0
     CS = 1
@@ -180,12 +174,12 @@ def status_of(answer: bytes, command: Command) -> int:
     if len(answer) != REPORT:
         raise ProtocolError(f"MCP2210: an answer of {len(answer)} bytes instead of {REPORT}")
     if answer[0] != command:
-        raise ProtocolError(f"MCP2210: answer to 0x{answer[0]:02X} where 0x{command:02X} was asked")
+        raise ProtocolError(f"MCP2210: answer to 0x{answer[0]:02X} instead of 0x{command:02X}")
     return answer[1]
 
 
 def status_words(status: int) -> str:
-    """What a status means."""
+    """Meaning of a status."""
     try:
         return STATUS_WORDS[AnswerStatus(status)]
     except (ValueError, KeyError):
@@ -193,7 +187,7 @@ def status_words(status: int) -> str:
 
 
 def mark(number: int) -> bytes:
-    """Request whose answer carries a number (u8): a read of the EEPROM, thrown away."""
+    """Request for an answer with a number (u8): a read of the EEPROM, discarded."""
     return request(Command.READ_EEPROM, bytes([number]))
 
 
@@ -222,7 +216,7 @@ class ChipSettings:
         return cls(tuple(designations), outputs, directions, flags)
 
     def with_pin(self, pin: int, kind: Designation) -> ChipSettings:
-        """The same with another designation of one pin."""
+        """Copy with another designation of one pin."""
         designations = list(self.designations)
         designations[pin] = kind
         return replace(self, designations=tuple(designations))
@@ -235,7 +229,7 @@ class ChipSettings:
 
 @dataclass(frozen=True)
 class SpiSettings:
-    """SPI side in RAM (commands 0x40, 0x41); times are zero, the host keeps them (see the bus)."""
+    """SPI settings in RAM (commands 0x40, 0x41); the delays are zero, because the host keeps the times."""
 
     bit_rate_hz: int
     idle_cs: int
@@ -248,7 +242,7 @@ class SpiSettings:
     def for_frames(cls, clock_hz: float, cs: int) -> SpiSettings:
         """Frames of two bytes in mode 3, CS on one GP.
 
-        The chip divides 12 MHz, so the rate is the largest such one that is not above `clock_hz`.
+        The chip divides 12 MHz; the rate is the fastest possible one not above `clock_hz`.
         """
         rate = BASE_HZ // -int(-BASE_HZ // clock_hz)
         idle = (1 << PINS) - 1
@@ -271,7 +265,7 @@ class SpiSettings:
 
 
 def transfer(data: bytes = b"") -> bytes:
-    """Start a transaction, or ask for what came in."""
+    """Start a transaction, or fetch the received bytes."""
     return request(Command.TRANSFER, bytes([len(data), 0, 0]) + data)
 
 
@@ -329,16 +323,16 @@ def pins_request(command: Command, bits: int) -> bytes:
 
 
 WRITE_S = 2.5
-"""Time for a write: longer than hidapi's own second on libusb, so that there none is left on its way, and
-half of the kernel's on hidraw. A board takes a report within 1 ms, but a busy host may be away."""
+"""Time for a write: longer than hidapi's own second on libusb, so that no write is pending there, and half
+of the kernel's time on hidraw. A board takes a report within 1 ms, but a busy host may be slow."""
 AT_ONCE_S = 0.5
-"""What fails later than this was not taken; a device that is gone fails at once."""
+"""A write that fails later than this was not taken; a missing device fails at once."""
 LONGEST_WRITE_S = 6.0
-"""Until then the kernel has given a write up."""
+"""The kernel has cancelled a write by then."""
 
 
 class HidDevice(Protocol):
-    """What of an open device of package hidapi is used."""
+    """The used methods of an open device of package hidapi."""
 
     def write(self, data: bytes, /) -> int:
         """Send a report with a leading report id; a negative number is a failure."""
@@ -354,14 +348,14 @@ class HidDevice(Protocol):
 
 
 class TimedWrites:
-    """A `HidDevice` whose `write` raises `TimeoutError` where the device takes nothing.
+    """A `HidDevice` whose `write` raises `TimeoutError` if the device takes nothing.
 
     Parameters
     ----------
     device : HidDevice
-        Belongs to this one from now on.
+        Device; `close` also closes it.
     timeout_s : float
-        Time for a write, one before it that is still on its way included.
+        Time for a write, including a pending write before it.
     """
 
     def __init__(self, device: HidDevice, timeout_s: float = WRITE_S) -> None:
@@ -373,7 +367,7 @@ class TimedWrites:
     def write(self, data: bytes, /) -> int:
         """Send a report with a leading report id; a negative number is a failure."""
         if self._last is not None and not wait([self._last], self._timeout_s).done:
-            raise TimeoutError("an earlier report is still on its way")
+            raise TimeoutError("an earlier report is still pending")
         self._last = self._thread.submit(self._write, data)
         return self._last.result(self._timeout_s)
 
@@ -393,7 +387,7 @@ class TimedWrites:
         return self._device.set_nonblocking(on)
 
     def close(self) -> None:
-        """Give the device back; waits for a write, since hidapi frees what the write still uses."""
+        """Close the device; waits for a write, because hidapi frees memory that the write uses."""
         self._thread.shutdown(wait=False)
         if self._last is None or wait([self._last], LONGEST_WRITE_S).done:
             self._device.close()
@@ -409,7 +403,7 @@ TIMEOUT_S = 0.25
 """Time for one answer; the chip needs 1 to 2 ms."""
 _TRIES = 2
 _MOST_LATE = 64
-"""Answers of others that are thrown away before the device is called confused."""
+"""Most foreign answers that are discarded before an error."""
 
 
 class Mcp2210Bus(HostBus):
@@ -524,7 +518,7 @@ class Mcp2210Bus(HostBus):
         return int.from_bytes(data, "big")
 
     def _start(self, data: bytes) -> None:
-        """Begin a transaction; what is refused has clocked nothing and is tried once more."""
+        """Begin a transaction; a refused one has clocked nothing and is tried once more."""
         for left in range(_TRIES - 1, -1, -1):
             answer = self._ask(Command.TRANSFER, transfer(data))
             status = status_of(answer, Command.TRANSFER)
@@ -596,7 +590,7 @@ class Mcp2210Bus(HostBus):
     def _await(self, report: bytes, is_mine: Callable[[bytes], bool]) -> bytes:
         """Send a report and return the first answer that is its own."""
         while self._read(0):
-            pass  # an answer that nobody waits for
+            pass  # discard late answers
         self._write(report)
         deadline = self._clock.now_s() + self._timeout_s
         for _ in range(_MOST_LATE):
@@ -629,13 +623,13 @@ class Mcp2210Bus(HostBus):
     # -- after a failure -------------------------------------------------------------------------------
 
     def _settle(self) -> None:
-        """Bring the device to a known state where it may not be in one."""
+        """Bring the device to a known state after a failure."""
         if self._unsure:
             self._cancel()
             self._unsure = False
 
     def _settle_quietly(self) -> None:
-        """The same on an error's way out: the first error counts, the next use tries again."""
+        """Like `_settle`, after an error: the first error counts, the next use tries again."""
         try:
             self._settle()
         except BusError:
@@ -643,8 +637,8 @@ class Mcp2210Bus(HostBus):
 
     def _cancel(self) -> None:
         self._converse(Command.CANCEL, request(Command.CANCEL))
-        # That may have been the answer to an earlier cancel. Answers keep their order: with the mark's
-        # own, all earlier ones are behind.
+        # The answer may belong to an earlier cancel. Answers keep their order: after the answer to the mark
+        # no earlier answer can follow.
         self._marked = (self._marked + 1) & 0xFF
         number = self._marked
         self._await(mark(number), lambda answer: is_mark(answer, number))
@@ -743,7 +737,7 @@ def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack
     try:
         device.open_path(board["path"])
     except OSError:
-        # hidapi says no more than "open failed": ask what it may have been.
+        # hidapi reports only "open failed": find the reason.
         if not any(_path(other) == path for other in _boards(hid)):
             raise missing(url, "MCP2210 any more") from None
         raise busy(url, node) from None

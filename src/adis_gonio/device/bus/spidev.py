@@ -1,32 +1,29 @@
-"""Calls of Linux's spidev and GPIO character devices: layouts as the kernel has them, 64-bit safe.
-
-All pointers are u64 in these structures, on 32-bit systems too (linux/spi/spidev.h, linux/gpio.h).
-
-Linux's spidev as a bus: many frames in one ioctl where the kernel can keep the stall, else one each.
-
-Timing
-    Within a message the kernel raises CS between transfers where `cs_change` is set, and keeps it high
-    for 10 µs; `delay_usecs` comes *before* the rise and so cannot lengthen the stall, and spidev hands
-    on no other delay. 10 µs are enough for the chip's fast mode (9 µs). There the whole batch is one
-    SPI_IOC_MESSAGE; the frame period is kept by the clock, which is taken just so slow that 16 clocks
-    and the 10 µs fill it: CS rises right after the last clock, as the chip's sleep command wants it.
-    For a longer stall (normal mode: 75 µs) every frame is a message of its own and the host waits in
-    between. Where the device tree lengthens the time (`spi-cs-inactive-delay-ns`), say so with
-    `cs_high_us` and batches go in one message in normal mode too.
-Sizes
-    A message holds 511 transfers by its number's size field, and fewer where the driver's buffer
-    (`bufsiz`, 4096 bytes) is short, since newer kernels round each transfer up to a cache line. What is
-    too long is refused before anything is clocked (EMSGSIZE); it then goes in halves, and the host keeps
-    the stall between them.
-Errors
-    An ioctl cannot be given a time-out; the kernel's controller drivers have their own.
-
-`spidev:/dev/spidev0.0` - SPI pins of a Raspberry Pi and other Linux boards; needs no package.
+"""`spidev:/dev/spidev0.0` - SPI pins of a Raspberry Pi and other Linux boards; needs no package.
 
 | option | meaning | default |
 |---|---|---|
 | `reset_gpio` | the chip's RST: `17` on gpiochip0, or `gpiochip4:17` | none |
-| `cs_high_us` | time that the kernel keeps CS high within a message | 10 |
+| `cs_high_us` | time for which the kernel keeps CS high within a message | 10 |
+
+Many frames are one ioctl if the kernel can keep the stall; otherwise each frame is one. The structures
+follow the kernel (linux/spi/spidev.h, linux/gpio.h), with pointers of 64 bits on all systems.
+
+Timing
+    Within a message the kernel raises CS between transfers with `cs_change`, and keeps it high for 10 µs;
+    `delay_usecs` comes *before* the rise and so cannot lengthen the stall, and spidev passes on no other
+    delay. 10 µs are enough for the chip's fast mode (9 µs). In this mode the whole batch is one
+    SPI_IOC_MESSAGE; the clock keeps the frame period: it is so slow that 16 clocks and the 10 µs fill the
+    period, and CS rises right after the last clock, as required by the chip's sleep command. For a longer
+    stall (normal mode: 75 µs) every frame is its own message and the host waits in between. If the device
+    tree lengthens the time (`spi-cs-inactive-delay-ns`), set `cs_high_us` and batches are one message in
+    normal mode too.
+Sizes
+    A message has at most 511 transfers because of the size field of its number, and fewer if the driver's
+    buffer (`bufsiz`, 4096 bytes) is short, since newer kernels round each transfer up to a cache line. A
+    message that is too long is refused before anything is clocked (EMSGSIZE); it is then sent in halves,
+    and the host keeps the stall between them.
+Errors
+    An ioctl has no time-out; the kernel's controller drivers have their own.
 """
 
 from __future__ import annotations
@@ -96,8 +93,8 @@ RD_MODE32 = _ioc(_READ, _SPI, 5, 4)
 MODE_3 = MODE_BITS = 0b11
 LSB_FIRST, THREE_WIRE, LOOP = 0x08, 0x10, 0x20
 BENT_FRAMES = LSB_FIRST | THREE_WIRE | LOOP
-"""Flags of the mode that change the bits of a frame or where they come from. The others say how CS is
-driven and are not ours: kernels since 5.4 set SPI_CS_HIGH where CS is a GPIO, whatever its polarity."""
+"""Flags of the mode that change the bits of a frame or their source. The other flags define the drive of CS
+and belong to the kernel: since 5.4 it sets SPI_CS_HIGH if CS is a GPIO of any polarity."""
 
 
 def message(count: int) -> int:
@@ -157,7 +154,7 @@ def open_drain_line(offset: int) -> LineRequest:
 
 
 class Kernel(Protocol):
-    """System calls that are used; tests put their own in place."""
+    """The used system calls; tests replace them."""
 
     def open(self, path: str) -> int:
         """File descriptor of a device file, for reading and writing; `OSError`."""
@@ -166,14 +163,14 @@ class Kernel(Protocol):
         """Call with a ctypes object that the kernel reads and writes; `OSError`."""
 
     def lock(self, fd: int) -> None:
-        """Advisory lock; `BlockingIOError` where another program has it."""
+        """Advisory lock; `BlockingIOError` if another program has it."""
 
     def close(self, fd: int) -> None:
-        """Give a descriptor back."""
+        """Close a descriptor."""
 
 
 class LinuxKernel:
-    """The real one.
+    """System calls of Linux.
 
     Raises
     ------
@@ -206,10 +203,10 @@ class LinuxKernel:
 
 CS_HIGH_US = 10.0
 """[M] CS-high time between two transfers with cs_change: the default of the kernel's SPI core
-(`_spi_transfer_cs_change_delay`). A controller driver with a loop of its own may differ."""
+(`_spi_transfer_cs_change_delay`). A controller driver with its own loop may differ."""
 
 SLOWEST_HZ = 10_000
-"""The clock is not taken slower than this to fill a period; then frames go one by one."""
+"""Slowest clock that fills a period; below it frames are sent one by one."""
 
 _GONE = (errno.ENODEV, errno.ESHUTDOWN, errno.ENXIO)
 
@@ -272,7 +269,7 @@ class SpidevBus(HostBus):
         return SpiTiming(float(int(self._clock_for(timing))), timing.stall_us, timing.period_us)
 
     def _clock_for(self, timing: SpiTiming) -> float:
-        """Clock that fills the period where frames go in one message, else the one asked for."""
+        """Clock that fills the period if frames are one message, else the requested clock."""
         if timing.stall_us > self._cs_high_us:
             return timing.clock_hz
         left_us = timing.period_us - self._cs_high_us
@@ -280,7 +277,7 @@ class SpidevBus(HostBus):
         return min(timing.clock_hz, filling) if filling >= SLOWEST_HZ else timing.clock_hz
 
     def _fills(self, timing: SpiTiming) -> bool:
-        """True where the kernel alone keeps stall and period within a message."""
+        """True if the kernel alone keeps stall and period within a message."""
         frame_us = FRAME_BITS / timing.clock_hz * 1e6 + self._cs_high_us
         return self._cs_high_us >= timing.stall_us and frame_us >= timing.period_us
 
@@ -303,7 +300,7 @@ class SpidevBus(HostBus):
         return replies
 
     def _message(self, frames: Words) -> Words:
-        """One ioctl; every frame is a transfer with a chip-select period of its own."""
+        """Send one ioctl, in which every frame is a transfer with its own chip-select period."""
         count = len(frames)
         sent = frames.astype(">u2")
         received = np.zeros(count, ">u2")
@@ -347,7 +344,7 @@ class SpidevBus(HostBus):
             raise ProtocolError(f"{self.url}: the SPI controller is in mode {got:#x}, not 3")
 
     def _mode(self) -> int:
-        """Mode with its flags, as the kernel has it."""
+        """Mode and its flags in the kernel."""
         mode = ctypes.c_uint32()
         self._call(self._fd, RD_MODE32, mode)
         return mode.value
@@ -384,7 +381,7 @@ def open_from_url(
     clock : Clock
         The bus's clock.
     folder : str
-        Where device files are looked for.
+        Folder of the device files.
 
     Raises
     ------

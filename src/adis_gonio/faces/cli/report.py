@@ -44,7 +44,7 @@ def command(*, session: Path, output: Path, time_limit: float | None, overrides:
 
 def _page(session: Session, time_limit: float | None) -> str:
     """Every result on one page."""
-    from adis_gonio.base.budget import current, told
+    from adis_gonio.base.budget import current, with_progress
     from adis_gonio.base.errors import AdisGonioError
     from adis_gonio.fitting import applicable_methods, fit
     from adis_gonio.handover.report.allan import noise_section
@@ -55,7 +55,7 @@ def _page(session: Session, time_limit: float | None) -> str:
     tell = current().tell
     tell("every method")
     fits, failures = [], {}
-    for method in told(applicable_methods(session)):
+    for method in with_progress(applicable_methods(session)):
         try:
             fits.append(fit(session, method=method))
         except AdisGonioError as error:

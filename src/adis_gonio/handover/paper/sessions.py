@@ -16,7 +16,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from adis_gonio.base.budget import told
+from adis_gonio.base.budget import with_progress
 from adis_gonio.base.errors import FitError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
@@ -189,13 +189,13 @@ def results_of(part: Part, traced: bool = False) -> Results:
 def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Results]:
     """Results of many parts in their order; each with whether it is traced too."""
     if jobs <= 1:
-        return [results_of(*one) for one in told(parts)]
+        return [results_of(*one) for one in with_progress(parts)]
     # Ctrl-C is the parent's to answer: it ends the pool in order, without a traceback from each process.
     with ProcessPoolExecutor(
         jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
     ) as pool:
         done = pool.map(results_of, *zip(*parts, strict=True))
-        return [one for one, _ in zip(done, told(parts), strict=True)]
+        return [one for one, _ in zip(done, with_progress(parts), strict=True)]
 
 
 def facts_of(results: Results) -> dict[str, Any]:

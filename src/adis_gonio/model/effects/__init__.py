@@ -1,6 +1,7 @@
-"""Effects by name: those of this package and those that other packages add by entry points.
+"""The catalogue of effects by name: the effects of this package, and the effects of other packages.
 
-The catalogue of effects: named physical terms that the seed paper's model lacks.
+An effect is a named physical term that the seed paper's model lacks; other packages add effects by entry
+points.
 
 >>> from adis_gonio.model.effects import parse_effect
 >>> effect, values = parse_effect("quadratic:k2_x=2.5")
@@ -44,28 +45,28 @@ BUILT_IN: dict[str, type[Effect]] = {
     if isinstance(kind, type) and issubclass(kind, Effect)
     if kind.__module__ == module.__name__ and "name" in vars(kind)
 }
-"""Effects of this package, in the order of their definition: every class with a name of its own."""
+"""Effects of this package, in the order of their definition: every class that declares a name."""
 
 
 def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
-    """Every effect that is installed, by name: the built-in ones, then those of other packages.
+    """All installed effects by name: the built-in effects, then the effects of other packages.
 
     Parameters
     ----------
     part : str, optional
-        Only the effects of this part of the sensor, as its readings have them (`Measurement.part`).
+        Return only the effects of this part of the sensor (`Measurement.part`).
 
     Raises
     ------
     UsageError
-        An installed package's entry point cannot be loaded, is no effect, takes another name than the
-        effect's own, names no covariate or one that does not exist, or takes a name that is already there.
+        An entry point cannot be loaded, is no effect, differs in name from the effect, names no covariate
+        or an unknown one, or repeats a name.
     """
     found = dict(BUILT_IN)
     for point in _installed(tuple(sys.path)):
         try:
             kind = point.load()
-        except Exception as error:  # whatever a foreign module does on import
+        except Exception as error:  # a foreign module may raise anything on import
             raise UsageError(f"effect '{point.name}' of {point.value} cannot be loaded: {error}") from error
         if not (isinstance(kind, type) and issubclass(kind, Effect)):
             raise UsageError(f"effect '{point.name}': {point.value} is no subclass of Effect")
@@ -93,7 +94,7 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
 
 @cache
 def _installed(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """Entry points of the packages on a path, which is read once: that takes longer than a fit."""
+    """Entry points of the packages on a path, cached because reading them takes longer than a fit."""
     return tuple(entry_points(group=ENTRY_POINT_GROUP))
 
 
@@ -105,15 +106,15 @@ def effect(name: str, axes: Sequence[str] = ("x", "y"), **choices: int) -> Effec
     name : str
         One of `catalogue()`.
     axes : sequence of str
-        Axes on which it shall act; without meaning for an effect that has none to choose (of the stage).
+        Axes of the effect; ignored for an effect without a choice of axes (of the stage).
     choices : int
-        Fields beside the axes: `dwell` of `position_slip` and `outlier_dwell`, `degree` of
+        Fields other than the axes: `dwell` of `position_slip` and `outlier_dwell`, `degree` of
         `bias_temperature`, `cycles` of `stage_periodic`.
 
     Raises
     ------
     UsageError
-        No effect has this name (the nearest one is named), or axes or choices are not possible.
+        No effect has this name (the message has the nearest), or axes or choices are not possible.
     """
     kind = BUILT_IN.get(name) or _kind(name)
     wrong = [choice for choice in choices if choice not in kind.choices()]
@@ -135,16 +136,16 @@ def _kind(name: str) -> type[Effect]:
 def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, Floats]:
     """Effect and its values from a word of a command line.
 
-    `quadratic` has all its parameters at their typical size. `quadratic:k2_x=2.5` sets what it names; other
-    amplitudes are zero, shapes (time constants and the like) stay typical. Choices stand in the same list:
-    `position_slip:dwell=3,slip=0.1`. A parameter of the z axis brings that axis in.
+    `quadratic` has all parameters at their typical size. `quadratic:k2_x=2.5` sets the named parameters;
+    other amplitudes are zero, shapes (such as time constants) stay typical. Choices belong to the same
+    list: `position_slip:dwell=3,slip=0.1`. A parameter of the z axis adds that axis.
 
     Parameters
     ----------
     text : str
         `name` or `name:parameter=value,parameter=value`.
     axes : sequence of str
-        Axes on which the effect shall act.
+        Axes of the effect.
 
     Returns
     -------
@@ -155,8 +156,8 @@ def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, F
     Raises
     ------
     UsageError
-        Unknown effect or parameter (with what there is), a value that is no number or stands twice, or one
-        outside its physical bounds.
+        Unknown effect or parameter (the message lists the known ones), a value that is no number, is given
+        twice, or is outside its physical bounds.
     """
     name, colon, listed = (part.strip() for part in text.partition(":"))
     kind = BUILT_IN.get(name) or _kind(name)
@@ -167,7 +168,7 @@ def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, F
         if not (key and equals and value):
             raise UsageError(f"effect '{text}': write {name}:parameter=value, not '{item.strip()}'")
         if key in given or key in choices:
-            raise UsageError(f"effect '{text}': {key} stands twice")
+            raise UsageError(f"effect '{text}': {key} is given twice")
         if key in kind.choices():
             choices[key] = _whole(text, key, value)
         else:

@@ -1,14 +1,11 @@
-"""Static terms of the sensor: what an axis answers to acceleration, along it and across it.
+"""Effects of the sensor and its surroundings: response, temperature, supply, time, local gravity.
 
-The order is that of the model equation of IEEE Std 1293: E/K1 = K0 + a_i + K2 a_i² + K3 a_i³ + K_ip a_i a_p
-+ K_pp a_p² + δ a_p. All typical sizes are estimates; the sheet of the siblings gives non-orthogonality
-±0.25° and nonlinearity ±0.2 % of full scale (3.4 mg at 1.7 g, hence K3 ≈ 0.7 mg/g³).
-
-Terms that follow the surroundings: temperature, supply, time, local gravity.
-
-Sizes (estimates for the ADIS16354): 0.5 mg/°C and 40 ppm/°C as its better sibling, a self-heating of a few
-degrees with a time constant of minutes; a gain that moves with the supply by a hundredth of what a wholly
-ratiometric sensor has (1/5 V, 200 000 ppm/V), and with time by as much at 1 g as the zero does.
+The static terms have the order of the model equation of IEEE Std 1293: E/K1 = K0 + a_i + K2 a_i² + K3 a_i³
++ K_ip a_i a_p + K_pp a_p² + δ a_p. All typical sizes are estimates. The data sheet of the siblings gives
+non-orthogonality ±0.25° and nonlinearity ±0.2 % of full scale (3.4 mg at 1.7 g, hence K3 ≈ 0.7 mg/g³).
+Estimates for the ADIS16354: 0.5 mg/°C and 40 ppm/°C like its better sibling; self-heating of a few degrees
+with a time constant of minutes; a gain that changes with the supply a hundred times less than in a fully
+ratiometric sensor (1/5 V, 200 000 ppm/V), and changes with time at 1 g as much as the zero.
 """
 
 from __future__ import annotations
@@ -45,7 +42,7 @@ class Bias(LinearAxisEffect):
     """A constant: mean term K0 of the tumble."""
 
     name = "bias"
-    cause = "An axis reads other than zero where no acceleration acts along it."
+    cause = "An axis does not read zero without acceleration along it."
     formula = "a_i += bias_i"
     separated_by = (
         "Two positions cannot see it, opposite ones (0/180°) can; in one plane at 1 g the mean of an even "
@@ -87,9 +84,9 @@ class Scale(LinearAxisEffect):
 class Misalignment(CrossEffect):
     """The linear part of cross-axis sensitivity.
 
-    In the plane the four linear terms (two gains, two misalignments) are the base model's K_x, K_y, α and
-    Δφ; in space with free attitudes six of the nine linear terms are gains and skews and the other three
-    are a rotation, which nobody can see. So a fit finds it in the base parameters, never beside them.
+    In the plane the four linear terms (two gains, two misalignments) are the base parameters K_x, K_y, α
+    and Δφ; in space with free attitudes six of the nine linear terms are gains and skews, and the other
+    three are a rotation, which gravity cannot show. A fit therefore finds it in the base parameters.
     """
 
     name = "misalignment"
@@ -114,9 +111,9 @@ class Misalignment(CrossEffect):
 class CrossAxis(CrossEffect):
     """Cross coupling K_ip: the sensitivity of an axis depends on the acceleration across it.
 
-    The linear part of cross-axis sensitivity is `misalignment`: in every session it lies in the span of the
-    base model, so that a second name for it could never be found. What makes cross-axis response visible is
-    the product a_i a_p, which gives sin 2t in a tumble.
+    The linear part of cross-axis sensitivity is `misalignment`, which the base model contains in every
+    session. The visible part of the cross-axis response is the product a_i a_p, which gives sin 2t in a
+    tumble.
     """
 
     name = "cross_axis"
@@ -192,7 +189,7 @@ class Asymmetry(LinearAxisEffect):
         "All even harmonics, 2/π and 4/(3π) cos 2t first, so that few positions take it for `quadratic`; "
         "readings near zero, where |a| has its kink and a² is flat, tell them apart."
     )
-    remedy = "add angles where an axis reads near zero, five degrees apart"
+    remedy = "add angles with readings of an axis near zero, five degrees apart"
     remedy_in_space = _OBLIQUE
     correctable = True
     coefficients = (Parameter("asymmetry", "mg/g", -100.0, 100.0, 1.0),)
@@ -266,7 +263,7 @@ class BiasTemperature(LinearAxisEffect):
     cause = "The zero of an axis moves with the temperature of the die."
     formula = "a_i += tempco_i · ΔT + tempco2_i · ΔT² + tempco3_i · ΔT³ up to `degree`, ΔT = T − 25 °C"
     separated_by = (
-        "Where temperature only rises it is `bias_drift` or `warm_up`: let it fall again, or repeat "
+        "If the temperature only rises it is `bias_drift` or `warm_up`: let it fall again, or repeat "
         "positions at two temperatures in changed order; `scale_temperature` grows with the reading."
     )
     remedy = CYCLE
@@ -293,7 +290,7 @@ class BiasTemperature(LinearAxisEffect):
         return tuple(above**power for power in range(1, self.degree + 1))
 
     def die_c(self, axis: int, conditions: Conditions) -> Floats:
-        """Temperature (n,) that an axis follows."""
+        """Temperature (n,) for an axis."""
         return conditions.covariate("temperature_c")
 
 
@@ -320,16 +317,16 @@ class ScaleTemperature(LinearAxisEffect):
 class MisalignmentTemperature(CrossEffect):
     """The direction of an axis follows the temperature.
 
-    In the plane a misalignment of both axes is that of one and a turn of the whole part. A part that turns
-    with its mount is no misalignment, so that a candidate of the trace misaligns one axis; two of them
-    stand for both.
+    In the plane a misalignment of both axes is the misalignment of one axis and a turn of the whole part. A
+    part that turns with its mount is not misaligned, so a candidate of the trace misaligns one axis; two
+    candidates represent both.
     """
 
     name = "misalignment_temperature"
     cause = "The misalignment of an axis changes with the temperature of the die."
     formula = "a_i += misalignment_tempco_ip · (T − 25 °C) · a_p (angle in radians)"
     separated_by = (
-        "`scale_temperature` shows where the axis is along gravity, this where it is across it: several "
+        "`scale_temperature` shows if the axis is along gravity, this effect if it is across: several "
         "angles at two temperatures. A mount that turns with the temperature moves both axes by the same "
         "angle; a misalignment that goes on in time needs the temperature to go both ways."
     )
@@ -348,12 +345,12 @@ class ThermalLag(CourseEffect):
     """The zero follows a part that is warmer or cooler than the sensor of temperature.
 
     With τ dT_lag/dt = T − T_lag and T_lag = T at the first record of the session, the term is
-    lag_i (T_lag − T). It is zero where the temperature stands still, so that it does not compete with
-    `bias_temperature`; a zero that wholly follows T_lag has lag_i = tempco_i.
+    lag_i (T_lag − T). It is zero at constant temperature, so that it does not compete with
+    `bias_temperature`; a zero that follows only T_lag has lag_i = tempco_i.
     """
 
     name = "thermal_lag"
-    cause = "The element that shifts the zero warms later than the die whose temperature is read."
+    cause = "The element that shifts the zero warms later than the die with the thermometer."
     formula = "a_i += lag_i · (T_lag − T), τ dT_lag/dt = T − T_lag"
     separated_by = (
         "`bias_temperature` is the same on the way up and on the way down: heat and cool at different "
@@ -442,7 +439,7 @@ class ScaleDrift(LinearAxisEffect):
     cause = "The sensitivity of an axis moves evenly with time (ageing, a reference that drifts)."
     formula = "a_i += scale_drift_i · 10⁻⁶ · t/60 · a_i, t from the session's start"
     separated_by = (
-        "`bias_drift` does not change its sign with the reading: +1 g and −1 g early and late. Where "
+        "`bias_drift` does not change its sign with the reading: +1 g and −1 g early and late. If "
         "temperature or supply only rise or sink it is `scale_temperature` or `supply_scale`: let them go "
         "both ways. A gain that moves after the load has changed is `creep`."
     )
@@ -480,13 +477,13 @@ class WarmUp(CourseEffect):
 class Gravity(Effect):
     """All axes scale alike.
 
-    With g the local gravity and g′ the one that the session declares, what is seen is (g/g′) times what
-    should be: `gravity` = g/g′ − 1. On the Earth's surface g lies between 9.764 and 9.834 m/s².
+    With g the local gravity and g′ the declared gravity of the session, the readings are (g/g′) times the
+    ideal ones: `gravity` = g/g′ − 1. On the Earth's surface g lies between 9.764 and 9.834 m/s².
     """
 
     name = "gravity"
     covariates = ("reading",)
-    cause = "Local gravity differs from the one that the session declares."
+    cause = "Local gravity differs from the declared gravity of the session."
     formula = "a_i += gravity · a_i on every axis"
     separated_by = (
         "Equal to a common error of all gains; ΔK and Δφ do not depend on it. A measured g, or a second "

@@ -1,12 +1,10 @@
-"""Terms of the stage and of how a position was reached.
+"""Effects of the stage, of the approach to a position, of single dwells, and of samples within dwells.
 
-The stage's terms turn the part: they are angles, added to ψ = α − θ, and appear in a reading multiplied by
-its tangential slope. Remount the part by an angle on the table, and compare readings at the same direction
-of gravity in the part: the sensor's own terms are the same, a stage's term of n cycles a turn has advanced
-by n times that angle. So one cycle changes its sign by a remounting of 180° (the reversal pair that tells
-table from sensor), two cycles need 90°.
-
-Terms that stand within dwells or in a single dwell: converter, vibration, settling, outliers.
+The terms of the stage turn the part: they are angles, added to ψ = α − θ, and appear in a reading
+multiplied by its tangential slope. If the part is remounted by an angle on the table, and readings at the
+same direction of gravity in the part are compared, the terms of the sensor are unchanged, but a term of the
+stage with n cycles a turn has advanced by n times that angle. One cycle therefore changes its sign by a
+remounting of 180° (the reversal pair that separates table and sensor), two cycles need 90°.
 """
 
 from __future__ import annotations
@@ -40,24 +38,24 @@ from adis_gonio.model.records import MG_PER_G
 BETWEEN = "measure at angles between those of this session"
 _STAGE = "belongs to the stage, not to the sensor"
 LEAST_CYCLES = 3
-"""Fewest cycles a turn of `stage_periodic`: one and two have names of their own."""
+"""Smallest number of cycles of `stage_periodic`; one and two cycles are other effects."""
 _ROUNDING = 1e-9
 """Least size of a harmonic: less is the rounding of an angle."""
 _SAME_PHASE = 1e-6
-"""What a mean phase factor may lack of 1: a scatter of 1.4 mrad, which is what angles are rounded to."""
+"""Largest difference of a mean phase factor from 1: a scatter of 1.4 mrad, the rounding of angles."""
 
 
 def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
-    """True where two numbers of cycles a turn are the same function at these angles, but for a phase.
+    """True if two numbers of cycles a turn give the same function at these angles, except for a phase.
 
-    With the phase of e^{i(m ∓ n)θ} constant over the angles, m cycles are n cycles: they are an alias. A
-    constant is 0 cycles.
+    If the phase of e^{i(m ∓ n)θ} is constant over the angles, m cycles are an alias of n cycles. A constant
+    has 0 cycles.
     """
     return bool(of_one_phase(np.array([cycles - others, cycles + others]), angle_rad).any())
 
 
 def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool_]:
-    """Numbers of cycles a turn (m,) whose phase is the same at all of these angles."""
+    """True for numbers of cycles a turn (m,) with the same phase at all of these angles."""
     length = np.abs(np.exp(1j * cycles[:, None] * angle_rad).mean(axis=1))
     return np.asarray(length > 1 - _SAME_PHASE)
 
@@ -121,8 +119,8 @@ class StagePeriodic(StageEffect):
 
     Notes
     -----
-    At N equally spaced angles n cycles, N − n, N + n, … are the same column: a session shows n up to N/2,
-    and what it finds may as well be any that folds to it (`alike`).
+    At N equally spaced angles n cycles, N − n, N + n, … give the same column: a session shows n up to N/2,
+    and a number that is found may be any number that folds to it (`alike`).
     """
 
     cycles: int = 3
@@ -154,7 +152,7 @@ class StagePeriodic(StageEffect):
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
         """Harmonic `cycles` of the declared angle."""
         turned = self.cycles * conditions.covariate("angle_rad")
-        # At 2·cycles equally spaced angles one of the two is rounding and stands for nothing.
+        # At 2·cycles equally spaced angles one of the two contains only rounding errors.
         waves = (np.sin(turned), np.cos(turned))
         return tuple(np.where(np.abs(wave) > _ROUNDING, wave, 0.0) for wave in waves)
 
@@ -166,7 +164,7 @@ class Backlash(StageEffect):
     cause = "Play in the drive of the stage: the angle depends on the direction of approach."
     formula = "ψ += backlash · approach/2"
     separated_by = (
-        "`hysteresis` shifts an axis alike at every angle, backlash only where its reading changes with "
+        "`hysteresis` shifts an axis alike at every angle, backlash only if its reading changes with "
         "the angle: approach several positions from both sides."
     )
     remedy = "approach several positions from both sides"
@@ -181,7 +179,7 @@ class Backlash(StageEffect):
 
 @dataclass(frozen=True)
 class PositionSlip(StageEffect):
-    """One dwell stands elsewhere than declared.
+    """One dwell is at another angle than declared.
 
     Attributes
     ----------
@@ -192,7 +190,7 @@ class PositionSlip(StageEffect):
     dwell: int = 1
 
     name = "position_slip"
-    cause = "One position was not where it was declared: the part or the stage slipped, or was misread."
+    cause = "One position differs from its declared angle: the part or the stage slipped, or was misread."
     formula = "ψ += slip in dwell `dwell`"
     separated_by = (
         "Readings of all axes move along the circle; `outlier_dwell` moves them in any direction, so that "
@@ -215,7 +213,7 @@ class Hysteresis(LinearAxisEffect):
     cause = "Stress of the last move stays in the sensor or its mount and shifts the zero of an axis."
     formula = "a_i += hysteresis_i · approach/2"
     separated_by = (
-        "`backlash` turns the part and so moves a reading only where it changes with the angle: approach "
+        "`backlash` turns the part and so moves a reading only if it changes with the angle: approach "
         "several positions from both sides; with one direction throughout it is a `bias`."
     )
     remedy = "approach several positions from both sides"
@@ -228,59 +226,36 @@ class Hysteresis(LinearAxisEffect):
         return (0.5 * conditions.covariate("approach"),)
 
 
-class Creep(AxisEffect):
-    """The axis answers to a part of its load late, and so goes on creeping after each change of the load.
+class Creep(CourseEffect):
+    """Part of the response to a load is late, so that the reading creeps after each change of the load.
 
-    With τ da_late/dt = a − a_late, and a_late = a where the session begins, the term is
-    creep_i (a_late − a) per g: right after a change of the load by Δa it lacks creep·Δa, and what it lacks
-    decays with τ. It is zero where the load has rested, so that it does not compete with the gain. A gain
+    With τ da_late/dt = a − a_late, and a_late = a at the beginning of the session, the term is
+    creep_i (a_late − a) per g: after a change of the load by Δa the reading lacks creep·Δa, and the lack
+    decays with τ. It is zero under a constant load, so that it does not compete with the gain. A gain
     that changes with the load itself is `quadratic` or `cubic`; a gain that drifts *after* loading is this.
-    `settling` is the same for every dwell and over within it; `hysteresis` knows the direction of the last
-    move only.
+    `settling` is equal in every dwell and ends within it; `hysteresis` depends only on the direction of the
+    last move.
     """
 
     name = "creep"
-    cause = "The spring or the mount of an axis goes on yielding after the load on it has changed."
+    cause = "The spring or the mount of an axis continues to yield after a change of its load."
     formula = "a_i += creep_i · (a_late,i − a_i)/1000, τ da_late,i/dt = a_i − a_late,i"
     separated_by = (
         "It follows the loads of all dwells before, in proportion: turn by 180°, repeat the position for "
-        "several τ, and turn back. `settling` begins anew with every dwell, `bias_drift` and `warm_up` do "
-        "not ask where the part has been, `hysteresis` does not decay."
+        "several τ, and turn back. `settling` begins again with every dwell, `bias_drift` and `warm_up` do "
+        "not depend on earlier loads, `hysteresis` does not decay."
     )
     remedy = "turn by 180°, dwell there for several time constants, and turn back"
     not_corrected = MEMORY
     needs = ("load_history",)
     covariates = ("previous_angle",)
+    amplitude = Parameter("creep", "mg/g", -100.0, 100.0, 1.0)
+    shape = Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True)
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The amplitudes, then the time constant."""
-        return (
-            *by_letters((Parameter("creep", "mg/g", -100.0, 100.0, 1.0),), self.axes),
-            Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True),
-        )
-
-    def _course(self, column: int, tau_s: float, own_mg: Floats, c: Conditions) -> tuple[Floats, Floats]:
-        """(a_late − a)/1000 of a column and its derivative by τ, (n,) each."""
-        late, by_tau = c.late_load(column, tau_s)
-        return (late - own_mg) / MG_PER_G, by_tau / MG_PER_G
-
-    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """What the axes still lack, (n, axes) in mg."""
-        added = np.zeros(ideal.shape)
-        for value, column in zip(values[:-1], self.columns_of(ideal), strict=True):
-            course, _ = self._course(column, float(values[-1]), ideal[:, column], conditions)
-            added[:, column] = value * course
-        return added
-
-    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative (n, axes, p): the course by the amplitudes, its slope by τ."""
-        design = np.zeros((*ideal.shape, len(values)))
-        for k, column in enumerate(self.columns_of(ideal)):
-            course, slope = self._course(column, float(values[-1]), ideal[:, column], conditions)
-            design[:, column, k] = course
-            design[:, column, -1] = values[k] * slope
-        return design
+    def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
+        """(a_late − a)/1000 (n,) of each axis, and its derivative with respect to τ."""
+        late = [(column, *conditions.late_load(column, shape)) for column in self.columns_of(ideal)]
+        return [((load - ideal[:, k]) / MG_PER_G, by_tau / MG_PER_G) for k, load, by_tau in late]
 
 
 class AxisTilt(Effect):
@@ -291,10 +266,10 @@ class AxisTilt(Effect):
 
         a_xy becomes (a_xy/ρ)(ρ cos ε − a_z sin ε),  a_z becomes a_z cos ε + ρ sin ε:
 
-    a rotation that keeps the modulus. The in-plane angle does not change at all, whatever ε: both axes lose
-    the same part ε²/2 of their gain (0.15 mg at 1°), which is `gravity` or a common `scale`; only z sees ε
-    in the first order (17.5 mg at 1°). A part mounted with an axis tilted by λ out of the plane of
-    rotation reads G sin ε · λ besides, a constant, which is `bias`. So x and y alone cannot name it.
+    a rotation that keeps the modulus. The in-plane angle does not depend on ε: both axes lose the same
+    fraction ε²/2 of their gain (0.15 mg at 1°), which is `gravity` or a common `scale`; only z shows ε in
+    first order (17.5 mg at 1°). A part mounted with an axis tilted by λ out of the plane of rotation also
+    reads G sin ε · λ, a constant, which is `bias`. x and y alone therefore cannot identify it.
     """
 
     name = "axis_tilt"
@@ -344,7 +319,7 @@ class AxisTilt(Effect):
 
 @dataclass(frozen=True)
 class SampleEffect(AxisEffect):
-    """An effect that changes the samples of its axes; readings feel it only by way of them."""
+    """An effect that changes the samples of its axes, and the readings only through the samples."""
 
     enters = Enters.SAMPLES
     within_dwell = True
@@ -352,7 +327,7 @@ class SampleEffect(AxisEffect):
     def samples_mg(
         self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Samples (n, axes) in mg with those of `axes` changed; the array given is left alone."""
+        """Copy of the samples (n, axes) in mg with changed columns for `axes`."""
         changed = samples_mg.copy()
         columns = self.columns_of(samples_mg)
         changed[:, columns] = self.change(values, samples_mg[:, columns], conditions, rng)
@@ -366,7 +341,7 @@ class SampleEffect(AxisEffect):
 
 
 class Saturation(SampleEffect):
-    """Samples stop at ± the limit."""
+    """Samples are clipped at ± the limit."""
 
     name = "saturation"
     covariates = ("reading",)
@@ -390,11 +365,11 @@ class Saturation(SampleEffect):
 
 
 class Quantization(SampleEffect):
-    """Samples stand on multiples of a step."""
+    """Samples are multiples of a step."""
 
     name = "quantization"
     covariates = ("reading",)
-    cause = "The converter gives whole steps; where noise is below a step the mean follows a staircase."
+    cause = "The converter gives whole steps; if noise is below a step the mean follows a staircase."
     formula = "sample_i = lsb · round(sample_i/lsb)"
     separated_by = (
         "The distances of the samples are multiples of one step; with noise of a step or more the mean is "
@@ -447,7 +422,7 @@ class Tone(SampleEffect):
 
 
 class NoiseChange(SampleEffect):
-    """White noise joins from a moment on, on top of the sensor's own."""
+    """White noise is added to the noise of the sensor from a moment on."""
 
     name = "noise_change"
     covariates = ("reading",)
@@ -461,7 +436,7 @@ class NoiseChange(SampleEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Standard deviations of the noise that joins, and the moment in the session's time."""
+        """Standard deviations of the added noise, and the moment in the time of the session."""
         return (
             *by_letters((Parameter("extra", "mg", 0.0, 1000.0, 5.0),), self.axes),
             Parameter("start", "s", 0.0, 1e6, 60.0, shape=True),
@@ -470,7 +445,7 @@ class NoiseChange(SampleEffect):
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Samples with the noise that joins."""
+        """Samples with the added noise."""
         joined = (conditions.time_s >= values[-1])[:, None]
         noise: Floats = joined * rng.standard_normal(own_mg.shape) * values[:-1]
         return own_mg + noise
@@ -479,8 +454,8 @@ class NoiseChange(SampleEffect):
 class Settling(CourseEffect):
     """Each dwell begins with the same exponential.
 
-    At the level of readings it is a constant where dwells are equally long, so it is looked for within the
-    dwells: rows of `Conditions` are then samples. The mean of exp(−t/τ) over a dwell is not exp(−mean t/τ).
+    For readings of equally long dwells it is a constant, so it is searched within the dwells: rows of
+    `Conditions` are then samples. The mean of exp(−t/τ) over a dwell is not exp(−mean t/τ).
     """
 
     name = "settling"
@@ -488,7 +463,7 @@ class Settling(CourseEffect):
     cause = "After each move the sensor, its mount or the stage settles exponentially."
     formula = "a_i += settling_i · exp(−t/τ), t from the end of the move"
     separated_by = (
-        "It begins anew with every dwell, which `bias_drift` and `warm_up` do not; in the readings it is "
+        "It begins again with every dwell, which `bias_drift` and `warm_up` do not; in the readings it is "
         "a `bias`: look at the samples, or wait longer in some dwells."
     )
     remedy = "wait longer before some of the dwells"
@@ -504,7 +479,7 @@ class Settling(CourseEffect):
 
 @dataclass(frozen=True)
 class OutlierDwell(LinearAxisEffect):
-    """One dwell is off by any amount.
+    """One dwell has any error.
 
     Attributes
     ----------
@@ -526,11 +501,11 @@ class OutlierDwell(LinearAxisEffect):
     needs = ("order",)
     coefficients = (Parameter("offset", "mg", -4000.0, 4000.0, 5.0),)
     elsewhere: ClassVar[dict[str, type[Effect]]] = {}
-    """The same of other parts, whose readings have another unit."""
+    """Classes of the effect for other parts, with other units of the readings."""
 
     @classmethod
     def of_part(cls, part: str) -> type[Effect] | None:
-        """Its own class, or that of another part."""
+        """Class for the readings of a part."""
         return super().of_part(part) or cls.elsewhere.get(part)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:

@@ -1,16 +1,14 @@
-"""Seeded faults between a host and a device: what a cable, a hub or a firmware may do.
+"""Seeded faults between a host and a device: of bytes and USB packets, and of SPI frames.
 
-`Faults` decides, `FaultyStream` applies them to the bytes of a serial line; a model of USB packets asks
-`Faults` for each.
+`Faults` draws the faults, `FaultyStream` applies them to the bytes of a serial line; a model of USB packets
+asks `Faults` for each packet. The rates are probabilities: `drop`, `duplicate`, `flip`, `delay` and `chunk`
+apply to a byte of a stream or a packet of USB; `hang`, `busy`, `progress` (the device reports that it is at
+work), `stuck`, `short` and `unplug` to a packet. A serial line knows `drop`, `duplicate`, `flip`, `delay`,
+`chunk` and `hang`.
 
-Rates are probabilities: of `drop`, `duplicate`, `flip`, `delay` and `chunk` a byte of a stream or a packet
-of USB, of `hang`, `busy`, `progress` (the device says that it is at work), `stuck`, `short` and `unplug` a
-packet. A serial line knows `drop`, `duplicate`, `flip`, `delay`, `chunk` and `hang`.
-
-Faults of SPI frames, by seed: a bus around another one that spoils what passes.
-
-For drivers and host code that have to notice. Each kind has a generator of its own, so that the same frames
-meet the same faults however they are grouped into batches, and whatever other kinds are switched on.
+`FaultyBus` is a bus around another bus that corrupts its frames, for drivers and host code that have to
+notice. Each kind of fault has its own generator, so that the same frames meet the same faults, independent
+of their grouping into batches and of the other kinds.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ from adis_gonio.device.bus.contract import FRAME_BITS, FrameBlock, FrameStream, 
 
 @dataclass
 class Faults:
-    """Rates and the dice; everything that happened is counted in `seen`."""
+    """Rates and the dice; `seen` counts the faults that happened."""
 
     seed: int = 0
     drop: float = 0.0
@@ -54,7 +52,7 @@ class Faults:
         self.hung_until_s = -math.inf
 
     def happens(self, kind: str) -> bool:
-        """Throw the dice for a kind of fault."""
+        """Draw whether a kind of fault happens now."""
         rate = getattr(self, kind)
         if rate and self.dice.random() < rate:
             self.seen[kind] += 1
@@ -62,13 +60,13 @@ class Faults:
         return False
 
     def hangs(self, now_s: float) -> bool:
-        """True while the device does not react; may begin now."""
+        """True while the device does not react; a hang may begin now."""
         if now_s >= self.hung_until_s and self.happens("hang"):
             self.hung_until_s = now_s + self.hang_s
         return now_s < self.hung_until_s
 
     def flipped(self, data: bytes, first: int, last: int) -> bytes:
-        """Bytes with one bit turned in some of those from first to last (exclusive)."""
+        """Bytes with one flipped bit in some of the bytes from first to last (exclusive)."""
         out = bytearray(data)
         for k in range(first, min(last, len(out))):
             if self.happens("flip"):
@@ -76,7 +74,7 @@ class Faults:
         return bytes(out)
 
     def delayed_s(self) -> float:
-        """Extra time that something takes."""
+        """Additional delay in s, or 0."""
         return self.delay_s * self.dice.random() * 2 if self.happens("delay") else 0.0
 
     @property
@@ -86,7 +84,7 @@ class Faults:
 
 
 class FaultyStream:
-    """Bytes on their way, each with its time of arrival; order is kept."""
+    """Bytes in transit, each with its time of arrival, in order."""
 
     def __init__(self, faults: Faults, byte_s: float = 0.0) -> None:
         self.faults = faults
@@ -103,14 +101,14 @@ class FaultyStream:
                 continue
             if faults.happens("flip"):
                 byte ^= 1 << faults.dice.randrange(8)
-            # A chunk is a pause inside a packet, as a hub or a driver makes it; a delay may be long.
+            # A chunk is a pause inside a packet, as made by a hub or a driver; a delay may be long.
             extra = faults.delayed_s() + (0.002 if faults.happens("chunk") else 0.0)
             self._last_s = max(self._last_s, now_s) + self._byte_s + extra
             for _ in range(2 if faults.happens("duplicate") else 1):
                 self._queue.append((self._last_s, byte))
 
     def next_s(self) -> float | None:
-        """Time at which the next byte arrives; None where none is on its way."""
+        """Time at which the next byte arrives; None if no byte is in transit."""
         return self._queue[self._at][0] if self._at < len(self._queue) else None
 
     def take(self, now_s: float, size: int) -> bytes:
@@ -126,7 +124,7 @@ class FaultyStream:
         return data
 
     def waiting(self, now_s: float) -> int:
-        """Bytes that have arrived and were not taken."""
+        """Number of bytes that have arrived and were not taken."""
         count = 0
         for k in range(self._at, len(self._queue)):
             if self._queue[k][0] > now_s:
@@ -135,7 +133,7 @@ class FaultyStream:
         return count
 
     def clear(self) -> None:
-        """Throw away what is on its way."""
+        """Discard all bytes in transit."""
         self._queue.clear()
         self._at = 0
 
@@ -145,27 +143,27 @@ _KINDS = ("bit_errors", "lost_frames", "stuck_words", "busy", "silent")
 
 @dataclass(frozen=True)
 class BusFaults:
-    """What may go wrong with frames, as probabilities from 0 to 1.
+    """Faults of frames, as probabilities from 0 to 1.
 
     Attributes
     ----------
     seed : int
-        Of all dice.
+        Seed of all dice.
     bit_errors : float
-        Of a bit of a reply to be turned, as noise on the data line does. Nothing on SPI tells.
+        Probability that a bit of a reply is flipped, as by noise on the data line; SPI cannot detect it.
     lost_frames : float
-        Of a frame not to reach the chip, as with a loose chip select: its reply is `idle_word`, and the
-        next reply is late by one frame. Of a stream the scan is left out and counted as lost.
+        Probability that a frame does not reach the chip, as with a loose chip select: its reply is
+        `idle_word`, and the next reply is late by one frame. A stream omits the scan and counts it as lost.
     stuck_words : float
-        Of a reply to stick: it comes again in the place of the `stuck_frames` next ones.
+        Probability that a reply replaces the `stuck_frames` replies after it.
     stuck_frames : int
-        From 1 on.
+        At least 1.
     busy : float
-        Of a batch to be refused by the bridge, before a frame is sent: `ProtocolError`.
+        Probability that the bridge refuses a batch before it sends a frame: `ProtocolError`.
     silent : float
-        Of a batch to end without an answer after it was sent: `BusTimeoutError`.
+        Probability that a batch is sent but not answered: `BusTimeoutError`.
     idle_word : int
-        What an undriven data line reads as.
+        Word that an undriven data line gives.
     """
 
     seed: int = 0
@@ -192,18 +190,18 @@ NO_FAULTS = BusFaults()
 
 
 class FaultyBus(SpiBus):
-    """A bus that spoils another one's frames.
+    """A bus that corrupts the frames of another bus.
 
     Parameters
     ----------
     inner : SpiBus
-        Belongs to this one from now on: `close` closes it.
+        Other bus; `close` also closes it.
     faults : BusFaults
 
     Attributes
     ----------
     seen : Counter
-        How often each kind has happened: turned bits, lost frames, replies that stuck, batches.
+        Number of faults of each kind: flipped bits, lost frames, repeated replies, batches.
     """
 
     def __init__(self, inner: SpiBus, faults: BusFaults = NO_FAULTS) -> None:
@@ -218,7 +216,7 @@ class FaultyBus(SpiBus):
 
     @property
     def faults(self) -> BusFaults:
-        """What may go wrong; setting it begins its dice anew."""
+        """Probabilities of the faults; setting them resets the dice."""
         return self._faults
 
     @faults.setter
@@ -229,16 +227,16 @@ class FaultyBus(SpiBus):
             self._dice = {k: np.random.default_rng(s) for k, s in zip(_KINDS, seeds, strict=True)}
             self._stuck_left, self._stuck_word = 0, 0
 
-    # -- what goes through as it is ------------------------------------------------------------------
+    # -- unchanged calls -----------------------------------------------------------------------------
 
     @property
     def stage(self) -> Any:
-        """The inner bus's stage; None where it has none."""
+        """Stage of the inner bus; None if it has none."""
         return getattr(self.inner, "stage", None)
 
     @property
     def world(self) -> Any:
-        """The inner bus's world; None where it has none."""
+        """World of the inner bus; None if it has none."""
         return getattr(self.inner, "world", None)
 
     def now_s(self) -> float:
@@ -267,10 +265,10 @@ class FaultyBus(SpiBus):
     def _close(self) -> None:
         self.inner.close()
 
-    # -- what is spoilt ------------------------------------------------------------------------------
+    # -- faulty calls --------------------------------------------------------------------------------
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """A stream of the inner bus, with faults in its words."""
+        """Start a stream of the inner bus, with faults in its words."""
         return _FaultyFrames(self, self.inner.stream(frames, block_scans=block_scans))
 
     def _exchange(self, frames: Words) -> Words:
@@ -287,13 +285,13 @@ class FaultyBus(SpiBus):
         edges = np.flatnonzero(np.diff(lost)) + 1
         for part in np.split(np.arange(len(frames)), edges):
             if lost[part[0]]:
-                self.inner.sleep_s(len(part) * self.timing.frame_s)  # the bridge clocks them all the same
+                self.inner.sleep_s(len(part) * self.timing.frame_s)  # the bridge still clocks them
             else:
                 replies[part] = self.inner.exchange_array(frames[part])
         return replies
 
     def _spoilt(self, words: Words) -> Words:
-        """Replies (n,) with those that stick and turned bits."""
+        """Replies (n,) with repeated words and flipped bits."""
         words = words.copy()
         sticks = self._struck("stuck_words", len(words))
         if self._stuck_left or sticks.any():
@@ -307,7 +305,7 @@ class FaultyBus(SpiBus):
         return words ^ (turned @ (1 << np.arange(FRAME_BITS))).astype(np.uint16)
 
     def _struck(self, kind: str, count: int) -> NDArray[np.bool_]:
-        """Which of so many are struck by a kind of fault."""
+        """Draw which of `count` items a kind of fault hits, (count,)."""
         rate = getattr(self._faults, kind)
         if not rate:
             return np.zeros(count, bool)
@@ -320,7 +318,7 @@ class FaultyBus(SpiBus):
 
 
 class _FaultyFrames(FrameStream):
-    """A stream whose words are spoilt on their way."""
+    """A stream with faults in its words."""
 
     def __init__(self, bus: FaultyBus, inner: FrameStream) -> None:
         self._bus = bus

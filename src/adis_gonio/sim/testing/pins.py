@@ -1,6 +1,7 @@
-"""Clocks of device models: one that stands still unless somebody waits or works, and the wall's.
+"""The SPI wires and RST between a bridge and a simulated chip, and the clocks of device models.
 
-The four SPI wires and RST between a bridge and a simulated chip.
+`VirtualClock` advances only if the program waits or works; `DeviceClock` and `WorkClock` follow the wall
+clock.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from adis_gonio.sim.chip import SimulatedChip
 
 
 class VirtualClock:
-    """Time that only moves on when it is waited for; a time-out costs nothing."""
+    """Clock that advances only by waits and work; a time-out costs nothing."""
 
     def __init__(self, now_s: float = 0.0) -> None:
         self._now_s = now_s
@@ -27,12 +28,12 @@ class VirtualClock:
             self._now_s += seconds
 
     def advance_to(self, time_s: float) -> None:
-        """Work goes on until a time."""
+        """Advance to the time at which work ends."""
         self._now_s = max(self._now_s, time_s)
 
 
 class DeviceClock:
-    """The wall's clock, from 0 on, for device models that live in real time (pty, USB/IP)."""
+    """Wall clock that starts at 0, for device models in real time (pty, USB/IP)."""
 
     def __init__(self) -> None:
         self._zero_s = time.monotonic()
@@ -46,15 +47,15 @@ class DeviceClock:
         time.sleep(max(0.0, seconds))
 
     def advance_to(self, time_s: float) -> None:
-        """Wait until the work would be done."""
+        """Wait until the work is done."""
         self.sleep_s(time_s - self.now_s())
 
 
 class WorkClock(DeviceClock):
-    """The same for a model whose answers carry the time at which they are ready.
+    """Wall clock for a model whose answers carry the time at which they are ready.
 
-    Work sets it forward at once, before the wall's clock has come so far; whoever sends the answer waits
-    for it. A model that slept for every frame would be late by as many wake-ups of a busy machine.
+    Work advances it at once, ahead of the wall clock; the sender of an answer waits for its time. A model
+    that slept for every frame would be late by as many wake-ups of a busy machine.
     """
 
     def __init__(self) -> None:
@@ -66,11 +67,11 @@ class WorkClock(DeviceClock):
         return super().now_s()
 
     def now_s(self) -> float:
-        """The wall's time, or that up to which work is done where it is ahead."""
+        """Time of the wall, or the time of the finished work if that is later."""
         return max(self.wall_s(), self._done_s)
 
     def advance_to(self, time_s: float) -> None:
-        """Work is done until a time."""
+        """Note that work is done until a time."""
         self._done_s = max(self._done_s, time_s)
 
 
@@ -88,13 +89,13 @@ class PinClock(Protocol):
 
 
 class ChipPins:
-    """A chip on a bridge's pins; the bridge says what it does with them, the chip punishes what is wrong.
+    """A chip on the pins of a bridge; a wrong use of the pins gives wrong replies.
 
     Parameters
     ----------
     chip : SimulatedChip
     clock : PinClock
-        Work on the wires takes its time on it.
+        Clock on which transfers take time.
     """
 
     def __init__(self, chip: SimulatedChip, clock: PinClock) -> None:
@@ -115,7 +116,7 @@ class ChipPins:
     ) -> bytes:
         """One chip-select period; returns as many bytes as it was given.
 
-        It starts now, or at `start_s` where the bridge times its frames itself.
+        It starts now, or at `start_s` if the bridge times its frames itself.
         """
         now = self.clock.now_s() if start_s is None else start_s
         start = max(now, self.free_s, self.chip.time_s)
@@ -126,7 +127,7 @@ class ChipPins:
             return b"\xff" * len(data)
         word, bits = int.from_bytes(data[:2].ljust(2, b"\0"), "big"), 8 * len(data)
         if mode != RIGHT_MODE:
-            # A wrong edge or level costs the chip one of the clocks; what it sees is shifted.
+            # A wrong edge or level costs the chip one of the clocks, so that its word is shifted.
             word, bits = word >> 1, bits - 1
         reply = self.chip.frame(word, start_s=start, clock_hz=clock_hz, bits=bits, cs_hold_s=cs_hold_s)
         if bits != 16:
@@ -134,9 +135,9 @@ class ChipPins:
         return reply.to_bytes(2, "big").ljust(len(data), b"\xff")[: len(data)]
 
     def hard_reset(self) -> None:
-        """RST goes high again."""
+        """Release RST."""
         self.chip.hard_reset(max(self.clock.now_s(), self.chip.time_s))
 
     def data_ready_edges(self) -> int:
-        """Edges so far."""
+        """Number of data-ready edges so far."""
         return self.chip.data_ready_edges(max(self.clock.now_s(), self.chip.time_s))

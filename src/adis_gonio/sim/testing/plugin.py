@@ -3,8 +3,8 @@
     @pytest.mark.adis_gonio(url="sim:?seed=3&delta_k=0.01")
     def test_it(simulated_sensor): ...
 
-A mark nearer to the test overrides one of its class or module, name by name. Without a use nothing but this
-module is imported.
+A mark nearer to the test overrides a mark of its class or module, name by name. If no test uses a fixture,
+only this module is imported.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ OPTIONS = {
     "transport": "of the board: pty or tcp",
     "boot_s": "silence of the board at first",
 }
-"""What the mark takes."""
+"""Options of the mark."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Make the mark known."""
+    """Register the mark."""
     config.addinivalue_line(
         "markers", f"{MARK}({', '.join(OPTIONS)}): how a simulated sensor or board of adis-gonio is made"
     )
@@ -56,7 +56,7 @@ def simulated_board(request: pytest.FixtureRequest) -> Iterator[SimulatedBoard]:
 
 
 def _made(make: Any, request: pytest.FixtureRequest, names: tuple[str, ...]) -> Any:
-    """What `make` returns for the marks of a test; a mistake in them fails the test in one line."""
+    """Call `make` with the marks of a test; a mistake in them fails the test in one line."""
     from adis_gonio.base.errors import AdisGonioError
 
     options = _options(request)

@@ -1,15 +1,13 @@
-"""Serial ports by pyserial: opening, what can go wrong, what is connected.
+"""`serial:/dev/ttyUSB0` - a board with the project's firmware (firmware_proto/), by pyserial.
 
-`serial:/dev/ttyUSB0` - a board with the project's firmware (firmware_proto/), by pyserial.
-
-`serial:` where one USB serial port is there, or one that names itself (a Raspberry Pi Pico);
+`serial:` if there is one USB serial port, or one with the name of this firmware (a Raspberry Pi Pico);
 `serial:socket://host:port` and pyserial's other URLs too.
 
 | option | meaning | default |
 |---|---|---|
-| `baud` | 500000, or 1000000 where the firmware was built so; a Pico has none | 500000 |
+| `baud` | 500000, or 1000000 if the firmware was built with it; a Pico has none | 500000 |
 | `edge` | edge of data-ready that starts a scan: `falling` or `rising` | falling |
-| `boot_ms` | how long the firmware is waited for after opening | 3000 |
+| `boot_ms` | longest wait for the firmware after opening | 3000 |
 | `serial_number` | USB serial number, instead of a port | |
 """
 
@@ -29,11 +27,12 @@ from adis_gonio.device.bus.wire import load_cobs
 from adis_gonio.device.bus.wire import protocol as wire
 
 SLICE_S = 0.05
-"""Longest single wait in a read. It never changes: pyserial would set up the whole port anew each time."""
+"""Longest single wait in a read. It is constant, because pyserial would configure the port again for each
+change."""
 WRITE_S = 1.0
 BUFFER = 65536
 PRODUCT = "adis-gonio"
-"""A firmware that is a USB device itself begins its product's name so, whatever its VID:PID."""
+"""Beginning of the product name of a firmware that is a USB device, with any VID:PID."""
 
 
 def load() -> Any:
@@ -69,11 +68,12 @@ class SerialPort:
         self._serial = serial
         self._port = port
         self._url = url
-        # pyserial's socket tells of one byte at most that waits, and byte by byte no stream gets through.
+        # pyserial's socket reports at most one waiting byte, and reading single bytes is too slow for a
+        # stream.
         self._whole = not type(port).__module__.endswith(".protocol_socket")
 
     def receive(self, wait_s: float, /) -> bytes:
-        """Whatever has arrived; waits for the first byte for at most `wait_s`."""
+        """Bytes that have arrived; waits at most `wait_s` for the first byte."""
         end_s = time.monotonic() + wait_s
         try:
             while True:
@@ -82,11 +82,11 @@ class SerialPort:
                 if data or time.monotonic() >= end_s:
                     return data if self._whole or not data else data + self._rest()
         except (OSError, TypeError, AttributeError) as error:
-            # pyserial fails with TypeError where another thread closes the port under a read.
+            # pyserial raises TypeError if another thread closes the port during a read.
             raise gone(self._url) from error
 
     def _rest(self) -> bytes:
-        """What else has arrived at a socket, for which another time-out costs nothing."""
+        """Further bytes at a socket, for which another time-out costs nothing."""
         self._port.timeout = 0
         try:
             rest: bytes = self._port.read(BUFFER)
@@ -104,7 +104,7 @@ class SerialPort:
             raise gone(self._url) from error
 
     def close(self) -> None:
-        """Give the port back. Linux waits up to 30 s where a board that hangs has not taken all bytes."""
+        """Close the port. Linux waits up to 30 s if a hanging board has not taken all bytes."""
         with contextlib.suppress(OSError):
             self._port.close()
 
@@ -142,7 +142,7 @@ def list_boards() -> list[Any]:
 
 
 def names_itself(port: Any) -> bool:
-    """Whether a port says by its USB strings that it is a board of ours, as the Pico's firmware does."""
+    """True if the USB strings of a port name this firmware, as on the Pico."""
     return str(port.product or "").startswith(PRODUCT)
 
 
@@ -163,7 +163,7 @@ def _cannot_open(error: OSError, place: str, baud: int, url: str) -> BusError:
     code = error.errno
     if code in (errno.EACCES, errno.EPERM):
         return no_permission(url, place, "tty")
-    # Windows calls a port that another program has "access denied", which pyserial gives as text only.
+    # Windows reports a port in use as "access denied", which pyserial gives as text only.
     words = ("exclusively lock", "PermissionError")
     if code in (errno.EBUSY, errno.EAGAIN) or any(word in str(error) for word in words):
         return busy(url, place)
@@ -203,7 +203,7 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
     trigger = wire.Trigger[options.one_of("edge", ("falling", "rising")).upper()]
     boot_ms = options.number("boot_ms", round(BOOT_S * 1000), 100, 60_000)
     number = options.text("serial_number")
-    load_cobs()  # what is missing is said before a port is opened, which resets many boards
+    load_cobs()  # report a missing package before opening the port, which resets many boards
     if port is None:
         port = open_port(_place(url, number), baud, url.text)
     try:
@@ -214,7 +214,7 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
 
 
 def find_devices() -> list[Device]:
-    """USB serial ports; whether the firmware is on a board only opening it tells."""
+    """USB serial ports; only opening a port shows if a board has the firmware."""
     return devices(list_boards())
 
 

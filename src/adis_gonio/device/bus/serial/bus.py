@@ -1,28 +1,23 @@
-"""The firmware's clock on the host's: wraps undone, offset and rate followed.
+"""A board with the project's firmware as a bus, its streams, and the map of its clock to the host's clock.
 
-A packet cannot arrive before it was sent, so the earliest arrivals of a while lie on the true line; a
-straight line through them gives offset and rate (a ceramic resonator is off by up to 0.5 %). Times that
-were handed out stay: the map is bent towards the line, never torn.
+The firmware keeps the timing and runs the streams. Batches longer than its limit are sent in several
+requests; it keeps stall and period between them.
 
-A stream of the firmware: packets of scans to blocks, with what was lost counted.
-
-A board with the project's firmware as a bus; the firmware makes the timing and the streams.
-
-Batches longer than the firmware takes go in several requests; it keeps stall and period across them.
+A packet cannot arrive before it was sent, so the earliest arrivals of a period lie on the true line; a
+straight line through them gives offset and rate of the firmware's clock (a ceramic resonator is off by up
+to 0.5 %). Times that were returned never change: the map bends towards the line and has no jumps.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.errors import BusError, BusTimeoutError, ProtocolError, UsageError
 from adis_gonio.device.bus.contract import (
-    RESERVED_BIT,
     Capability,
     FrameBlock,
     FrameStream,
@@ -36,11 +31,11 @@ from adis_gonio.device.bus.wire import protocol as wire
 
 _WRAP_US = 1 << 32
 _WHILE_S = 1.0
-"""Arrivals of so long give one point, the earliest."""
+"""Period of arrivals for one point, the earliest arrival."""
 _POINTS = 32
 _LEAST_POINTS = 4
 _STEEPEST = 0.02
-"""Most that the map's rate is off 1; resonators are four times better."""
+"""Largest deviation of the map's rate from 1; resonators are four times better."""
 
 
 class ClockMap:
@@ -51,7 +46,7 @@ class ClockMap:
     now_us : int
         Firmware's clock in a reply.
     arrival_s : float
-        When that reply came in.
+        Time at which that reply arrived.
     """
 
     def __init__(self, now_us: int, arrival_s: float) -> None:
@@ -67,9 +62,9 @@ class ClockMap:
         Parameters
         ----------
         first_us, span_us : int
-            Time of the first scan, and from there to the last.
+            Time of the first scan, and duration to the last scan.
         arrival_s : float
-            When the packet came in.
+            Time at which the packet arrived.
         """
         first_s = self._unwrap(first_us)
         end_s = first_s + span_us * 1e-6
@@ -84,7 +79,7 @@ class ClockMap:
         return at_host_s + rate * (np.linspace(first_s, end_s, count) - at_s)
 
     def _unwrap(self, us: int) -> float:
-        """Seconds since the start for a time that is at most half a wrap away from the last one."""
+        """Seconds since the start, for a time at most half a wrap from the previous time."""
         step = (us - self._us + _WRAP_US // 2) % _WRAP_US - _WRAP_US // 2
         self._us = us
         self._s += step * 1e-6
@@ -102,7 +97,7 @@ class ClockMap:
             del points[:-_POINTS]
 
     def _fit(self) -> None:
-        """Straight line through the points, all of which are complete now."""
+        """Fit a straight line through the points, which are all complete."""
         at, late = np.array(self._points).T
         middle = float(at.mean())
         slope = float((at - middle) @ late / ((at - middle) @ (at - middle)))
@@ -116,27 +111,12 @@ class ClockMap:
 
 
 SILENCE_S = 3.0
-"""Without an edge for so long the chip is not sampling: its slowest rate has one every 2.42 s."""
+"""The chip is not sampling if no edge comes for so long; its slowest period is 2.42 s."""
 _POLL_S = 0.5
 _PACKETS_MISSED = 4
-"""Packets that the edges counted should have filled; where none of so many arrives the line is no good."""
+"""Expected packets by the count of edges; if none of them arrives, the line is faulty."""
 _AROUND = wire.HEADER_SIZE + wire.CRC_SIZE + 2
-"""Bytes on the line beside a packet's body: header, CRC, COBS, delimiter."""
-
-
-class StreamOwner(Protocol):
-    """What a stream needs of its bus."""
-
-    url: str
-
-    def next_scans(self, wait_s: float) -> tuple[Packet, float] | None:
-        """Next packet of scans and its arrival; None where none came in time."""
-
-    def count_edges(self) -> int:
-        """Data-ready edges that the firmware has counted (u32)."""
-
-    def now_s(self) -> float:
-        """The bus's clock."""
+"""Bytes on the line in addition to the body of a packet: header, CRC, COBS, delimiter."""
 
 
 class SerialStream(FrameStream):
@@ -144,16 +124,16 @@ class SerialStream(FrameStream):
 
     Parameters
     ----------
-    owner : StreamOwner
+    owner : SerialBus
         The bus.
     stream_id : int
-        Id of the request that started it; packets of other streams are thrown away.
+        Id of the request that started it; packets of other streams are discarded.
     width : int
         Frames in the list.
     packet_scans : int
         Scans in a full packet.
     block_scans : int
-        Scans that a block has at least, unless the stream is slow.
+        Minimum number of scans in a block.
     clock : ClockMap
         For times.
     byte_s : float
@@ -164,7 +144,7 @@ class SerialStream(FrameStream):
 
     def __init__(
         self,
-        owner: StreamOwner,
+        owner: SerialBus,
         *,
         stream_id: int,
         width: int,
@@ -220,7 +200,7 @@ class SerialStream(FrameStream):
             self._stop()
 
     def _part(self) -> FrameBlock | None:
-        """Scans of the next packet that belongs here and is sound."""
+        """Scans of the next packet; None if it is invalid or belongs to another stream."""
         packet, arrival_s = self._packet()
         if packet.id != self._id:
             return None
@@ -242,7 +222,7 @@ class SerialStream(FrameStream):
         return FrameBlock(scans.words.reshape(count, self._width), times, lost)
 
     def _packet(self) -> tuple[Packet, float]:
-        """Next packet of scans; asks the firmware for its edges while none comes."""
+        """Wait for the next packet of scans, and read the edge counter while none comes."""
         owner = self._owner
         first: int | None = None
         edges: int | None = None
@@ -269,13 +249,13 @@ class SerialStream(FrameStream):
 
 
 BOOT_S = 3.0
-"""How long a hello is repeated after opening: many boards reset then, and their boot loader waits."""
+"""Time for which a hello is repeated after opening: many boards reset then, and their boot loader waits."""
 AGAIN_S = 1.5
-"""How long where the board runs already."""
+"""Time for which a hello is repeated if the board is running."""
 _USB_BYTE_S = 1e-6
-"""A byte on a full-speed bus, where the board is a USB device itself: 64 of them in some 60 µs."""
+"""Time of a byte on a full-speed bus, if the board is a USB device: 64 bytes in about 60 µs."""
 _GATHER_S = 0.01
-"""A stream's bytes are fetched so often at most: fewer, larger reads cost less."""
+"""Shortest interval between reads of a stream: fewer, larger reads cost less."""
 
 
 class SerialBus(HostBus):
@@ -294,17 +274,16 @@ class SerialBus(HostBus):
     trigger : Trigger
         Edge of data-ready that starts a scan of a stream; the chip's pulse is low unless MSC_CTRL[1].
     baud : int
-        Tells how long a packet was on its way, which its times take into account; a board that is a USB
-        device itself has none.
+        Baud rate, from which the travel time of a packet follows; unused if the board is a USB device.
     link : SerialLink
-        In place of one of its own making.
+        Link to use instead of a new one.
     release : callable
         Called when the bus is closed, in place of the port's own `close`.
 
     Attributes
     ----------
     firmware : HelloReply
-        What the firmware said of itself.
+        Reply of the firmware to the hello.
 
     Raises
     ------
@@ -369,7 +348,7 @@ class SerialBus(HostBus):
         request = wire.ConfigureRequest(clock, stall, period)
         reply = self._ask(request, wire.ConfigureReply)
         if reply.clock_hz > timing.clock_hz or reply.stall_us < stall or reply.period_us < period:
-            raise ProtocolError(f"{self.url}: the firmware set {reply} where {request} was asked")
+            raise ProtocolError(f"{self.url}: the firmware set {reply} instead of {request}")
         return SpiTiming(float(reply.clock_hz), float(reply.stall_us), float(reply.period_us))
 
     def _exchange(self, frames: Words) -> Words:
@@ -394,42 +373,27 @@ class SerialBus(HostBus):
 
     # -- optional capabilities ---------------------------------------------------------------------------
 
-    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Run read frames once at each data-ready edge.
-
-        Raises
-        ------
-        UsageError
-            The list is empty, too long or holds a write, or a stream is running.
-        """
-        with self._lock:
-            self._require_open()
-            if Capability.STREAM not in self.capabilities:
-                raise self._lacks(Capability.STREAM)
-            self._refuse_while_streaming()
-            if not frames or any(not 0 <= frame < RESERVED_BIT for frame in frames):
-                raise UsageError("a stream takes at least one read frame and no writes")
-            width, firmware = len(frames), self.firmware
-            fit = firmware.max_scan_bytes // (2 * width)
-            if width > firmware.max_list or not fit:
-                raise UsageError(f"{self.url}: a stream takes at most {firmware.max_list} frames")
-            if block_scans < 1:
-                raise UsageError(f"a block of {block_scans} scans is not possible; give at least 1")
-            self._link.scans.clear()
-            packet_scans = min(fit, block_scans)
-            request = wire.StreamRequest(self._trigger, packet_scans, 1, 0, np.array(frames, np.uint16))
-            reply = self._ask(request, wire.StreamReply)
-            self._stream = SerialStream(
-                self,
-                stream_id=self._link.last_id,
-                width=width,
-                packet_scans=packet_scans,
-                block_scans=block_scans,
-                clock=ClockMap(reply.now_us, self.now_s()),
-                byte_s=self._byte_s,
-                stop=self._stop,
-            )
-            return self._stream
+    def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
+        self._refuse_while_streaming()
+        width, firmware = len(frames), self.firmware
+        fit = firmware.max_scan_bytes // (2 * width)
+        if width > firmware.max_list or not fit:
+            raise UsageError(f"{self.url}: a stream takes at most {firmware.max_list} frames")
+        self._link.scans.clear()
+        packet_scans = min(fit, block_scans)
+        request = wire.StreamRequest(self._trigger, packet_scans, 1, 0, np.array(frames, np.uint16))
+        reply = self._ask(request, wire.StreamReply)
+        self._stream = SerialStream(
+            self,
+            stream_id=self._link.last_id,
+            width=width,
+            packet_scans=packet_scans,
+            block_scans=block_scans,
+            clock=ClockMap(reply.now_us, self.now_s()),
+            byte_s=self._byte_s,
+            stop=self._stop,
+        )
+        return self._stream
 
     def _pull_reset(self) -> None:
         self._refuse_while_streaming()
@@ -443,7 +407,7 @@ class SerialBus(HostBus):
         with self._lock:
             self._require(Capability.EVENT_COUNTER)
             now = self._ask(wire.StatisticsRequest(), wire.StatisticsReply)
-            # The firmware never sets its counter back: a reply that was lost loses no edges.
+            # The firmware never resets its counter, so a lost reply loses no edges.
             new, self._counted = (now.edges - self._counted) & 0xFFFF_FFFF, now.edges
             self._board_us += (now.now_us - self._board_us) & 0xFFFF_FFFF
             return new, self._board_us * 1e-6
@@ -508,7 +472,7 @@ class SerialBus(HostBus):
             raise ProtocolError(f"{self.url}: {refused}") from refused
 
     def _renew(self) -> None:
-        """Open a new session and set the timing in force, which a hello sets back."""
+        """Open a new session and set the present timing again, because a hello resets it."""
         self.firmware = self._link.hello(AGAIN_S)
         timing = self.timing
         request = wire.ConfigureRequest(

@@ -1,8 +1,7 @@
-"""Packets: header, body and CRC-32 in COBS, and a receiver that never fails on rubbish.
+"""The wire protocol of the project's firmware: packets of header, body and CRC-32 in COBS.
 
-No input or output here: bytes in, packets out (firmware_proto/PROTOCOL.md).
-
-The wire protocol of the project's own firmware: constants, bodies, packets; no input or output.
+The receiver never fails on invalid bytes. No input or output here: bytes in, packets out
+(firmware_proto/PROTOCOL.md).
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ class Packet:
 
 @dataclass
 class ReceiverCounts:
-    """What a receiver has seen and thrown away."""
+    """Counts of valid and discarded packets."""
 
     packets: int = 0
     crc_errors: int = 0
@@ -47,7 +46,7 @@ class ReceiverCounts:
 
     @property
     def bad(self) -> int:
-        """Packets that were thrown away."""
+        """Number of discarded packets."""
         return self.crc_errors + self.cobs_errors + self.length_errors + self.unknown
 
 
@@ -68,14 +67,14 @@ def load_cobs() -> Any:
 
 
 def crc32(data: bytes) -> int:
-    """CRC-32/ISO-HDLC, that of Ethernet and zlib."""
+    """CRC-32/ISO-HDLC, as in Ethernet and zlib."""
     return binascii.crc32(data)
 
 
 def encode(packet: Packet) -> bytes:
     """A packet on the wire, with a delimiter on both sides.
 
-    The one in front ends whatever rubbish the other side has collected so far.
+    The first delimiter ends any invalid bytes that the other side has collected.
 
     Raises
     ------
@@ -93,7 +92,7 @@ def encode(packet: Packet) -> bytes:
 
 
 class Receiver:
-    """Takes bytes as they come and gives the sound packets among them; the rest is counted."""
+    """Extracts the valid packets from a stream of bytes and counts the rest."""
 
     def __init__(self) -> None:
         self.counts = ReceiverCounts()
@@ -111,7 +110,7 @@ class Receiver:
             self._too_long = False
             if packet is not None:
                 packets.append(packet)
-        if len(self._rest) > _LONGEST:  # endless rubbish must not fill the memory
+        if len(self._rest) > _LONGEST:  # endless invalid bytes must not fill the memory
             self._too_long = True
             self._rest = b""
         return packets
