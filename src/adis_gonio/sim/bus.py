@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import BusClosedError, BusTimeoutError, UsageError
+from adis_gonio.base.errors import BusTimeoutError, UsageError
 from adis_gonio.device.bus.contract import (
     FRAME_BITS,
     Capability,
@@ -268,40 +268,32 @@ class SimStage:
         See `Stage.turn_about`.
         """
         with self._bus._lock:
-            self._require_open()
             about = None if axis is None else np.asarray(axis, np.float64)
-            self._bus._set_now(self._stage.turn_about(self._bus.now_s(), angle_deg, about))
+            self._bus._set_now(self._begin(self._stage.turn_about, angle_deg, about))
 
     def begin_move(self, angle_deg: float, approach: int = 0) -> float:
         """Begin `move_to` and return its end; the clock does not advance, so the move can be recorded."""
-        with self._bus._lock:
-            self._require_open()
-            return self._stage.move_to(self._bus.now_s(), angle_deg, approach)
+        return self._begin(self._stage.move_to, angle_deg, approach)
 
     def begin_orient(self, vector: Sequence[float] | Floats) -> float:
         """Begin `orient` and return its end; the clock does not advance."""
-        with self._bus._lock:
-            self._require_open()
-            return self._stage.orient(self._bus.now_s(), np.asarray(vector, np.float64))
+        return self._begin(self._stage.orient, np.asarray(vector, np.float64))
 
     def begin_turn(self, angle_deg: float) -> float:
         """Begin to turn the part about the vertical (counter-clockwise positive) and return the end.
 
         The clock does not advance, so the turn can be recorded.
         """
-        with self._bus._lock:
-            self._require_open()
-            return self._stage.turn_about(self._bus.now_s(), angle_deg)
+        return self._begin(self._stage.turn_about, angle_deg)
 
     def turn_freely(self, turns: int = 1) -> float:
         """Begin turns by hand and return their end; the clock does not advance."""
-        with self._bus._lock:
-            self._require_open()
-            return self._stage.turn_freely(self._bus.now_s(), turns)
+        return self._begin(self._stage.turn_freely, turns)
 
-    def _require_open(self) -> None:
-        if self._bus.closed:
-            raise BusClosedError(f"{self._bus.url}: the bus is closed")
+    def _begin(self, motion: Callable[..., float], *arguments: object) -> float:
+        with self._bus._lock:
+            self._bus._require_open()
+            return motion(self._bus.now_s(), *arguments)
 
 
 def open_from_url(url: BusUrl) -> SimBus:
