@@ -141,7 +141,7 @@ def format_duration(seconds: float) -> str:
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:
-    """`1 dwell`, `4 dwells`; an irregular noun brings its plural."""
+    """`1 dwell`, `4 dwells`; `plural` is for irregular nouns."""
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 

@@ -61,7 +61,7 @@ def text(value: Any) -> None:
 
 
 def truth_value(value: Any) -> None:
-    """True or false."""
+    """Boolean."""
     if type(value) is not bool:
         raise _refuse(value, "true or false")
 
@@ -84,7 +84,7 @@ def moment(value: Any) -> None:
 
 
 def anything(value: Any) -> None:
-    """Any value: nothing computes with it."""
+    """Any value, for entries without computations."""
 
 
 def choice(*allowed: str | int | None) -> Shape:

@@ -244,7 +244,7 @@ _STREAM = 10
 
 @dataclass(frozen=True)
 class DrawnFault:
-    """How one kind of fault is drawn.
+    """Distribution of one kind of fault.
 
     Attributes
     ----------
@@ -340,7 +340,7 @@ def realistic_gyros(rng: np.random.Generator) -> dict[str, float]:
 
 
 def stream_of(seed: int) -> np.random.Generator:
-    """Generator of the faults that a simulated part with this seed has."""
+    """Generator for the faults of a simulated part with this seed."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM,)))
 
 

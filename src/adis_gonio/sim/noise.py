@@ -24,7 +24,7 @@ class White:
 
 
 class RateWalk:
-    """Random walk of three gyro biases, 0 at the first time asked for.
+    """Random walk of three gyro biases, 0 at the first requested time.
 
     It is drawn on its own time grid and interpolated.
 
@@ -58,7 +58,7 @@ class RateWalk:
         return np.asarray(self._grid[index] + weight * (self._grid[index + 1] - self._grid[index]))
 
     def past_values(self, time_s: Floats) -> Floats:
-        """Values (m, 3) on the grid points nearest to those of the times (n,) that have been."""
+        """Values (m, 3) at the grid points nearest to past times (n,)."""
         if self._start_s is None:
             return np.empty((0, 3))
         index = np.unique(np.rint((time_s - self._start_s) / self._STEP_S).astype(np.int64))
@@ -120,7 +120,7 @@ class Flicker:
         return result
 
     def past_values(self, time_s: Floats) -> Floats:
-        """Values (m, channels) on the grid points nearest to those of the times (n,) that have been."""
+        """Values (m, channels) at the grid points nearest to past times (n,)."""
         index = np.unique(np.rint((time_s - self._origin_s) / self._step_s).astype(np.int64))
         return np.asarray(self._grid[index[(index >= 0) & (index < len(self._grid))]], np.float64)
 

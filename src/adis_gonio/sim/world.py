@@ -110,7 +110,7 @@ class World:
         self._levels_mg = np.empty(0)
 
     def _draw(self, rng: np.random.Generator) -> None:
-        """Hidden parameters; all are drawn, so that giving one leaves the others as they were."""
+        """Draw all hidden parameters, so that a given value does not change the others."""
         figures, given = self.variant.performance, self.settings
         limit = figures.non_orthogonality_deg
         scale = 1 + figures.scale_error_typical * rng.standard_normal(3)
@@ -304,7 +304,7 @@ class World:
         )
 
     def _read_gyros(self, felt: Felt, conditions: Conditions | None) -> Floats:
-        """Readings (n, 3) of the gyros with the effects that were added to them."""
+        """Readings (n, 3) of the gyros, including their effects."""
         gyro = self.gyros.read(felt)
         effects = self._of_part("gyro")
         if conditions is None or not effects:

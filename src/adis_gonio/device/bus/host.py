@@ -125,7 +125,7 @@ class HostBus(SpiBus):
 
 
 def require_separate_pins(url: str, cs: int, reset: int | None, event: int | None, event_name: str) -> None:
-    """Refuse a pin with two duties; None is a duty that the board does not have."""
+    """Refuse a pin with two functions; None for a function that the board does not have."""
     pins = [pin for pin in (cs, reset, event) if pin is not None]
     if len(set(pins)) != len(pins):
         raise UsageError(f"{url}: cs, reset_gpio and the event counter ({event_name}) need pins apart")
@@ -196,7 +196,7 @@ def missing(url: str, what: str, others: Sequence[Device] = ()) -> CannotOpenErr
 
 
 def several(url: str, devices: Sequence[Device]) -> UsageError:
-    """More than one device fits: the first one found is never taken."""
+    """More than one device fits; none is chosen automatically."""
     return UsageError(f"{url}: {len(devices)} devices fit; choose {' or '.join(d.url for d in devices)}")
 
 

@@ -33,7 +33,7 @@ UpdateEdge = Literal["first", "last"]
 
 UPDATE_EDGE: UpdateEdge = "first"
 """Edge of the pulse at which the outputs are new. The pulse announces new data (MSC_CTRL[2], A); the choice
-of its first edge is inferred, without support in data sheet or code (C). `leads` checks it, and
+of its first edge is inferred, without support in data sheet or code (C). `edge_at_update` checks it, and
 `DataReadyLoan` takes the other edge if the declared one is wrong."""
 
 _PERIODS = 2.5
@@ -58,7 +58,7 @@ MASK = _ROW.field("data_ready").mask | _POLARITY | _ROW.field("line").mask
 """Bits of MSC_CTRL that belong to data-ready."""
 
 
-def arrives(bus: SpiBus, period_s: float) -> bool:
+def edges_arrive(bus: SpiBus, period_s: float) -> bool:
     """True if the bridge counts one data-ready edge for each update, or cannot count; False for no edges.
 
     Takes 0.1 s or 2.5 updates of `period_s`, whichever is longer.
@@ -83,7 +83,7 @@ def arrives(bus: SpiBus, period_s: float) -> bool:
     return edges > 0
 
 
-def leads(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
+def edge_at_update(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
     """True if no update falls into scans of these registers that start at the data-ready edge.
 
     Takes 0.1 s or 4 updates, whichever is longer.
@@ -101,7 +101,7 @@ def leads(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
     return bool((new[:, 0] & ~within).mean() >= _LEADS_SHARE)
 
 
-def refusal(bus: SpiBus) -> ChipError:
+def wrong_edge_error(bus: SpiBus) -> ChipError:
     """Error for edges with updates during their scans."""
     return ChipError(
         f"{bus.url}: the sensor's updates fall into scans that start at the data-ready edges (bit ND of a"
@@ -149,7 +149,7 @@ class DataReadyLoan:
         self._ours = self._before
         try:
             self._enable()
-            self.wired = arrives(sensor.bus, period_s)
+            self.wired = edges_arrive(sensor.bus, period_s)
             if self.wired:
                 self._find_edge(table, period_s)
             else:
@@ -170,11 +170,11 @@ class DataReadyLoan:
         if Capability.STREAM not in self._sensor.bus.capabilities:
             return  # nothing starts at an edge
         for _ in range(2):
-            if leads(self._sensor.bus, table, period_s):
+            if edge_at_update(self._sensor.bus, table, period_s):
                 return
             self.edge = "last" if self.edge == "first" else "first"
             self._enable()
-        raise refusal(self._sensor.bus)
+        raise wrong_edge_error(self._sensor.bus)
 
     def _enable(self) -> None:
         ours = _ROW.field("data_ready").mask

@@ -35,9 +35,9 @@ from adis_gonio.device.sensor.data_ready import (
     USED_BY,
     DataReadyLoan,
     UpdateEdge,
-    arrives,
-    leads,
-    refusal,
+    edge_at_update,
+    edges_arrive,
+    wrong_edge_error,
 )
 from adis_gonio.device.sensor.decoding import ScanBlock, join, scales
 from adis_gonio.device.sensor.registers import (
@@ -402,10 +402,10 @@ class Adis16354(Closing):
         ready, at_end = bool(data_ready), contextlib.ExitStack()
         with contextlib.ExitStack() as failed:
             if looks and leave_registers:
-                ready = arrives(self.bus, period_s)
+                ready = edges_arrive(self.bus, period_s)
                 streams = ready and Capability.STREAM in self.bus.capabilities
-                if streams and not leads(self.bus, table, period_s):
-                    raise refusal(self.bus)
+                if streams and not edge_at_update(self.bus, table, period_s):
+                    raise wrong_edge_error(self.bus)
             elif looks:
                 loan = DataReadyLoan(self, table, period_s, self.update_edge)
                 failed.callback(loan.give_back)

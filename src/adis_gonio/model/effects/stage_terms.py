@@ -479,7 +479,7 @@ class Settling(CourseEffect):
 
 @dataclass(frozen=True)
 class OutlierDwell(LinearAxisEffect):
-    """One dwell has any error.
+    """One dwell deviates by any amount.
 
     Attributes
     ----------

@@ -79,7 +79,7 @@ class Faults:
 
     @property
     def total(self) -> int:
-        """Faults so far."""
+        """Number of faults so far."""
         return sum(self.seen.values())
 
 
@@ -94,7 +94,7 @@ class FaultyStream:
         self._last_s = -math.inf
 
     def put(self, data: bytes, now_s: float) -> None:
-        """Bytes enter."""
+        """Add bytes to the line."""
         faults = self.faults
         for byte in data:
             if faults.happens("drop"):

@@ -126,7 +126,7 @@ class SimulatedFirmware:
         return (self.start_us + round(time_s * 1e6 * (1 + self.drift))) & 0xFFFF_FFFF
 
     def feed(self, data: bytes) -> None:
-        """Bytes arrive now."""
+        """Take bytes that arrive now."""
         if self.pins.clock.now_s() < self.awake_s:
             return
         for byte in data:
@@ -155,7 +155,7 @@ class SimulatedFirmware:
     # -- packets ----------------------------------------------------------------------------------------
 
     def send(self, kind: int, request_id: int, body: bytes) -> None:
-        """A packet leaves."""
+        """Send a packet."""
         self._put(self._packed(kind, request_id, body))
 
     @staticmethod

@@ -415,7 +415,7 @@ class SerialBus(HostBus):
     # -- for streams ------------------------------------------------------------------------------------
 
     def next_scans(self, wait_s: float) -> tuple[Packet, float] | None:
-        """Next packet of scans and its arrival; None where none came in time."""
+        """Next packet of scans and its arrival; None if none came in time."""
         with self._lock:
             self._require_open()
             scans = self._link.scans

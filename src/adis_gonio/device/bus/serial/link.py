@@ -59,14 +59,14 @@ class Port(Protocol):
 
 
 class RefusedError(Exception):
-    """The firmware refused a request: that copy of it executed nothing.
+    """The firmware refused a request and executed nothing of this copy.
 
     Attributes
     ----------
     code : int
         Of `wire.Refusal`.
     once : bool
-        The request had been sent a single time, so no earlier copy can have been executed either.
+        The request was sent only once, so no earlier copy can have been executed.
     """
 
     def __init__(self, request: str, error: wire.Error, *, once: bool) -> None:
@@ -90,7 +90,7 @@ class LinkCounts:
 
 @dataclass(frozen=True)
 class _Answer(Generic[B]):
-    """A reply or a refusal, with how often the request was sent by then."""
+    """A reply or a refusal, and the number of copies of the request sent until then."""
 
     body: B | wire.Error
     sent: int
@@ -142,9 +142,9 @@ class SerialLink:
     # -- requests ---------------------------------------------------------------------------------------
 
     def hello(self, wait_s: float) -> wire.HelloReply:
-        """Open a session; repeats for so long, since a board may still boot.
+        """Open a session; repeat the request for `wait_s`, because a board may be booting.
 
-        Zeros go before each hello, so that a boot loader which listens leaves instead of reading it.
+        Zeros are sent before each hello, so that a listening boot loader leaves instead of reading it.
 
         Raises
         ------
@@ -193,7 +193,7 @@ class SerialLink:
         Raises
         ------
         RefusedError
-            The firmware said no.
+            The firmware refused the request.
         BusTimeoutError
             No answer to any try.
         """
@@ -259,7 +259,7 @@ class SerialLink:
         *,
         nonce: int | None = None,
     ) -> _Answer[B] | None:
-        """Send a request until it is answered; `again` says by the copies sent whether one more may go."""
+        """Send a request until it is answered; `again(copies sent)` decides if one more may be sent."""
         sent = 0
         while again(sent):
             self.port.send(packet)
