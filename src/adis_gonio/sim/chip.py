@@ -233,7 +233,7 @@ class SimulatedChip:
         self._update_edge = update_edge
         self._falling = FALLING_BITS if status_falls else 0
         self._memory = Memory(flash, endurance, saved)
-        self._electronics: Electronics = electronics or getattr(surroundings, "electronics", IDEAL)
+        self._electronics: Electronics = electronics or getattr(surroundings, "electronics", None) or IDEAL
         self._sampler = SignalChain(self.variant, self._memory, self._electronics)
         self._row: Words
         self._read_at: NDArray[np.int64]
