@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from adis_gonio.base.arrays import robust_sd
 from adis_gonio.base.uncertainty import (
     Detectable,
     Value,
@@ -15,7 +16,6 @@ from adis_gonio.base.uncertainty import (
     factor_over,
     wilson,
 )
-from adis_gonio.fitting.estimation.robust import robust_sd
 
 
 @pytest.mark.parametrize(("hits", "n"), [(0, 7), (1, 7), (3, 7), (7, 7), (95, 100)])

@@ -16,7 +16,6 @@ from adis_gonio.base.errors import DataError, FitError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Value, effective_dof, factor_over
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.estimation.shown import gradient_of_base
 from adis_gonio.fitting.free_turn_estimate import (
     NAMES,
     LeastSquaresProblem,
@@ -25,10 +24,9 @@ from adis_gonio.fitting.free_turn_estimate import (
     Windows,
     solve,
 )
+from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
 from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.fitting.scores import Score
-from adis_gonio.fitting.standing import Recommendation, Standing
-from adis_gonio.fitting.uncertainty_budget import BudgetRow
+from adis_gonio.fitting.uncertainty import BudgetRow, gradient_of_base
 from adis_gonio.model.records import Session, Sweeps
 from adis_gonio.record.provenance import provenance_of
 
@@ -197,10 +195,10 @@ class FreeTurnResult(FitResult):
     length_s: float = 0.0
 
     @cached_property
-    def standing(self) -> Standing:
+    def comparison(self) -> MethodComparison:
         """The one method that such a recording supports."""
         own = replace(self, warnings=self.warnings)
-        return Standing(
+        return MethodComparison(
             (own,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
         )
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.computed_once import ComputedOnce
 from adis_gonio.base.errors import UsageError, one_line
 from adis_gonio.base.numbers import counted
 
@@ -285,7 +286,7 @@ class Dwell:
 
 
 @dataclass(frozen=True)
-class Session:
+class Session(ComputedOnce):
     """All dwells of a calibration with their circumstances.
 
     Attributes
