@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from adis_gonio.device.bus import cp2130 as requests
 from adis_gonio.device.bus import mcp2210 as reports
 from adis_gonio.device.bus.host import RULES_FILE, udev_rule, udev_rules
-from adis_gonio.faces.cli.devices import command
+from adis_gonio.faces.cli.device_commands import devices_command
 
 LINES = [line for line in udev_rules().splitlines() if line and not line.startswith("#")]
 
@@ -45,6 +45,6 @@ def test_a_rule_that_is_not_there_is_an_error():
 
 
 def test_the_command_prints_the_file_as_it_is():
-    result = CliRunner().invoke(command, ["--udev"])
+    result = CliRunner().invoke(devices_command, ["--udev"])
     assert result.exit_code == 0
     assert result.output == udev_rules()
