@@ -125,8 +125,9 @@ def paper(found: Document) -> str:
             "hardly feel the fixture in the gains. In Δφ its error is at least "
             f"{found['map']['least_ratio_of_delta_phi']:.1f} times as large. With biases of 10 mg, it is "
             f"off by {bias['error_deg']['paper']:.2f}° in Δφ, {bias['multiple']:.0f} times as far as `ml` "
-            f"(95 %: {bias['low']:.0f} to {bias['high']:.0f}). `adis-gonio paper` also lists the points "
-            "that the paper leaves open.",
+            f"(95 %: {bias['low']:.0f} to {bias['high']:.0f}). "
+            "[Theory](../theory.md#open-points-of-the-seed-paper) lists the points that the paper leaves "
+            "open.",
         )
     )
 
