@@ -53,7 +53,7 @@ def path(recorded, tmp_path):
 def known(monkeypatch):
     """What the session knows of its gyros; a test may put other estimates there."""
     held = {"estimates": known_gyros(part())}
-    for module in ("tracing.calibrations", "bench.writeback.offset_checks"):
+    for module in ("tracing.trace_calibrations", "bench.writeback.offset_checks"):
         monkeypatch.setattr(
             f"adis_gonio.{module}.gyro_estimates_of", lambda session, traced=False: held["estimates"]
         )
@@ -338,7 +338,7 @@ def test_an_autonull_of_a_part_that_turns_is_set_back_in_register_and_flash_and_
 
     bus.world.sample = turning
     bus.sleep_s(0.1)
-    with pytest.raises(VerifyError, match=r"not kept: it is off by Z \+[345]\.\d+ °/s") as caught:
+    with pytest.raises(VerifyError, match=r"not kept: .* by Z \+[345]\.\d+ °/s") as caught:
         made.autonull()
     assert "\n" not in str(caught.value)
     assert gyro_numbers(bus) == gyro_flash(bus) == OLD
