@@ -193,8 +193,8 @@ def test_a_session_that_lacks_what_a_format_needs_leaves_no_file(tmp_path, capsy
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ((), "what shall be made"),
-        (("-o", "-"), "what shall be made"),
+        ((), "or --format"),
+        (("-o", "-"), "or --format"),
         (("-o", "a.doc"), "no format has this ending"),
         (("--format", "csv"), "needs -o FILE"),
         (("--format", "parquet"), "needs -o FILE"),
