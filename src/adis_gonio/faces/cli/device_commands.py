@@ -12,7 +12,7 @@ import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.bus import find_devices
-from adis_gonio.device.bus.udev import rules
+from adis_gonio.device.bus.host import udev_rules
 from adis_gonio.device.sensor import DEFAULT_SCAN, REGISTERS, Adis16354, Register, open_sensor
 from adis_gonio.device.sensor.registers import Kind, register, registers
 from adis_gonio.faces.cli import options as option
@@ -40,7 +40,7 @@ def devices_command(*, udev: bool, as_json: bool) -> None:
     adis-gonio devices --udev | sudo tee /etc/udev/rules.d/70-adis-gonio.rules
     """  # noqa: D301 - click keeps the lines of a paragraph with this character
     if udev:
-        click.echo(rules(), nl=False)
+        click.echo(udev_rules(), nl=False)
         return
     devices = find_devices()
     if as_json:
