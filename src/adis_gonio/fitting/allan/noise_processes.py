@@ -37,7 +37,7 @@ from scipy import signal, special, stats
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.device.sensor.bartlett import bartlett, response
+from adis_gonio.device.sensor.settings import filter_response, filter_weights
 
 Kind = Literal["quantization", "white", "flicker", "walk"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -53,10 +53,10 @@ def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
     """Variances (len(k), 4) of the DCT-II ordinates k of n samples, per squared coefficient of `KINDS`."""
     angle = np.pi * k / n
     frequency = k / (2 * n)
-    passed = response(filter_m, frequency)
-    white = ordinate_variances(_autocovariance(bartlett(filter_m)), n, k)
+    passed = filter_response(filter_m, frequency)
+    white = ordinate_variances(_autocovariance(filter_weights(filter_m)), n, k)
     # Quantization of the angle is white noise of its differences.
-    angles = ordinate_variances(_autocovariance(np.convolve(bartlett(filter_m), [1.0, -1.0])), n, k)
+    angles = ordinate_variances(_autocovariance(np.convolve(filter_weights(filter_m), [1.0, -1.0])), n, k)
     flicker = passed * _edge(k) / frequency / _FLICKER_ALLAN
     walk = passed / (4 * np.sin(angle / 2) ** 2)
     return np.stack([angles / period_s**2, white / period_s, flicker, walk * period_s], axis=1)
@@ -85,13 +85,13 @@ def line(n: int, k: Floats) -> Floats:
 
 def variograms(filter_m: int, lags: int, period_s: float) -> Floats:
     """Half the mean squared difference (lags, 4) at lags 0, 1, …, per squared coefficient of `KINDS`."""
-    own = _autocovariance(bartlett(filter_m))
+    own = _autocovariance(filter_weights(filter_m))
     reach = len(own) - 1
     lag = np.arange(lags + reach + 1)
     # Autocovariance of the filter at negative and positive lags.
     both = np.concatenate([own[:0:-1], own])
     made = np.empty((lags, len(KINDS)))
-    angles = _autocovariance(np.convolve(bartlett(filter_m), [1.0, -1.0]))
+    angles = _autocovariance(np.convolve(filter_weights(filter_m), [1.0, -1.0]))
     made[:, 0] = angles[0] - _padded(angles, lags)
     made[:, 1] = own[0] - _padded(own, lags)
     # Flicker and walk: filter the variogram of the unfiltered process.

@@ -1,6 +1,6 @@
 """Method `gyro`: zero rates, g-sensitivity, gains and directions of the gyros, by weighted least squares.
 
-The model is the gyros' base model (`model.rates`) with the effects of a physical calibration:
+The model is the gyros' base model (`MeanRate`) with the effects of a physical calibration:
 `g_sensitivity` if poses show it, `gyro_scale` and `gyro_misalignment` if turns show them. No parameter
 belongs to two gyros, so each gyro is determined alone. A parameter that the intervals do not determine is
 fixed at the value of a perfect gyro, and the result reports it. A result states gains and misalignments
@@ -26,10 +26,9 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats, central_differences, solvable
 from adis_gonio.base.errors import AdisGonioError, FitError, SessionError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.levels import INADEQUATE
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import Entries, ParameterTable
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.coefficients import NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor.variants import VARIANTS

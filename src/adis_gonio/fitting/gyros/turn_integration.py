@@ -33,8 +33,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import mg_per_unit
-from adis_gonio.model.records import Dwell, Session
-from adis_gonio.model.turns import Turn
+from adis_gonio.model.records import Dwell, Session, Turn
 
 LONGEST_GAP_S = 0.25
 """Longest gap that is bridged within a turn; a hand's submovements take longer (`sim.hand`)."""
