@@ -40,14 +40,14 @@ from adis_gonio.tracing.trace import disagreement_of, refuse_too_few, weak_names
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding
 from adis_gonio.tracing.validation import (
     Fold,
-    checkable,
     error_figures,
-    guarding,
-    in_order,
-    longest,
+    guard_errors,
+    longest_acceptable,
+    nest_fits,
     never_worse,
-    refuted,
-    without,
+    refuted_functions,
+    reject_names,
+    reject_unchecked,
     without_folds,
 )
 from tracing.small_problems import (
@@ -645,7 +645,7 @@ class TestNestedModels:
         data = replace(data, mean=data.mean + np.outer(5.0 * np.sin(psi) ** 3, [0.0, 1.0]))
         terms = labelled(data, "bias[x]", "cubic[y]")
         selection = chosen(data, terms, ((0, 1), 1.0))
-        fits, steps = in_order(selection, None)
+        fits, steps = nest_fits(selection, None)
         assert steps == ["cubic", "bias"]
         assert [[term.label for term in fit.terms] for fit in fits] == [
             [],
@@ -693,7 +693,7 @@ class TestNestedModels:
         data = read(c, noisy(c, 46).mean + np.array([5.0, -3.0]))
         terms = labelled(data, "bias[xy]")
         selection = chosen(data, terms, ((0,), 1.0))
-        fits, _ = in_order(selection, None)
+        fits, _ = nest_fits(selection, None)
         figures, design = error_figures(selection, data, None, fits, Fold(terms, None, 1))
         assert design.startswith("each of 8 dwells in turn, effects kept")
         # Leaving one out by hand: readings are linear in the parameters but for rounding.
@@ -720,7 +720,7 @@ class TestNestedModels:
         data = read(c, noisy(c, 47).mean + np.array([5.0, -3.0]))
         terms = labelled(data, "bias[xy]", "quadratic[x]")
         selection = chosen(data, terms, ((0, 1), 1.0))
-        fits, _ = in_order(selection, None)
+        fits, _ = nest_fits(selection, None)
         figures, design = error_figures(selection, data, None, fits, Fold(terms, None, 2))
         assert "the model has 7 parameters: 3 dwells do not determine it" in design
         assert [one.heldout_rms for one in figures] == [None] * len(fits)
@@ -729,7 +729,7 @@ class TestNestedModels:
         data = biased()
         terms = labelled(data, "bias[xy]", "quadratic[x]")
         selection = chosen(data, terms, ((0,), 1.0))
-        fits, _ = in_order(selection, None)
+        fits, _ = nest_fits(selection, None)
         figures, design = error_figures(selection, data, None, fits, Fold(terms, None, 1))
         assert "whole dwells (5 folds)" in design
         assert "effects chosen anew in each fold" in design
@@ -745,7 +745,7 @@ class TestNestedModels:
         data = biased()
         terms = labelled(data, "bias[xy]", "quadratic[x]")
         selection = chosen(data, terms, ((0,), 1.0))
-        fits, _ = in_order(selection, None)
+        fits, _ = nest_fits(selection, None)
         fold = Fold(terms, None, 1)
         refitted: list[int] = []
         again = Fit.again
@@ -755,7 +755,7 @@ class TestNestedModels:
             return again(fit, rows)
 
         monkeypatch.setattr(Fit, "again", counted)
-        guard = guarding(selection, fits, fold)
+        guard = guard_errors(selection, fits, fold)
         figures, _ = error_figures(selection, data, None, fits, fold)
         assert sorted(refitted) == [0] * 5 + [1] * 5
         assert guard[0] == figures[0].heldout_rms
@@ -778,7 +778,7 @@ class TestNestedModels:
 class TestSurvival:
     def test_a_name_taken_away_stands_alone_among_the_confounded(self) -> None:
         names = Names(("bias", "cubic"), {"gravity": "why"}, (("cubic", "gravity"), ("cubic",)))
-        told = without(names, {"cubic": "reason", "gravity": "reason"})
+        told = reject_names(names, {"cubic": "reason", "gravity": "reason"})
         assert told == Names(("bias",), {"gravity": "why"}, (("cubic", "gravity"), ("cubic",)))
 
     @pytest.mark.parametrize(
@@ -796,12 +796,12 @@ class TestSurvival:
     def test_the_longest_model_that_is_never_worse_than_a_shorter_one_stays(
         self, errors: Sequence[float | None], steps: int
     ) -> None:
-        assert longest(errors, 2) == steps
+        assert longest_acceptable(errors, 2) == steps
         names = Names(("bias", "cubic"), {}, ())
         count, left, reasons = never_worse(names, ("bias", "cubic"), errors, None)
         assert count == steps
-        assert left.stand == ("bias", "cubic")[:steps]
-        assert set(reasons) == {"bias", "cubic"} - set(left.stand)
+        assert left.accepted == ("bias", "cubic")[:steps]
+        assert set(reasons) == {"bias", "cubic"} - set(left.accepted)
 
     def test_the_reason_has_the_errors_with_and_without_it_in_their_unit(self) -> None:
         names = Names(("bias", "cubic"), {}, ())
@@ -817,9 +817,9 @@ class TestSurvival:
             SimpleNamespace(terms=terms) for terms in ((), (wave,), (wave, line), (wave, line, cubic))
         ]
         selection: Any = SimpleNamespace(terms=(wave, line, cubic))
-        assert refuted(selection, fits, [1.0, 0.5, 0.6, 0.6]) == [line]
-        assert refuted(selection, fits, [1.0, 0.5, 0.5, 0.5]) == []
-        assert refuted(selection, fits[:3], [1.0, 0.5, 0.4]) == []
+        assert refuted_functions(selection, fits, [1.0, 0.5, 0.6, 0.6]) == [line]
+        assert refuted_functions(selection, fits, [1.0, 0.5, 0.5, 0.5]) == []
+        assert refuted_functions(selection, fits[:3], [1.0, 0.5, 0.4]) == []
 
     def test_of_a_model_that_leaves_too_few_readings_all_names_but_a_bias_are_open_with_the_reason(
         self,
@@ -828,7 +828,7 @@ class TestSurvival:
         names = Names(("backlash", "bias", "cubic"), {"gravity": "why"}, ())
         selection: Any = SimpleNamespace(fit=SimpleNamespace(dof=1))
         reason = "the model leaves 1 readings to check it by: too few"
-        assert checkable(names, selection) == Names(
+        assert reject_unchecked(names, selection) == Names(
             ("bias",),
             {"gravity": "why", "backlash": reason, "cubic": reason},
             (("backlash",), ("cubic",)),

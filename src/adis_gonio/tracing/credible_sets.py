@@ -43,15 +43,15 @@ class Names:
 
     Attributes
     ----------
-    stand : tuple of str
+    accepted : tuple of str
         Names that are accepted.
-    open : mapping of str to str
+    rejected : mapping of str to str
         Names that are not accepted, with the reason.
     confounded : tuple of tuple of str
     """
 
-    stand: tuple[str, ...]
-    open: dict[str, str]
+    accepted: tuple[str, ...]
+    rejected: dict[str, str]
     confounded: tuple[tuple[str, ...], ...]
 
 
@@ -70,22 +70,22 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
     verdict, terms = selection.verdict, selection.problem.terms
     model = [terms[k] for k in verdict.best]
     unknown = unknown_of(selection, averaged)
-    stand: list[str] = []
-    pending: dict[str, str] = {}
+    accepted: list[str] = []
+    rejected: dict[str, str] = {}
     confounded: list[tuple[str, ...]] = []
     for name in dict.fromkeys(term.name for term in model if term.name is not None):
         mine = [term for term in model if term.name == name]
         beside = [u for u in unknown if any(related(term, u) for term in mine)]
         probability = verdict.names.get(name, 0.0)
         if probability < limits.certain:
-            pending[name] = f"models without it have {1 - probability:.0%} of the posterior"
+            rejected[name] = f"models without it have {1 - probability:.0%} of the posterior"
         elif beside:
-            pending[name] = "may be a piece of the same unnamed cause"
+            rejected[name] = "may be a piece of the same unnamed cause"
             confounded.append((name, *(u.shown_as for u in beside)))
         else:
-            stand.append(name)
+            accepted.append(name)
     confounded += _replacements(selection)
-    return Names(tuple(stand), pending, tuple(dict.fromkeys(confounded)))
+    return Names(tuple(accepted), rejected, tuple(dict.fromkeys(confounded)))
 
 
 def unknown_of(selection: Selection, averaged: Averaged | None) -> list[NamelessTerm]:
@@ -175,7 +175,7 @@ def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tup
     return tuple(set_of(selection, cause, averaged) for cause in causes)
 
 
-def one_a_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
+def merge_by_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
     """Return one set for all causes that are more probably pieces of one unnamed function.
 
     Parameters

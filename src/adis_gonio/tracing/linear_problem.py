@@ -80,9 +80,9 @@ class LinearProblem:
 
     def gains(self, basis: Floats, residual: Floats) -> Floats:
         """χ² that each term (M,) explains of a residual (rows,), given an orthonormal model (rows, k)."""
-        return self.taken(residual @ self.columns, basis.T @ self.columns)
+        return self.gains_from_products(residual @ self.columns, basis.T @ self.columns)
 
-    def taken(self, z: Floats, inside: Floats) -> Floats:
+    def gains_from_products(self, z: Floats, inside: Floats) -> Floats:
         """Like `gains`, from the products of the columns with the residual (P,) and the model (k, P)."""
         first, k = self.first, len(inside)
         if not len(first):
@@ -104,7 +104,7 @@ class LinearProblem:
         gain: Floats = both / least + limits.independent * twice
         return gain
 
-    def only(self, chosen: NDArray[np.intp]) -> LinearProblem:
+    def subset(self, chosen: NDArray[np.intp]) -> LinearProblem:
         """Return the problem with some of the terms (ascending numbers)."""
         index = np.concatenate(
             [np.arange(self.first[k], self.first[k] + self.width[k]) for k in chosen]
@@ -122,14 +122,14 @@ class LinearProblem:
             prior=tuple(self.prior[k] for k in chosen),
         )
 
-    def under(self, inflation: float) -> LinearProblem:
+    def with_inflation(self, inflation: float) -> LinearProblem:
         """Return the problem for another noise variance, which changes the relative weight of the prior."""
         if inflation == self.inflation:
             return self
         factor = inflation / self.inflation
-        return self._holding([factor * own for own in self.prior], inflation)
+        return self._with_prior([factor * own for own in self.prior], inflation)
 
-    def _holding(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
+    def _with_prior(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
         """Return the problem with other Gram matrices (M,) of the prior rows."""
         columns = np.empty_like(self.columns)
         back: list[Floats] = []
@@ -157,11 +157,11 @@ class LinearProblem:
         """χ² that a model explains of the target, minus the cost of its amplitudes under the prior."""
         if not len(model):
             return 0.0
-        columns, gram = self.together(model)
+        columns, gram = self.columns_and_gram(model)
         along = self.target @ columns @ _half(gram)
         return float(along @ along)
 
-    def together(self, model: Sequence[int]) -> tuple[Floats, Floats]:
+    def columns_and_gram(self, model: Sequence[int]) -> tuple[Floats, Floats]:
         """Return the columns (rows, p) of a model and their Gram matrix (p, p), prior rows included."""
         columns = np.concatenate([self.block(k) for k in model], axis=1)
         gram = columns.T @ columns
@@ -201,7 +201,7 @@ class Products:
         self._target = problem.target @ joining.columns
         self._of: dict[int, Floats] = {}
 
-    def beside(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
+    def of_model(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
         """Return the residual's χ², and products (P,), (k, P) of the columns with residual and basis."""
         problem = self._problem
         if not len(model):
@@ -211,7 +211,7 @@ class Products:
                 self._of[k] = problem.block(k).T @ self._joining.columns
         inside = np.concatenate([self._of[k] for k in model])
         if len(model) > 1:  # a single block is already orthonormal
-            columns, gram = problem.together(model)
+            columns, gram = problem.columns_and_gram(model)
             half = _half(gram)
             along, inside = problem.target @ columns @ half, half.T @ inside
         else:
@@ -249,7 +249,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         column_price=_column_prices(together, first),
         prior=tuple(np.zeros((size, size)) for size in width.tolist()),
     )
-    return free._holding(prior, 1.0)
+    return free._with_prior(prior, 1.0)
 
 
 def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
@@ -357,7 +357,7 @@ def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
         return []
     if len(model) == 1:
         return [problem.back[model[0]] @ (problem.target @ problem.block(model[0]))]
-    columns, gram = problem.together(model)
+    columns, gram = problem.columns_and_gram(model)
     solved = np.linalg.lstsq(gram, columns.T @ problem.target, rcond=1e-12)[0]
     cuts = np.cumsum([0] + [int(problem.width[k]) for k in model])
     return [problem.back[k] @ solved[cuts[i] : cuts[i + 1]] for i, k in enumerate(model)]

@@ -118,7 +118,7 @@ def search(
     """
     if spare is None:
         spare = max(problem.dof // 2, 1)
-    problem = problem.under(inflation)
+    problem = problem.with_inflation(inflation)
     found = Search(problem, price(problem), inflation)
     found.scores[()] = 0.0
     found.promise = np.full(len(problem.terms), -np.inf)
@@ -174,10 +174,10 @@ class _Beam:
         found, problem = self.found, self.found.problem
         if model in found.opened:
             return {}
-        chi2, z, inside = joining.products.beside(model)
+        chi2, z, inside = joining.products.of_model(model)
         found.opened[model] = chi2
         number, width = joining.number, joining.problem.width
-        gains = joining.problem.taken(z, inside)
+        gains = joining.problem.gains_from_products(z, inside)
         gained = 0.5 * gains / found.inflation - found.prices[number]
         here = 0.5 * (problem.chi2 - chi2) / found.inflation - sum(float(found.prices[k]) for k in model)
         room = problem.dof - len(inside) - width >= self.spare
@@ -223,7 +223,7 @@ class _Beam:
         """Return the terms that extend all models of the beam."""
         found = self.found
         number = np.union1d(np.flatnonzero(self.named), np.argsort(-found.promise)[: limits.active])
-        problem = found.problem.only(number)
+        problem = found.problem.subset(number)
         return _Joining(problem, number, Products(found.problem, problem))
 
     def _widest(self, fresh: dict[Model, float], count: int) -> list[Model]:

@@ -35,11 +35,12 @@ from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.averaging import average
-from adis_gonio.tracing.credible_sets import CredibleSet, credible_sets, judge, one_a_function, undecided
+from adis_gonio.tracing.credible_sets import CredibleSet, credible_sets, judge, merge_by_function, undecided
 from adis_gonio.tracing.findings import (
     base_of,
     bias_at_middle,
     detectable,
+    differs_from_zero,
     excesses,
     finding_of,
     in_units_of_file,
@@ -47,7 +48,6 @@ from adis_gonio.tracing.findings import (
     rivals_of,
     scatter_finding,
     shares,
-    told_from_zero,
     unnamed_of,
     unnamed_with_share,
     with_shares,
@@ -61,14 +61,14 @@ from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, NextDwell, Step, Stopped, TraceResult
 from adis_gonio.tracing.validation import (
     Fold,
-    checkable,
+    disagreement_p_value,
     error_figures,
-    guarding,
-    in_order,
+    guard_errors,
+    nest_fits,
     never_worse,
-    refuted,
-    unexpected,
-    without,
+    refuted_functions,
+    reject_names,
+    reject_unchecked,
     without_folds,
 )
 
@@ -135,7 +135,7 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
     from adis_gonio.tracing.within.second_pass import with_second_pass
 
     positions = positions_of(session) if own else Diagnosis()
-    data = as_the_part_stood(readings_of_part(session, part), positions)
+    data = correct_slips(readings_of_part(session, part), positions)
     try:
         data = state_noise(data) if own else data
         result = trace_readings(data, max_effects, positions)
@@ -203,7 +203,7 @@ class TraceRun:
         refuse_too_few(self.measured)
         named, self.missing = named_terms(self.measured)
         if positions is not None:
-            named = as_the_angles_leave(named, self.measured, positions)
+            named = restrict_candidates(named, self.measured, positions)
         self.terms: list[Term] = [*named, *nameless_terms(self.measured)]
 
     @property
@@ -224,7 +224,7 @@ class TraceRun:
         A refuted function leaves the posterior, so the names that it competed with are judged again.
         """
         self.nest(self.selection)
-        while gone := refuted(self.selection, self.fits, self.errors):
+        while gone := refuted_functions(self.selection, self.fits, self.errors):
             if current().left_out:
                 break
             self.nest(self.selection.without_functions(gone))
@@ -234,17 +234,17 @@ class TraceRun:
         self.selection = selection
         self.averaged = attempt("the average of functions without a name", lambda: average(selection), None)
         self.fold = Fold.of(selection, self.terms, self.averaged, self.max_effects)
-        self.fits, self.steps = in_order(selection, self.averaged)
+        self.fits, self.steps = nest_fits(selection, self.averaged)
         unguarded: list[float | None] = [None for _ in self.fits]
         self.errors = attempt(
             "the choice of the longest model that is never worse",
-            lambda: guarding(selection, self.fits, self.fold),
+            lambda: guard_errors(selection, self.fits, self.fold),
             unguarded,
         )
 
     def judge_names(self) -> None:
         """Judge each name of the model by evidence; list the names that could explain the rest."""
-        self.names = checkable(judge(self.selection, self.averaged), self.selection)
+        self.names = reject_unchecked(judge(self.selection, self.averaged), self.selection)
         if self.scatter is not None or not self.selection.adequate:
             could = undecided(self.selection)
             if len(could) > 1:
@@ -277,14 +277,14 @@ class TraceRun:
     def judge_findings(self) -> None:
         """Reject weak names, and test the model on the check dwells."""
         final, noise_known = self.final, self.measured.noise_known
-        findings = [finding_of(final, name, self.averaged) for name in self.names.stand]
+        findings = [finding_of(final, name, self.averaged) for name in self.names.accepted]
         places = credible_sets(self.selection, self.averaged)
         self.sets = tuple(one for one in places if one.present >= limits.certain)
         self.likelier = likelier_functions(self.sets, self.terms)
         at_middle = [bias_at_middle(final, finding) for finding in findings]
         weak = weak_names(at_middle, self.figures[-1], self.likelier, places)
-        self.names = without(replace(self.names, open={**self.names.open, **weak}), weak)
-        self.reasons = {**self.names.open, **self.reasons}
+        self.names = reject_names(replace(self.names, rejected={**self.names.rejected, **weak}), weak)
+        self.reasons = {**self.names.rejected, **self.reasons}
         self.findings = [finding for finding in findings if finding.effect not in weak]
         self.notes = list(notes_of(self.selection, self.scatter))
         self.adequate = final.adequate and self.scatter is None and (final.fit.dof > 0 or not noise_known)
@@ -312,7 +312,7 @@ class TraceRun:
         return self._result(
             adequate=self.adequate and self.measured.noise_known,
             found=seen,
-            sets=one_a_function(self.sets, self.likelier),
+            sets=merge_by_function(self.sets, self.likelier),
             confounded=self.names.confounded,
             unnamed=unnamed_with_share(unnamed_of(selection, self.averaged), of_step),
             detectable={
@@ -410,14 +410,14 @@ def weak_names(
             weak[finding.effect] = f"models with nothing in its place have {empty[finding.effect]:.0%}"
         elif final.heldout_rms is None and finding.effect != "bias":
             weak[finding.effect] = "no dwell could be left out to check it by"
-        elif not told_from_zero(finding):
+        elif not differs_from_zero(finding):
             weak[finding.effect] = "its values are no larger than their own uncertainty"
     return weak
 
 
 def disagreement_of(final: Selection, checking: Readings) -> list[str]:
     """Return a note if the check dwells contradict the model fitted to the other dwells."""
-    p = unexpected(final.fit, checking, final.inflation)
+    p = disagreement_p_value(final.fit, checking, final.inflation)
     if p >= limits.adequate:
         return []
     return [
@@ -442,7 +442,7 @@ def refuse_too_few(data: Readings) -> None:
 _MOVED = frozenset({"mistyped", "misset", "swapped"})
 
 
-def as_the_part_stood(data: Readings, positions: Diagnosis) -> Readings:
+def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
     """Return readings with large lasting slips corrected, or the same readings if there are none.
 
     The stage's dial and its errors are unaffected by a slip, so `Conditions.angle_rad` does not change.
@@ -469,7 +469,7 @@ def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
     return shorter > math.sqrt(float(np.median(data.variance_of_mean)))
 
 
-def as_the_angles_leave(
+def restrict_candidates(
     terms: Sequence[NamedTerm], data: Readings, positions: Diagnosis
 ) -> list[NamedTerm]:
     """Drop candidates of single dwells that the angles rule out, and set the start of large slips.

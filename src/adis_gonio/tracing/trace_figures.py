@@ -19,7 +19,7 @@ from adis_gonio.model.effects import AXES, Conditions, catalogue
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.one_pose import mg_per_unit, series_columns, series_conditions
 from adis_gonio.tracing.trace_result import TraceResult
-from adis_gonio.tracing.validation import leave
+from adis_gonio.tracing.validation import residuals_on
 
 _LEFT = ("angle", "time", "temperature", "supply")
 _LEAST_SPAN = {"temperature": 0.145, "supply": 0.0018}
@@ -219,7 +219,7 @@ def _left_over(fit: Fit, quantity: str, others: Readings | None = None) -> Float
         turned = fit.angle_error_rad(data)
         assert turned is not None
         return np.degrees(wrap_radians(turned))
-    left = fit.misfit if others is None else leave(fit, others).residual
+    left = fit.misfit if others is None else residuals_on(fit, others).residual
     if quantity == "norm":
         return np.asarray((left * _along(data)).sum(axis=1))
     return np.asarray(left[:, AXES.index(quantity[-1])])
