@@ -57,7 +57,7 @@ class AveragedTerm(NamelessTerm):
 
 @dataclass(frozen=True)
 class AveragedFit(Fit):
-    """A fit whose uncertainty includes the spread within and between the members of an average.
+    """A fit with the uncertainty within and between the members of an average.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class AveragedFit(Fit):
 
 @dataclass(frozen=True)
 class Averaged:
-    """A model whose unnamed part is an average.
+    """A model with an average as its unnamed part.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
         pool += _formulas(selection, named, candidates)
     else:
         pool.append((0.0, ()))
-    # Posterior weights of all members, without those of negligible weight.
+    # Posterior weights of all members; negligible weights are dropped.
     weights = np.exp(np.array([score for score, _ in pool]) - max(score for score, _ in pool))
     weights = np.where(weights >= limits.counted * weights.sum(), weights, 0.0)
     weights /= weights.sum()
@@ -254,7 +254,7 @@ def _ridge(
     """Return values of all parameters, covariance in units of the noise, degrees of freedom, visible part.
 
     The visible part is the share of the terms' contribution that the fixed columns could not reproduce. It
-    is 1 without terms and for processes, whose priors keep them small.
+    is 1 without terms and for processes, since their priors keep them small.
     """
     fit = selection.fit
     blocks = [fit.white(fit.candidate(term)) for term in terms]

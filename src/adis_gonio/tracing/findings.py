@@ -414,7 +414,7 @@ def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> d
 
 def follows_clock(term: Term) -> bool:
     """Whether a term depends on the time since the start of the session and on nothing else."""
-    if isinstance(term, AveragedTerm):  # `covariates` are those of its most probable member only
+    if isinstance(term, AveragedTerm):  # it lists only the covariates of its most probable member
         return all(follows_clock(member) for _, member, _ in term.members)
     needs = term.effect.needs if isinstance(term, NamedTerm) else ()
     return term.covariates == ("time",) and not needs

@@ -220,7 +220,7 @@ class Products:
 
 
 def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
-    """Build the linear problem about a fit, whose model may contain some of the terms."""
+    """Build the linear problem about a fit; its model may contain some of the terms."""
     # The target contains the contributions of the fit's own terms, which are candidates like all others.
     left = fit.left
     for k in range(len(fit.terms)):

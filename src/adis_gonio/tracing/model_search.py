@@ -111,7 +111,7 @@ def search(
     beam : int
         Number of models opened at each size; pairs are opened from twice as many single terms.
     spare : int
-        Degrees of freedom that must remain; by default half of those of the base model's residual, since a
+        Degrees of freedom that must remain; by default half of the base model's degrees of freedom, since a
         model with more columns than remaining readings could not fail. A single named effect with at most
         as many columns as a bias may use all of them: the six faces of a cube show a bias, or an effect
         that looks like one, and nothing else.
@@ -215,7 +215,7 @@ class _Beam:
         wide = self._widest(fresh, 2 * self.width if size == 1 else self.width)
         level = [m for m in wide if fresh[m] + self.found.hope(m) > self.top - limits.behind]
         if size > 2 and max(fresh.values()) < self.top - limits.behind:
-            # One unnamed surface may score above two names that need a third one beside them.
+            # One unnamed surface may score above two names that need a third one.
             level = [m for m in level if self._all_named(m)]
         return level
 

@@ -125,7 +125,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     if dwell.temperature_c is None:
         raise FitError(
             f"{where}one position only and no temperature: nothing that the readings could follow; record"
-            " the temperature beside the samples (temp_c), or measure at least two positions"
+            " the temperature with the samples (temp_c), or measure at least two positions"
         )
     conditions = series_conditions(dwell)
     problem, candidates = _problem(dwell.accel * mg_per_unit(session, dwell), conditions)

@@ -117,7 +117,7 @@ class Hypothesis:
     shift, root : (p,), (p, p) float
         Posterior mean minus the fitted parameters, and a root of the posterior covariance.
     chi2 : float
-        χ² of the residual plus that of the departure from the prior.
+        χ² of the residual plus χ² of the departure from the prior.
     """
 
     labels: tuple[str, ...]

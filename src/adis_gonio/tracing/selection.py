@@ -169,7 +169,7 @@ def _begun(base: Fit, terms: Sequence[Term]) -> Fit:
 def _fitted(
     problem: LinearProblem, verdict: ModelPosterior, about: Fit, most: float
 ) -> tuple[ModelPosterior, Fit]:
-    """Refit the best model; if its χ² exceeds that of the base model, try the next best models.
+    """Refit the best model; if its χ² exceeds the base model's, try the next best models.
 
     A model that contains the base model cannot have a larger χ². Such a refit has diverged from
     amplitudes that are possible only in the linear problem.

@@ -100,7 +100,7 @@ def evidence(
     fit : Fit
         Fit about which the processes are linear.
     beside : (rows, k) float
-        Orthonormal whitened columns of the other terms, whose amplitudes have flat priors.
+        Orthonormal whitened columns of the other terms; their amplitudes have flat priors.
     target : (rows,) float
         Whitened readings minus their projection on `beside`.
     inflation : float

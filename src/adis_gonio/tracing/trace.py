@@ -264,7 +264,7 @@ class TraceRun:
         unit = self.measured.model.unit
         count, self.names, cut = never_worse(self.names, self.steps, self.errors, reported, unit)
         if count < len(self.steps):
-            # The longer models already have their figures; those of the shorter model remain valid.
+            # All nested models already have their figures, so the longer ones are only dropped.
             self.fits, self.figures = self.fits[: count + 1], self.figures[: count + 1]
             self.steps = self.steps[:count]
             terms, inside = self.selection.problem.terms, self.fits[-1].terms

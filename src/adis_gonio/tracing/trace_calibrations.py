@@ -48,8 +48,8 @@ from adis_gonio.tracing.trace_result import TraceResult
 
 _CLOCK = "follows the clock of the session, which no later reading shares"
 _UNKNOWN = "is not known to be a function of the reading, the temperature or the supply"
-_NAMELESS = "has no name, so that nobody knows whether it belongs to the sensor"
-_GYRO_NAMELESS = "has no name, so that nobody knows whether it belongs to the gyros"
+_NAMELESS = "has no name, so it may not belong to the sensor"
+_GYRO_NAMELESS = "has no name, so it may not belong to the gyros"
 _GYRO_UNKNOWN = "is not known to be a function of the rate, the force, the temperature or the supply"
 
 
@@ -59,7 +59,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     Terms that depend only on the session's clock are evaluated at the middle of the session. Bias, gain and
     start angle refer to that time, which `not_corrected` states.
 
-    Covariance and u are those of the final model. Equivalent models may divide a bias differently among
+    Covariance and u come from the final model. Equivalent models may divide a bias differently among
     parameters, so the trace states a larger u for single parameters, but the angles are equal. Terms that
     cannot be corrected are left out. If one is a function of the reading, it may have absorbed a part of
     the bias, so the other terms are fitted again with a bias. This is done if an unnamed function of the
@@ -119,7 +119,7 @@ def _of_reading(term: Term) -> bool:
 
 
 def _holds_bias(term: Term) -> bool:
-    """Whether an unnamed function replaces a bias whose value at a given time is unknown."""
+    """Whether an unnamed function replaces a bias, so that the value at one time is unknown."""
     return term.name is None and not term.enters_angle and not follows_clock(term)
 
 
@@ -340,7 +340,7 @@ def gyros_alone(session: Session) -> str:
     except AdisGonioError:
         return ""
     return (
-        "; its gyros are calibrated: put them beside the accelerometers of another session of the part, "
+        "; its gyros are calibrated: combine them with the accelerometers of another session of the part, "
         f"export OTHER --gyros {PurePath(session.source).name} -o both.json"
     )
 

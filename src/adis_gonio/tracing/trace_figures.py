@@ -176,7 +176,7 @@ def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
 
 
 def _lag(data: Readings, after: Fit) -> Floats:
-    """Temperature of the fitted lagging element minus that of the die (n,) in °C."""
+    """Temperature of the fitted lagging element minus the die's (n,) in °C."""
     for term, values in zip(after.terms, after.values.terms, strict=True):
         if isinstance(term, NamedTerm) and term.effect.shown_over == "temperature_lag":
             axis = AXES.index(term.effect.axes[0])
@@ -246,7 +246,7 @@ def _uncertainty(fit: Fit, quantity: str) -> Floats:
 
 
 def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
-    """Plot the final residual over each covariate that varied, first those of the unnamed part."""
+    """Plot the final residual over each covariate that varied, starting with the unnamed part's."""
     base, last = result.fits[0], result.fits[-1]
     data = last.data
     unnamed = result.unnamed.covariates if result.unnamed is not None else ()

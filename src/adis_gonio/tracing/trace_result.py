@@ -49,8 +49,8 @@ class ErrorFigures(JsonRecord):
     chi2_per_dof : float or None
         None if the noise of a reading is unknown or no degree of freedom remains.
     heldout_by_axis : mapping of str to float or None
-        Held-out error of each axis, for a single pose traced sample by sample and for gyros, whose axes
-        share no attitude.
+        Held-out error of each axis, for a single pose traced sample by sample and for gyros (no common
+        attitude of their axes).
     heldout_kept : float or None
         Held-out error of the final model if its effects are kept in each fold and only their values are
         fitted again. `heldout_rms` then refers to effects that were chosen again in each fold.
@@ -282,7 +282,7 @@ class TraceResult(ParameterTable):
     provenance : Provenance or None
         Origin of the readings; None if no session was given.
     overrides : mapping
-        Metadata that replaced that of the session's file, old and new (`session.overrides`).
+        Metadata that replaced values of the session's file, old and new (`session.overrides`).
     position_findings : tuple of PositionFinding
         Positions that differ from their declaration (`adis_gonio.fitting.slips`).
     """

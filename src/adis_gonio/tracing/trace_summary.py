@@ -237,7 +237,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
         ending = "Whether anything is left cannot be tested: " + (
             "the model has as many parameters as there are readings. Measure more positions."
             if noise_known
-            else "the noise of a reading is not known by itself."
+            else "the noise of a reading is unknown."
         )
         return f"{what or 'Nothing was found beyond the base model.'} {ending}"
     if result.confounded or result.reasons:

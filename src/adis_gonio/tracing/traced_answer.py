@@ -36,7 +36,7 @@ class TracedAnswer(Answer):
     Attributes
     ----------
     traced : TraceResult
-        The trace, whose model is recommended.
+        The trace with the recommended model.
     """
 
     traced: TraceResult
@@ -48,7 +48,7 @@ class TracedAnswer(Answer):
 
     @property
     def parameters(self) -> dict[str, Value]:
-        """All parameters of the traced model by name, those of its effects included."""
+        """All parameters of the traced model by name, including its effects."""
         found = dict(self.traced.base)
         for finding in self.traced.found:
             found |= finding.parameters

@@ -1,6 +1,6 @@
 """Validation of a trace: errors on held-out dwells, and the names and steps that survive them.
 
-Held-out dwells are the `check` dwells or, without any, those of folds with the selection repeated inside
+Held-out dwells are the `check` dwells or, without any, folds of dwells with the selection repeated inside
 each fold. A fold consists of whole dwells: every fifth dwell (shuffled); blocks of time, if positions
 repeat so that no block leaves a gap of angles; all dwells about one body axis. Plain leave-one-out is too
 optimistic if poses repeat, because another dwell of the same pose replaces the dwell that was left out.

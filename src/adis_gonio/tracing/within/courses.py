@@ -6,7 +6,7 @@ within a dwell is independent between dwells, so no model of the noise is needed
 in all dwells, or proportional to the change of the axis's reading in the preceding move. Time starts at
 the first sample of the dwell, since the file does not contain the end of the move.
 
-The time constant is then fitted. Standard uncertainties are those of least squares with residuals that are
+The time constant is then fitted. Standard uncertainties follow from least squares with residuals that are
 correlated within dwells (sandwich estimator, one cluster per dwell).
 """
 

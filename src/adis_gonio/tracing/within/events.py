@@ -91,7 +91,7 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     samples : Samples
         Samples without the courses that all dwells share.
     unlike : list of int
-        Axes whose scatter differs between dwells; there each dwell is scaled by its own scatter.
+        Axes with different scatter in the dwells; there each dwell is scaled by its own scatter.
     reach : int
         Samples over which neighbours are correlated.
     """
@@ -160,7 +160,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
 
 
 def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Lower the p-values (d, axes) where those of this scale are smaller."""
+    """Lower the p-values (d, axes) to the values of this scale if these are smaller."""
     noise = np.zeros_like(p)
     look.noise.append((np.array([float(own[0]) if len(own) else 0.0 for own in scale.places]), noise))
     every = np.concatenate(scale.differences)

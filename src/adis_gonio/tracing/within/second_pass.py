@@ -8,7 +8,7 @@ Order of the searches
     a dwell: none for one sample, drift from 6 samples, spikes and lines from 32 samples.
 
 Rule for `found`
-    A finding counts among `TraceResult.found` if its form is that of a named effect (`tone`, `settling`,
+    A finding counts among `TraceResult.found` if it has the form of a named effect (`tone`, `settling`,
     `noise_change`, `saturation`, `quantization`), if its probability reaches the threshold of any cause
     (`certain`), if it occurs in at least `_CLAIMED_DWELLS` dwells (a limit in one), and if the dwells were
     recorded as such. If dwells were cut out of a continuous recording, a finding may be a hand that places
@@ -18,7 +18,7 @@ Rule for `found`
 Probability
     The tests need no model of an effect, so there is a p-value but no likelihood. If an effect is
     present, p has the density ξ p^(ξ−1) with an unknown ξ below 1 (Sellke, Bayarri and Berger, The
-    American Statistician 55:62, 2001). The prior share is that of any effect.
+    American Statistician 55:62, 2001). The prior share is equal for all effects.
 
 Sensitivity
     The smallest `tone`, `noise_change` and `settling` that these samples would have shown: the amplitude

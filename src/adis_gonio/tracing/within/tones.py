@@ -323,7 +323,7 @@ class Density:
     base : (k, axes) float
         Pooled density for a level of 1.
     bound : (k, axes) float
-        Threshold density for a line: `base` or, if larger, the density beside the point.
+        Threshold density for a line: `base` or, if larger, the density on either side.
     width : (k,) float
         Independent ordinates of the running median.
     """
