@@ -760,7 +760,7 @@ class TestNotes:
         ("kind", "unit", "told"),
         [
             ("fixture_scatter", "deg", "scatter by 0.02° where 0.01° was stated of the fixture"),
-            ("reading_scatter", "mg", "scatter by 0.02 mg where 0.01 mg was shown within the dwells"),
+            ("reading_scatter", "mg", "scatter by 0.02 mg, but 0.01 mg was shown within the dwells"),
         ],
     )
     def test_scatter_is_said_in_its_unit_and_the_noise_not_once_more(

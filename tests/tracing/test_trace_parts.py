@@ -732,7 +732,7 @@ class TestNestedModels:
         fits, _ = nest_fits(selection, None)
         figures, design = error_figures(selection, data, None, fits, Fold(terms, None, 1))
         assert "whole dwells (5 folds)" in design
-        assert "effects chosen anew in each fold" in design
+        assert "effects chosen again in each fold" in design
         # The bias is chosen in every fold, so that it does not matter whether it was kept.
         assert figures[-1].heldout_kept == pytest.approx(figures[-1].heldout_rms, rel=0.01)
         assert figures[-1].heldout_rms == pytest.approx(U * math.sqrt(1 + 6 / 38), rel=0.25)

@@ -155,4 +155,4 @@ def test_a_name_is_not_found_where_its_set_holds_a_function_without_one_for_like
     (one,) = result.sets
     assert one.names == ("unnamed: temperature", "misalignment_temperature")
     assert not result.found
-    assert "likelier: unnamed: temperature" in result.reasons["misalignment_temperature"]
+    assert "unnamed: temperature" in result.reasons["misalignment_temperature"]

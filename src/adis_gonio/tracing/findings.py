@@ -263,14 +263,14 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
         )
     if not data.noise_known:
         notes.append(
-            "the noise of a reading is not known; it was estimated from the residual, so that adequacy "
-            "cannot be tested"
+            "the noise of a reading is unknown; it was estimated from the residual, so adequacy cannot be "
+            "tested"
         )
     if scatter is not None:
         what = "stated of the fixture" if scatter.kind == "fixture_scatter" else "shown within the dwells"
         unit = "°" if scatter.unit == "deg" else f" {scatter.unit}"
         notes.append(
-            f"dwells scatter by {scatter.value:.2g}{unit} where {scatter.declared:.2g}{unit} was {what}; "
+            f"dwells scatter by {scatter.value:.2g}{unit}, but {scatter.declared:.2g}{unit} was {what}; "
             "no covariate explains it"
         )
     elif data.noise_known and selection.inflation > 1 and not selection.adequate:

@@ -253,7 +253,7 @@ class TraceRun:
     def measure_errors(self) -> None:
         """Measure the errors of the nested models, with effects chosen in each fold."""
         self.figures, self.design = attempt(
-            "the error on left-out dwells, effects chosen anew",
+            "the error on held-out dwells, effects chosen again",
             lambda: error_figures(self.selection, self.measured, self.checking, self.fits, self.fold),
             without_folds(self.fits, self.measured, self.checking),
         )
@@ -403,13 +403,13 @@ def weak_names(
     empty = {one.cause: 1 - one.present for one in places if one.present < limits.certain}
     for finding in findings:
         if finding.effect in likelier:
-            weak[finding.effect] = f"in its place is likelier: {likelier[finding.effect]}"
+            weak[finding.effect] = f"more probable in its place: {likelier[finding.effect]}"
         elif finding.effect in empty:
             # Models with equal predictions count as one model. If that model lacks the cause, the cause
             # is absent.
             weak[finding.effect] = f"models with nothing in its place have {empty[finding.effect]:.0%}"
         elif final.heldout_rms is None and finding.effect != "bias":
-            weak[finding.effect] = "no dwell could be left out to check it by"
+            weak[finding.effect] = "no dwell could be held out to check it"
         elif not differs_from_zero(finding):
             weak[finding.effect] = "its values are no larger than their own uncertainty"
     return weak
@@ -422,7 +422,7 @@ def disagreement_of(final: Selection, checking: Readings) -> list[str]:
         return []
     return [
         f"the {len(checking)} check dwells do not agree with the model that explains the others "
-        f"(p = {p:.2g}): something is in them that the others do not show"
+        f"(p = {p:.2g}): they show an effect that the others do not"
     ]
 
 

@@ -349,7 +349,7 @@ def error_figures(
         lefts = [select_counted(fold.left_out(data, designs, fit), counts) for fit in kept]
         if len(fits) > 1:
             lefts.append(select_counted(anew, counts))
-            design += "; effects chosen anew in each fold"
+            design += "; effects chosen again in each fold"
             if fold.averaged is None:
                 again = _heldout(select_counted(fold.left_out(data, designs, fits[-1]), counts), data)
                 design += f", {again:.3g} {data.model.unit} with those found kept"
@@ -422,7 +422,7 @@ def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
     if any(last.again(data.rows(~mask)).used < columns for mask in singles):
         return [[] for _ in fits], (
             f"the model has {columns} parameters: {len(data) - 1} dwells do not determine it, so that none "
-            "could be left out"
+            "could be held out"
         )
     design = f"each of {len(data)} dwells in turn, effects kept: the others are too few to choose any from"
     designs = {design: singles}
