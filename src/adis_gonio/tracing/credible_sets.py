@@ -245,6 +245,7 @@ class _Place:
     def of(cls, selection: Selection, cause: str) -> _Place:
         problem, best = selection.problem, selection.verdict.best
         rest = [k for k in best if _word(problem.terms[k]) != cause]
+        # The residual without the cause minus the residual with it is its contribution.
         added = span(problem, rest)[1] - span(problem, best)[1]
         ours = frozenset(_word(problem.terms[k]) for k in best)
         return cls(problem, cause, ours, added / max(float(np.linalg.norm(added)), 1e-300))
@@ -265,6 +266,7 @@ class _Place:
         kept = [k for k in model if k not in fresh]
         words = {_word(self.problem.terms[k]) for k in fresh}
         lost = self.ours - set(map(_word, terms))
+        # Without several causes at once, the additional terms vote only for the part that they reproduce.
         whole = self._explained(fresh, kept) if fresh and len(lost) > 1 else 1.0
         if len(words) <= 1:
             return dict.fromkeys(words, whole)
@@ -316,9 +318,11 @@ def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
         width = int(problem.width[k])
         if term.name is None or term.name in inside or term.dwell is not None or dof - width < 1:
             continue
+        # F statistic of the added columns; the noise is the remaining residual.
         left = max(chi2 - float(gains[k]), 1e-12 * chi2)
         p = float(stats.f.sf(float(gains[k]) / width / (left / (dof - width)), width, dof - width))
         least_p = min(least_p, p)
+        # Likelihood with the noise fitted, times the prior: (χ² after / χ² before)^(−dof/2) · exp(−price).
         price = float(problem.cost[k] + problem.column_price[k])
         likely[term.name] += math.exp(-0.5 * dof * math.log(left / chi2) - price)
     if least_p >= limits.open_level:

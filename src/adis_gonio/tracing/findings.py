@@ -362,6 +362,7 @@ def bases(selection: Selection) -> Mixture:
             if k not in columns:
                 columns[k] = fit.white(fit.candidate(problem.terms[k]))
             added = added + columns[k] @ own
+        # Residual of the linear problem after the terms of this model.
         left[:, row] = target - added
     stated = fit.base_step(fit.residual.reshape(-1, 1))
     return Mixture((fit.base_step(left) - stated).T, np.array(list(each.values())))
@@ -533,6 +534,7 @@ def detectable(
             basis_of[key] = span(problem, others)[0]
         basis = basis_of[key]
         lengths = _lengths(problem, k, basis)
+        # Threshold of the score, plus the quantile for 90 % power.
         reach = np.sqrt(2 * max(float(found.prices[k]), 0.5) * found.inflation) + _POWER_90 * np.sqrt(
             found.inflation
         )

@@ -241,6 +241,7 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
     design = np.column_stack(columns)
     size = np.maximum(np.abs(design).max(axis=0), 1e-300)
     design = design / size
+    # Blocks of equal length in time.
     blocks = np.arange(n) * BLOCKS // n
     centred = readings - readings.mean(axis=0)
     parts = [(design[blocks == b], centred[blocks == b]) for b in range(BLOCKS)]
@@ -337,6 +338,7 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
     inside = np.zeros((len(choices), *problem.square.shape))
     for j, choice in enumerate(choices):
         columns = _columns(model, choice)
+        # Normal equations of all blocks but one, restricted to the columns of this choice.
         gram = (total - problem.gram)[:, columns][:, :, columns]
         cross = (total_cross - problem.cross)[:, columns]
         solution = _solved(gram, cross)
@@ -347,6 +349,7 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
 
 def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> Floats:
     """Return the residual's sums of squares (BLOCKS, axes) for a solution (BLOCKS, p, axes)."""
+    # |y − Xb|² = yᵀy − 2 bᵀXᵀy + bᵀXᵀX b, from the sums of each block.
     quadratic = np.einsum("bia,bij,bja->ba", solution, gram, solution)
     left: Floats = np.maximum(square - 2 * (cross * solution).sum(axis=1) + quadratic, 0.0)
     return left
@@ -355,6 +358,7 @@ def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> F
 def _held_out(problem: _Problem, model: Model) -> Floats:
     """Return held-out sums of squares (BLOCKS, axes), with variants averaged for each axis."""
     _, coefficients, inside = _fits(problem, model)
+    # The noise is fitted: −n/2 ln(sum of squares), with one independent value per block.
     likelihood = -BLOCKS / 2 * np.log(np.maximum(inside, 1e-300))
     weight = np.exp(likelihood - likelihood.max(axis=0))
     weight /= weight.sum(axis=0)
@@ -485,6 +489,7 @@ def _finding(problem: _Problem, model: Model, which: int, tried: int, explains: 
 
 def _spread(problem: _Problem, columns: list[int], axis: int) -> Floats:
     """Standard uncertainties (P,) by the jackknife over blocks."""
+    # Estimates without each block in turn.
     values = np.array([_coefficients(problem, columns, axis, b) for b in range(BLOCKS)])
     spread: Floats = np.sqrt((BLOCKS - 1) * values.var(axis=0)) / problem.size
     return spread

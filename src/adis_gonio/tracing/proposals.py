@@ -453,6 +453,7 @@ def _information(weights: Floats, given: _Predicted, options: _Predicted | None)
         middle = (covariances[i] + covariances[j]) / 2
         difference = means[i] - means[j]
         solved = np.linalg.solve(middle, difference[:, :, None])[:, :, 0]
+        # Bhattacharyya distance: ⅛ Δᵀ M⁻¹ Δ + ½ ln |M| − ¼ ln |Cᵢ| |Cⱼ|, M the mean covariance.
         d = (difference * solved).sum(axis=1) / 8 + 0.5 * (np.linalg.slogdet(middle)[1] - half[i] - half[j])
         distance[i, j] = distance[j, i] = np.maximum(d, 0.0)
     mixed = np.einsum("j,ijn->in", weights, np.exp(-distance))
@@ -471,6 +472,7 @@ def _apart(dwells: _Predicted) -> Floats:
     for j in range(count):
         inverse = np.linalg.inv(covariance[j])
         difference = mean - mean[j]
+        # Expectation of χ² under j if i is true: trace(Cⱼ⁻¹ Cᵢ) + Δᵀ Cⱼ⁻¹ Δ, minus its own n.
         out[:, j] = ((difference @ inverse) * difference).sum(axis=1) - mean.shape[1]
         out[:, j] += [(inverse * own).sum() for own in covariance]  # trace of the product
     np.fill_diagonal(out, 0.0)
@@ -541,6 +543,7 @@ def _predict(
     groups: dict[float | None, list[int]] = {}
     for k, place in enumerate(options):
         groups.setdefault(place.temperature_c, []).append(k)
+    # Options of one temperature are predicted together; `back` restores their order.
     order = np.concatenate([np.array(members, dtype=np.intp) for members in groups.values()])
     back = np.argsort(order)
     pieces = []

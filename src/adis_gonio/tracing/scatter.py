@@ -213,6 +213,7 @@ def _restricted(fit: Fit, *, base_only: bool = False) -> float:
     if fit.data.planar and not data.free:
         tangent = fit.tangent
         fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
+        # The fixture moves a reading along its tangent.
         covariance = covariance + (fixture**2)[:, None, None] * (tangent @ tangent.transpose(0, 2, 1))
     if data.free:
         # Only one direction remains: use the variance of the whitened row.
@@ -221,6 +222,7 @@ def _restricted(fit: Fit, *, base_only: bool = False) -> float:
     else:
         size = float(np.linalg.slogdet(covariance)[1].sum())
     rows = fit.jacobian[:, : len(fit.values.base)] if base_only else fit.jacobian
+    # ½ ln |XᵀX| from the singular values, without columns that are zero.
     rows = rows[:, np.abs(rows).max(axis=0) > 0]
     scaled = np.linalg.svd(rows, compute_uv=False)
     freedom = 2 * float(np.log(np.maximum(scaled, 1e-12)).sum())
@@ -240,6 +242,7 @@ def _stated(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds
     ratio = 2 * max(height(0.0) - none, 0.0)
     # A variance is at the edge of its range under the null hypothesis: half of the distribution is zero.
     p_value = min(1.0, 0.5 * float(chi2.sf(ratio, 1)) / limits.effect_share)
+    # Second derivative of the restricted likelihood by the logarithm of the size.
     curvature = -(height(step) - 2 * height(0.0) + height(-step)) / step**2
     relative = 1 / math.sqrt(curvature) if curvature > 0 else 1.0
     factor: Callable[[float], float] = math.degrees if kind == "fixture_scatter" else float

@@ -177,6 +177,7 @@ def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floa
     def kernel(u: Floats) -> Floats:
         return np.asarray(np.exp(-0.5 * ((u[:, None] - points) / length) ** 2))
 
+    # Features K(u, points) L⁻ᵀ with K(points, points) = L Lᵀ reproduce the kernel.
     root = np.linalg.cholesky(kernel(points) + 1e-6 * np.eye(len(points)))
     return lambda u: np.asarray(np.linalg.solve(root, kernel(u).T).T)
 

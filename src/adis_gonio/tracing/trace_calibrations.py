@@ -231,6 +231,7 @@ class _Columns:
     def stated(self, inflation: float) -> tuple[tuple[Coefficient, ...], Floats]:
         """Return the parameters and their covariance (p, p)."""
         rows = np.stack(self.rows)
+        # Covariance of functions of the parameters by their gradients.
         matrix = rows @ self.fit.covariance @ rows.T * inflation
         sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
         return tuple(

@@ -235,6 +235,7 @@ def _uncertainty(fit: Fit, quantity: str) -> Floats:
     """Standard uncertainty (n,) of a quantity for the fitted dwells."""
     data = fit.data
     if quantity == "angle":
+        # A reading changes by `slope` standard uncertainties per rad.
         slope = np.linalg.norm(data.root @ fit.tangent, axis=1)[:, 0]
         fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
         return np.asarray(np.degrees(np.hypot(1 / slope, fixture)))

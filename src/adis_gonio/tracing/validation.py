@@ -114,6 +114,7 @@ def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
         theta = data.conditions.angle_rad
         if theta is None:
             return []
+        # Distances of all pairs of angles; less than half of the dwells with a neighbour: no repetition.
         apart = np.abs(wrap_radians(theta[:, None] - theta[None, :]))
         if 2 * int(((apart < np.deg2rad(limits.repeated_deg)).sum(axis=1) > 1).sum()) < len(data):
             return []
@@ -122,6 +123,7 @@ def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
         return []
     nearest = np.abs(pose).argmax(axis=1)
     up = np.take_along_axis(pose, nearest[:, None], axis=1)[:, 0] > 0
+    # Six groups in space: axis nearest to gravity, and its direction.
     groups = 2 * nearest + up
     return [groups == group for group in np.unique(groups)]
 
@@ -165,6 +167,7 @@ def determined(
         Terms whose columns have to be determined too.
     """
     begun = Fit.begin(data)
+    # A bias on each axis, in units of the full reading.
     zero = np.tile(data.model.size * np.eye(data.axes), (len(data), 1, 1))
     more = [begun.candidate(term) for term in beside]
     columns = begun.white_by_dwell(np.concatenate([begun.base_columns, zero, *more], axis=2))
@@ -550,6 +553,7 @@ def disagreement_p_value(fit: Fit, others: Readings, inflation: float = 1.0) -> 
     residual = there.residual.ravel() / np.sqrt(inflation)
     rows = there.jacobian
     size = min(rows.shape[1], len(fit.covariance))
+    # Columns of X C^½, so that carried · carriedᵀ = X C Xᵀ.
     carried = rows[:, :size] @ _root(fit.covariance[:size, :size])
     spread = np.eye(len(rows)) + carried @ carried.T
     distance = float(residual @ np.linalg.solve(spread, residual))

@@ -118,6 +118,7 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
     for tau in taus:
         z, norm = projections(samples, usable, tau)
         for by_move in (False, True):
+            # Regression of the projections z on the regressor, without a constant.
             g = norm[:, None] * kinds[int(by_move)]
             energy = (g**2).sum(axis=0)
             alive = energy > 1e-12 * float((norm**2).sum())
@@ -182,9 +183,11 @@ def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinF
         for j, axis in enumerate(axes):
             jacobian[:, j, j] = offset * weight[k, axis]
             if tau is not None:
+                # Derivative of exp(−t/τ) by τ.
                 bend = course * times[k] / tau**2
                 jacobian[:, j, -1] = slope[axis] * weight[k, axis] * (bend - bend.mean())
         residual = centred[k][:, axes] - offset[:, None] * (slope * weight[k])[axes]
+        # One score per dwell: its outer products sum to the middle of the sandwich.
         score = np.einsum("naj,na->j", jacobian, residual)
         normal += np.einsum("naj,nai->ji", jacobian, jacobian)
         meat += np.outer(score, score)
@@ -294,6 +297,7 @@ def _view(
     """Weighted mean course of the dwells, as at most `_POINTS` means of neighbours."""
     length = min(len(samples.values[k]) for k in dwells)
     norm = float((weight[dwells] ** 2).sum())
+    # Least-squares course: each dwell weighted by its regressor.
     mean = sum(
         weight[k] * (samples.values[k][:length, best.axis] - samples.values[k][:, best.axis].mean())
         for k in dwells
