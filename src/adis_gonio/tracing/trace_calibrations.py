@@ -113,20 +113,20 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     )
 
 
-def _of_reading(term: Term) -> bool:
-    """Whether a term depends on the reading only."""
-    return not term.enters_angle and term.covariates == ("reading",)
+def _may_hold_bias(term: Term, *, biased: bool) -> bool:
+    """Whether a term may contain a part of the bias, in a model with a bias or without.
 
-
-def _holds_bias(term: Term) -> bool:
-    """Whether an unnamed function replaces a bias, so that the value at one time is unknown."""
-    return term.name is None and not term.enters_angle and not follows_clock(term)
+    A function of the reading may, and in a model without a bias also an unnamed function whose value at the
+    middle of the session is unknown.
+    """
+    unnamed = not biased and term.name is None and not follows_clock(term)
+    return not term.enters_angle and (term.covariates == ("reading",) or unnamed)
 
 
 def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
     """Fit the remaining terms again with a bias; return the fit and the factor on its variance."""
     biased = any(term.constant for term in fit.terms)
-    terms = [term for term in terms if _of_reading(term) or (not biased and _holds_bias(term))]
+    terms = [term for term in terms if _may_hold_bias(term, biased=biased)]
     if not terms or (biased and all(term.name is not None for term in terms)):
         return fit, inflation
     pairs = zip(fit.terms, fit.values.terms, strict=True)
@@ -153,16 +153,8 @@ class _Columns:
         self.offset, self.offset_slope = clock_at_middle(fit, np.zeros(axes))
         self.turn_rad, self.turn_slope = clock_at_middle(fit, np.zeros(axes), turned=True)
         self.unit = fit.data.unit
-        self.names: list[str] = []
-        self.values: list[float] = []
-        self.units: list[str] = []
-        self.rows: list[Floats] = []
-
-    def _add(self, name: str, value: float, unit: str, gradient: Floats) -> None:
-        self.names.append(name)
-        self.values.append(value)
-        self.units.append(unit)
-        self.rows.append(gradient)
+        self.rows: list[tuple[str, float, str, Floats]] = []
+        """Name, value, unit and gradient (p,) of each parameter."""
 
     def _gain(self, axis: int) -> tuple[float, Floats]:
         """Factor on the gain of an axis at the middle of the session, and its gradient (p,)."""
@@ -197,7 +189,7 @@ class _Columns:
             gradient = gain * gradient + value * factor * slope
             value *= gain
         stated = parameter.stated(value) if unit == "deg" else value * factor
-        self._add(parameter.name, stated, unit, gradient)
+        self.rows.append((parameter.name, stated, unit, gradient))
 
     def biases(self, terms: Sequence[NamedTerm]) -> list[str]:
         """Add the bias of every axis, zero without a term; return the names that have a term."""
@@ -211,7 +203,7 @@ class _Columns:
             value = 0.0 if place is None else float(self.fit.values.parameters[place])
             stated = float(self.unit.zero[axis]) + (value + float(self.offset[axis])) * factor
             gradient = self._gradient(place, factor) + factor * self.offset_slope[axis]
-            self._add(f"bias_{letter}", stated, self.unit.name, gradient)
+            self.rows.append((f"bias_{letter}", stated, self.unit.name, gradient))
         return list(at)
 
     def effect(self, term: NamedTerm) -> EffectTerm:
@@ -221,22 +213,22 @@ class _Columns:
         names = []
         for k, parameter in enumerate(term.effect.parameters):
             name = parameter.name
-            while name in self.names:
+            while name in [row[0] for row in self.rows]:
                 name += "_also"
             value = float(self.fit.values.terms[index][k])
-            self._add(name, value, parameter.unit, self._gradient(start + k))
+            self.rows.append((name, value, parameter.unit, self._gradient(start + k)))
             names.append(name)
         return EffectTerm(term.effect, tuple(names))
 
     def stated(self, inflation: float) -> tuple[tuple[Coefficient, ...], Floats]:
         """Return the parameters and their covariance (p, p)."""
-        rows = np.stack(self.rows)
+        rows = np.stack([gradient for _, _, _, gradient in self.rows])
         # Covariance of functions of the parameters by their gradients.
         matrix = rows @ self.fit.covariance @ rows.T * inflation
         sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
         return tuple(
             Coefficient(name, value, float(size) if size > 0 else None, unit)
-            for name, value, size, unit in zip(self.names, self.values, sizes, self.units, strict=True)
+            for (name, value, unit, _), size in zip(self.rows, sizes, strict=True)
         ), matrix
 
 
