@@ -481,23 +481,24 @@ def restrict_candidates(
     if order is None:
         return list(terms)
     of_position = dict(zip(data.position.tolist(), order.tolist(), strict=True))
-    gone: set[tuple[str | None, int | None]] = set()
-    begins: dict[tuple[str | None, int | None], float] = {}
+    # By whether the effect turns the part (a slip) or changes the reading (an outlier), and by its dwell.
+    excluded: set[tuple[bool, int | None]] = set()
+    begins: dict[tuple[bool, int | None], float] = {}
     for found in positions.findings:
         if found.position not in of_position:
             continue  # a check dwell
         names = {named.name for named in found.names}
         number = int(of_position[found.position])
         if found.finding in _MOVED and "gravity_wrong" not in names:
-            gone.add(("outlier_dwell", number))
+            excluded.add((False, number))
         if names == {"gravity_wrong"}:
-            gone.add(("position_slip", number))
+            excluded.add((True, number))
         if found.finding in _MOVED and _out_of_reach(data, found):
             # ψ = α − θ: a part turned further by e has a slip of −e.
-            begins["position_slip", number] = -found.error_deg[0]
-    kept = [term for term in terms if (term.name, term.dwell) not in gone]
+            begins[True, number] = -found.error_deg[0]
+    kept = [term for term in terms if (term.enters_angle, term.dwell) not in excluded]
     return [
-        replace(term, begins=begins[key]) if (key := (term.name, term.dwell)) in begins else term
+        replace(term, begins=begins[key]) if (key := (term.enters_angle, term.dwell)) in begins else term
         for term in kept
     ]
 

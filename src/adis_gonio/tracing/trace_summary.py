@@ -301,11 +301,11 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
         text = first
         named = [name for name in others if name in known]
         nameless = [name for name in others if name not in named]
-        told = named[:most] + nameless[:1]
-        if told:
+        listed = named[:most] + nameless[:1]
+        if listed:
             more = len(named[most:]) + len(nameless[1:])
             kind = "more" if named[most:] else f"other form{'s' * (more > 1)} without a name"
-            text = f"{first} — or {', or '.join(told)}" + (f" (or {more} {kind})" if more else "")
+            text = f"{first} — or {', or '.join(listed)}" + (f" (or {more} {kind})" if more else "")
         reason = result.reasons.get(first)
         lines.append(f"{text}: {reason}" if reason else text)
     return lines

@@ -143,13 +143,13 @@ def _of_single_dwells(data: Readings, result: TraceResult) -> list[str]:
     lines = []
     training = data.rows(~data.check)
     orders = training.conditions.order
-    told = {found.position for found in result.position_findings}
+    reported = {found.position for found in result.position_findings}
     for term in result.fits[-1].terms if result.fits else ():
         if term.dwell is None or orders is None:
             continue
         at = [k for k, order in enumerate(orders) if round(float(order)) == term.dwell]
-        if at and training.position[at[0]] not in told:
-            word = "slipped" if term.name == "position_slip" else "is off"
+        if at and training.position[at[0]] not in reported:
+            word = "slipped" if term.enters_angle else "is off"
             lines.append(
                 f"repeat position {training.position[at[0]]}: it {word} against all others; its reading "
                 f"was not dropped, {term.name} accounts for it"
