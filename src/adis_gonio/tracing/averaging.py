@@ -113,8 +113,8 @@ def average(selection: Selection, candidates: Sequence[Process] | None = None) -
     """Average over unnamed functions to add to the named effects; None if no unnamed part is needed.
 
     If no formula is adequate, a process may be. All candidates are first weighed with the measured noise.
-    Only if their average is not adequate either, they are weighed with the noise that the best formula
-    leaves; with that noise a formula wrong by many uncertainties would outweigh the right process.
+    If their average is not adequate either, they are weighed again with the noise that the best formula
+    leaves. With that noise, a formula wrong by many uncertainties may outweigh the right process.
 
     Parameters
     ----------

@@ -178,7 +178,7 @@ def _best_cut(levels: list[Levels]) -> int | None:
 
 
 def _explained(own: Levels, cut: int) -> bool:
-    """Whether the dwells are equal on both sides of one change at `cut`, or within an adjacent dwell."""
+    """Whether one change, at `cut` or within an adjacent dwell, leaves equal variances on each side."""
     at = np.arange(len(own.variance))
     parts = [own.rows(at < cut - 1), own.rows(at > cut)]
     p = [part.alike() for part in parts if len(part.variance) > 1]
