@@ -24,7 +24,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import attempt, check
@@ -32,9 +31,9 @@ from adis_gonio.base.errors import FitError
 from adis_gonio.base.levels import FOUND_IN_ONE_POSE
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.values import Detectable, Value
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
+from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Step, TraceResult
 
 BLOCKS = 10
@@ -87,8 +86,6 @@ class _Problem:
     design : (n, P) float
         Constant first; each column is divided by its largest modulus `size`.
     size : (P,) float
-    blocks : (n,) int
-        Block of time of each sample.
     gram : (BLOCKS, P, P) float
     cross : (BLOCKS, P, axes) float
     square : (BLOCKS, axes) float
@@ -98,7 +95,6 @@ class _Problem:
     readings: Floats
     design: Floats
     size: Floats
-    blocks: NDArray[np.intp]
     gram: Floats
     cross: Floats
     square: Floats
@@ -128,7 +124,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
             " the temperature with the samples (temp_c), or measure at least two positions"
         )
     conditions = series_conditions(dwell)
-    problem, candidates = _problem(dwell.accel * mg_per_unit(session, dwell), conditions)
+    problem, candidates = _problem(series_readings(session, dwell), conditions)
     model: Model = ()
     losses = _held_out(problem, model)
     squares = [float(losses.sum())]
@@ -181,13 +177,12 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     )
 
 
-def mg_per_unit(session: Session, dwell: Dwell) -> float:
-    """Milli-g per unit of the file; for counts from the length of the mean, assuming their zero is at 0."""
-    if session.accel_unit == "lsb":
-        return VARIANTS[session.sensor].accel_mg_per_lsb
+def series_readings(session: Session, dwell: Dwell) -> Floats:
+    """Samples (n, axes) of a dwell in mg; for counts the length of their mean counts as gravity."""
+    scale = mg_per_unit(session)
     if session.accel_unit == "counts":
-        return session.gravity_mg / max(float(np.linalg.norm(dwell.accel.mean(axis=0))), 1e-12)
-    return {"mg": 1.0, "g": 1000.0, "mps2": 1000.0 / STANDARD_GRAVITY_MPS2}[session.accel_unit]
+        scale = session.gravity_mg / max(float(np.linalg.norm(dwell.accel.mean(axis=0))), 1e-12)
+    return np.asarray(dwell.accel * scale)
 
 
 def series_conditions(dwell: Dwell) -> Conditions:
@@ -249,7 +244,6 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
         readings=centred,
         design=design,
         size=size,
-        blocks=blocks,
         gram=np.array([x.T @ x for x, _ in parts]),
         cross=np.array([x.T @ y for x, y in parts]),
         square=np.array([(y**2).sum(axis=0) for _, y in parts]),

@@ -17,7 +17,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import AXES, Conditions, catalogue
 from adis_gonio.model.records import Session
-from adis_gonio.tracing.one_pose import mg_per_unit, series_columns, series_conditions
+from adis_gonio.tracing.one_pose import series_columns, series_conditions, series_readings
 from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.validation import residuals_on
 
@@ -266,7 +266,7 @@ def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
 def series_views(session: Session, result: TraceResult) -> Views:
     """Return the residuals of the samples of a traced pose before and after each step."""
     dwell = next(dwell for dwell in session.dwells if len(dwell))
-    readings = dwell.accel * mg_per_unit(session, dwell)
+    readings = series_readings(session, dwell)
     conditions = series_conditions(dwell)
     axes = readings.shape[1]
     blocks = {finding.effect: series_columns(finding, conditions, axes) for finding in result.found}
