@@ -23,8 +23,8 @@ from adis_gonio.model.effects import Conditions
 from adis_gonio.model.rates import MeanRate
 from adis_gonio.tracing.credible_sets import credible_sets, merge_by_function, votes
 from adis_gonio.tracing.findings import (
+    base_mixture,
     base_of,
-    bases,
     cycles_alike,
     detectable,
     dof_of,
@@ -650,7 +650,7 @@ class TestBaseAndRivals:
         terms = labelled(data, "bias[xy]", "cubic[x]")
         models = ((0,), (0, 1))
         selection = chosen(data, terms, *((model, 0.5) for model in models))
-        spread = bases(selection)
+        spread = base_mixture(selection)
         (cubic,) = (
             own[0, 0]
             for t, own in zip(selection.problem.terms, selection.problem.prior, strict=True)
