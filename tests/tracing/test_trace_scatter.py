@@ -332,14 +332,14 @@ class TestChoice:
         of = {"reading_scatter": worth[1], "fixture_scatter": worth[2]}
         monkeypatch.setattr(
             scatter,
-            "_settled",
+            "_fit_component",
             lambda data, kind, *more: (of[kind], None if math.isnan(of[kind]) else of[kind]),
         )
         monkeypatch.setattr(scatter, "_evidence", lambda one: worth[0] if one is selection else one)
         monkeypatch.setattr(scatter, "_price", lambda data: 1.0)
         monkeypatch.setattr(scatter, "_evidence_of_processes", lambda selection: smooth)
         monkeypatch.setattr(
-            scatter, "_under", lambda data, kind, size, terms, most: (kind, size, len(terms))
+            scatter, "_select_with", lambda data, kind, size, terms, most: (kind, size, len(terms))
         )
         monkeypatch.setattr(scatter, "_make_scatter", lambda data, kind, size, under, odds: odds)
         told, found = with_scatter(selection, terms, most)
