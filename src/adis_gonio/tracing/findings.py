@@ -114,7 +114,9 @@ def finding_of(selection: Selection, name: str, averaged: Averaged | None = None
 def differs_from_zero(finding: Finding) -> bool:
     """Whether at least one value differs from zero by more than its uncertainty allows."""
     halves = [(abs(v.value), v.U) for v in finding.parameters.values() if v.u]
-    return not halves or any(size > limits.told * (half or 0.0) / NORMAL_95 for size, half in halves)
+    return not halves or any(
+        size > limits.significance * (half or 0.0) / NORMAL_95 for size, half in halves
+    )
 
 
 def scatter_finding(scatter: Scatter, explains: float) -> Finding:
