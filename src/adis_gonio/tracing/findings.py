@@ -113,10 +113,9 @@ def finding_of(selection: Selection, name: str, averaged: Averaged | None = None
 
 def differs_from_zero(finding: Finding) -> bool:
     """Whether at least one value differs from zero by more than its uncertainty allows."""
-    halves = [(abs(v.value), v.U) for v in finding.parameters.values() if v.u]
-    return not halves or any(
-        size > limits.significance * (half or 0.0) / NORMAL_95 for size, half in halves
-    )
+    least = limits.significance / NORMAL_95
+    halves = [(abs(v.value), v.U or 0.0) for v in finding.parameters.values() if v.u]
+    return not halves or any(size > least * half for size, half in halves)
 
 
 def scatter_finding(scatter: Scatter, explains: float) -> Finding:
