@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.record.samples_columns import COLUMNS, KEYS, recognised
+from adis_gonio.record.samples_columns import COLUMNS, KEYS, recognise_column
 
 PAGE = Path(__file__).parents[2] / "docs" / "samples.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -78,4 +78,4 @@ def test_every_column_key_option_and_name_of_the_page_is_one_of_the_code():
     for row in ("header", "units in the header"):
         (cell,) = re.findall(rf"^\| {row} \| (.*?) \|$", TEXT, re.MULTILINE)
         for name in re.findall(r"`([^`]+)`", cell):
-            assert name in ("#", "numpy.savetxt") or recognised(name), name
+            assert name in ("#", "numpy.savetxt") or recognise_column(name), name

@@ -200,7 +200,7 @@ def test_expressions_of_a_stranger_are_refused(recorded, tmp_path, statement):
 def test_a_statement_that_goes_on_is_stopped(recorded, monkeypatch):
     monkeypatch.setattr(database, "MOST_STEPS", 100_000)
     with ArchiveView(recorded) as view:
-        with pytest.raises(DataError, match="within bounds"), database.explained(recorded):
+        with pytest.raises(DataError, match="within bounds"), database.translated_errors(recorded):
             view._connection.execute(f"{ENDLESS} SELECT max(i) FROM n").fetchone()
         assert len(view.attempts()) == 4  # another statement has steps of its own
 

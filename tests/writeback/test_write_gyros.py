@@ -23,7 +23,7 @@ from adis_gonio.bench.writeback import (
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import GYRO_OFF
 from adis_gonio.faces.cli import main
-from adis_gonio.record.write_journal import operations, remarks_on
+from adis_gonio.record.write_journal import describe_writes, operations
 from adis_gonio.tracing.trace_calibrations import gyro_calibration_of
 from writeback.gyro_rig import FAULTS, GYROS, LSB, gyro_flash, gyro_numbers, known_gyros
 from writeback.rig import OFFSETS, flash, new_bus, numbers, record
@@ -290,7 +290,7 @@ def test_coefficients_hold_for_the_sensor_as_it_is_and_the_session_says_so(path)
     assert "XGYRO_OFF 0 → -66" in said
     assert "zero rates here" in said
     begun = session.facts["offset_writes"][:2]
-    assert "was interrupted" in remarks_on(operations(begun), dict.fromkeys((*OFFSETS, *GYROS), 0))[0]
+    assert "was interrupted" in describe_writes(operations(begun), dict.fromkeys((*OFFSETS, *GYROS), 0))[0]
 
 
 # -- the chip's own null ---------------------------------------------------------------------------------

@@ -87,7 +87,7 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
     trace, evidence : bool
         As in `Options`.
     """
-    from adis_gonio.record.loading import as_it_is, load_session
+    from adis_gonio.record.loading import explain_refusal, load_session
 
     path = Path(path)
     known: dict[str, Any] = {"path": str(path), "software": f"adis-gonio {__version__}"}
@@ -99,7 +99,7 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
         found = _results(session, trace=trace)
         return SessionRecord(**known, **found, evidence=_evidence(session) if evidence else None)
     except (AdisGonioError, OSError) as error:
-        reason = as_it_is(str(error))
+        reason = explain_refusal(str(error))
     except Exception as error:  # among thousands of files there may be an unforeseen one
         reason = f"{path}: {type(error).__name__}: {error}"
     return SessionRecord(**known, status="failed", reason=" ".join(reason.split()))

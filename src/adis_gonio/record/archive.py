@@ -65,7 +65,7 @@ class ArchiveView(Closing):
     @contextmanager
     def snapshot(self) -> Iterator[None]:
         """Let all reads in the block see one state, even if another program writes."""
-        with database.explained(self.path):
+        with database.translated_errors(self.path):
             self._connection.execute("BEGIN")
         try:
             yield
@@ -312,7 +312,7 @@ class ArchiveView(Closing):
         their checksum was checked.
         """
         checked, characters = [], 0
-        with database.explained(self.path):
+        with database.translated_errors(self.path):
             rows = self._connection.execute(
                 f"SELECT * FROM {table} WHERE {column} = ? ORDER BY {order}", (value,)
             )
@@ -490,7 +490,7 @@ class Archive(ArchiveView):
 
     @contextmanager
     def _transaction(self, *, new: bool = False) -> Iterator[None]:
-        with database.explained(self.path):
+        with database.translated_errors(self.path):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 if not new:

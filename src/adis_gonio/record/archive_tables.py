@@ -399,7 +399,7 @@ _OF_RUN, _OF_ATTEMPT = f"{_INTEGER} REFERENCES runs", f"{_INTEGER} REFERENCES at
 
 
 def _one_of(name: str, *allowed: str) -> TableColumn:
-    """Column whose value is one of a few texts."""
+    """Column that allows a few texts only."""
     listed = ", ".join(f"'{text}'" for text in allowed)
     return TableColumn(name, f"{_TEXT} CHECK ({name} IN ({listed}))", choice(*allowed))
 

@@ -19,16 +19,16 @@ REVERSE = "reverse"
 """Word in place of degrees: the stage turned the other way to these positions."""
 
 
-def as_it_is(reason: str) -> str:
+def explain_refusal(reason: str) -> str:
     """Reason for refusing a file, for commands without overrides: explain options that it mentions."""
     if not _OPTIONS.search(reason):
         return reason
-    return f"{reason} (an option of fit, trace and report; here the file itself has to say it)"
+    return f"{reason} (an option of fit, trace and report; for this command it has to be in the file)"
 
 
 @dataclass(frozen=True)
 class AngleChange:
-    """Another declared angle for one position, or for several in a row.
+    """A correction of the declared angle of one position or of consecutive positions.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Overrides:
     Raises
     ------
     UsageError
-        A value that no session can have.
+        A value is out of range or unknown.
     """
 
     gravity_mps2: float | None = None
@@ -194,7 +194,7 @@ class Overrides:
 
 
 def _reversed(dwell: Dwell) -> Dwell:
-    # Adding zero makes no minus of it.
+    # Adding zero turns -0.0 into 0.0.
     angle = None if dwell.angle_deg is None else -dwell.angle_deg + 0.0
     return replace(dwell, angle_deg=angle, approach=-dwell.approach)
 

@@ -109,13 +109,13 @@ def provenance_of(session: Session) -> Provenance:
             source=PurePath(session.source).name,
             sha256=digest_of(session),
             recorded_utc=str(session.facts.get("started_utc") or ""),
-            temperature_c=_covered([dwell.temperature_c for dwell in session.dwells]),
-            supply_v=_covered([dwell.supply_v for dwell in session.dwells]),
+            temperature_c=_coverage([dwell.temperature_c for dwell in session.dwells]),
+            supply_v=_coverage([dwell.supply_v for dwell in session.dwells]),
             software=f"adis-gonio {__version__}",
             offsets_lsb=_offsets(session.facts, ACCEL_OFF),
-            **_written(session, ACCEL_OFF),
+            **_later_writes(session, ACCEL_OFF),
             gyro_offsets_lsb=_offsets(session.facts, GYRO_OFF),
-            **{f"gyro_{name}": value for name, value in _written(session, GYRO_OFF).items()},
+            **{f"gyro_{name}": value for name, value in _later_writes(session, GYRO_OFF).items()},
         )
         vars(session)["_provenance"] = kept
     return kept
@@ -141,7 +141,7 @@ def digest_of(session: Session) -> str:
     return digest.hexdigest()
 
 
-def _covered(series: list[Floats | None]) -> Covered | None:
+def _coverage(series: list[Floats | None]) -> Covered | None:
     rows = [one for one in series if one is not None and len(one)]
     if not rows or len(rows) != len(series):
         return None
@@ -150,7 +150,7 @@ def _covered(series: list[Floats | None]) -> Covered | None:
     return Covered(float(np.mean(means)), low, high) if np.isfinite([*means, low, high]).all() else None
 
 
-def _written(session: Session, registers: tuple[str, ...]) -> dict[str, Any]:
+def _later_writes(session: Session, registers: tuple[str, ...]) -> dict[str, Any]:
     held = _offsets(session.facts, registers)
     if held is None or not session.facts.get("offset_writes"):
         return {}

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
@@ -27,7 +27,7 @@ from adis_gonio.record.settings import Settings
 
 
 class Measuring(Protocol):
-    """How a sensor measures."""
+    """Configuration of a sensor, as far as a session needs it."""
 
     @property
     def sample_rate_hz(self) -> float:
@@ -45,8 +45,8 @@ class Measuring(Protocol):
         """JSON form."""
 
 
-class SampleStream(Protocol):
-    """Blocks of samples until it is closed; a context manager.
+class SampleStream(Iterator[Block], AbstractContextManager[Any], Protocol):
+    """Blocks of samples until it is closed; the next block raises `BusError` if the sensor fails.
 
     Attributes
     ----------
@@ -60,25 +60,8 @@ class SampleStream(Protocol):
     def caveat(self) -> str:
         """Limitation of the samples, as text, or empty."""
 
-    def __iter__(self) -> Iterator[Block]:
-        """Itself."""
-
-    def __next__(self) -> Block:
-        """Next block; raises `BusError` if the sensor fails."""
-
     def close(self) -> None:
         """Stop and undo changes made for the stream; may be called twice."""
-
-    def __enter__(self) -> Self:
-        """Itself."""
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +86,7 @@ class KnownPart:
 class SampleSource(Closing):
     """A sensor for a session; a context manager. It raises the errors of `adis_gonio.base.errors`.
 
-    Methods about registers have defaults for a sensor without any.
+    Methods about registers have defaults for a sensor without registers.
 
     Attributes
     ----------
@@ -206,7 +189,7 @@ class ChipSource(SampleSource):
         self._marked: tuple[str, int] | None = None
 
     def now_s(self) -> float:
-        """Clock of the bus."""
+        """Time of the bus's clock."""
         return self.sensor.bus.now_s()
 
     def sleep_s(self, seconds: float) -> None:
@@ -242,7 +225,7 @@ class ChipSource(SampleSource):
         control = BY_NAME["MSC_CTRL"]
         stimulus = control.field("positive").mask | control.field("negative").mask
         word = self.sensor.read(control)
-        if word & stimulus and not word & ~control.write_mask:  # other bits: the line gives no replies
+        if word & stimulus and not word & ~control.write_mask:  # other bits mean a dead line
             self.give_back()
             word = self.sensor.read(control) & ~stimulus
             raise ChipError(
@@ -338,7 +321,7 @@ class ChipSource(SampleSource):
         )
 
     def status(self) -> Status:
-        """STATUS."""
+        """Read STATUS, which clears it."""
         return self.sensor.status()
 
     def close(self) -> None:

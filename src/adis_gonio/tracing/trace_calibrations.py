@@ -399,14 +399,14 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     if made is not None:
         return made
     from adis_gonio.fitting import fit
-    from adis_gonio.record.loading import as_it_is, load_session
+    from adis_gonio.record.loading import explain_refusal, load_session
 
     if ends_in(path, *_FOR_OTHERS):
         raise DataError(_made_for_others(path))
     try:
         session = load_session(path)
     except DataError as error:
-        raise DataError(as_it_is(str(error))) from None
+        raise DataError(explain_refusal(str(error))) from None
     try:
         own = fit(session, method=method).calibration()
     except FitError as error:

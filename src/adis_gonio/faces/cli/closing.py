@@ -40,7 +40,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
     from rich.text import Text
 
     from adis_gonio.base.numbers import format_number
-    from adis_gonio.bench.advisor import where_it_stands
+    from adis_gonio.bench.advisor import summarise_trace
 
     rounds = session.facts.get("advised", [])
     if not rounds or not rounds[0]["summary"]:
@@ -48,7 +48,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
     screen = console(most=WIDTH)
     planned = len(session.facts["plan"]["positions"])
     extra = planned - rounds[0]["planned"]
-    before, after = rounds[0]["summary"], where_it_stands(result, len(session.dwells))
+    before, after = rounds[0]["summary"], summarise_trace(result, len(session.dwells))
     screen.print()
     screen.print("Closing the loop", style="bold cyan", markup=False)
     if extra:

@@ -134,7 +134,7 @@ def _twin(path: Path, output: Path, seed: int) -> None:
     """Write the twin of a session."""
     from adis_gonio.base.budget import current
     from adis_gonio.handover.twin import simulate_like
-    from adis_gonio.record.loading import as_it_is, load_session
+    from adis_gonio.record.loading import explain_refusal, load_session
     from adis_gonio.record.samples_writer import export_csv
     from adis_gonio.tracing.trace import trace
 
@@ -144,7 +144,7 @@ def _twin(path: Path, output: Path, seed: int) -> None:
         try:
             session = load_session(path)
         except DataError as error:
-            raise DataError(as_it_is(str(error))) from None
+            raise DataError(explain_refusal(str(error))) from None
     with working(f"twin of {counted(len(session.dwells), 'dwell')} of {path.name}"):
         traced = trace(session)
         if not traced.fits:
