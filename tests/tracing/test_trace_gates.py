@@ -12,7 +12,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.credible_sets import Names
-from adis_gonio.tracing.findings import effects
+from adis_gonio.tracing.findings import effect_mixture
 from adis_gonio.tracing.linear_problem import amplitudes
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.selection import select
@@ -180,8 +180,8 @@ def test_the_uncertainty_of_an_effect_holds_what_other_probable_models_say() -> 
     alone = replace(selection, verdict=verdict, found=replace(selection.found, scores={both: 0.0}))
     scores = {both: np.log(0.6), one: np.log(0.4)}
     open_ = replace(selection, verdict=verdict, found=replace(selection.found, scores=scores))
-    assert effects(alone, "quadratic")[1].u(0.1, np.array([1.0, 0.0])) == pytest.approx(0.1)
-    names, mixture = effects(open_, "quadratic")
+    assert effect_mixture(alone, "quadratic")[1].u(0.1, np.array([1.0, 0.0])) == pytest.approx(0.1)
+    names, mixture = effect_mixture(open_, "quadratic")
     assert names == ["k2_x", "k2_y"]
     for along, away in zip(
         np.eye(2), (other[0] - k2_x, -k2_y), strict=True

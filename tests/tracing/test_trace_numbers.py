@@ -235,7 +235,7 @@ class TestChoice:
         selection = believed(names_only("cubic", "warm_up"), {(0,): posterior, (): 1 - posterior})
         assert judge(selection).accepted == found
 
-    @pytest.mark.number("told")
+    @pytest.mark.number("significance")
     @pytest.mark.parametrize(("value", "told"), [(1.9, False), (2.1, True), (-2.1, True)])
     def test_a_value_is_a_finding_from_two_uncertainties(self, value: float, told: bool) -> None:
         assert stats.norm.cdf(2) - stats.norm.cdf(-2) == pytest.approx(0.95, abs=0.005)

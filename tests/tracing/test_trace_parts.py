@@ -30,7 +30,7 @@ from adis_gonio.tracing import selection as choice
 from adis_gonio.tracing.averaging import AveragedTerm, average
 from adis_gonio.tracing.credible_sets import CredibleSet, Names
 from adis_gonio.tracing.grammar import nameless_terms
-from adis_gonio.tracing.linear_problem import LinearProblem, _beside, orthonormal
+from adis_gonio.tracing.linear_problem import LinearProblem, _project_off_base, orthonormal
 from adis_gonio.tracing.model_search import Model, ModelPosterior, Search, _Beam, _present, search, weigh
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.proposals import _columns, _hypothesis, _prior
@@ -370,7 +370,7 @@ class TestDesign:
     def test_what_is_rounding_beside_the_columns_of_its_own_term_is_no_direction(self) -> None:
         # Terms of two, one and two columns: 1e-14 is nothing beside 1, and all that there is by itself.
         sizes = np.array([1.0, 1e-14, 1e-14, 1e-14, 1.0, 1.0, 1e-14])
-        columns, length = _beside(np.zeros((7, 0)), np.diag(sizes), np.array([2, 1, 2, 2]))
+        columns, length = _project_off_base(np.zeros((7, 0)), np.diag(sizes), np.array([2, 1, 2, 2]))
         seen = np.array([True, False, True, False, True, True, False])
         np.testing.assert_allclose(columns, np.diag(seen.astype(float)))
         np.testing.assert_allclose(length, np.where(seen, sizes, 1.0))
@@ -497,7 +497,7 @@ class TestSelection:
         # degrees of freedom, and with five it would not.
         data: Any = SimpleNamespace(noise_known=known, noise_dof=math.inf)
         problem = single([20.0, *[math.sqrt(4.2)] * 3], np.eye(4)[:1], [named("cubic")])
-        found, inflation = choice._inflated(data, problem, 1, 1, 1.0)
+        found, inflation = choice._search_with_noise(data, problem, 1, 1, 1.0)
         assert found.best == (0,)
         assert inflation == found.inflation == pytest.approx(4.2)
 
@@ -580,7 +580,7 @@ class TestSelection:
         data = replace(data, mean=data.mean + np.random.default_rng(46).normal(off, U, (24, 2)))
         terms = labelled(data, *biases, *(f"position_slip(dwell={k})" for k in range(24)))
         terms = [replace(term, begins=14.0 * (term.dwell == 1)) for term in terms]
-        fit = choice._begun(Fit.begin(data).refit(), terms)
+        fit = choice._start_with_slips(Fit.begin(data).refit(), terms)
         slip, *bias = fit.values.terms
         assert [term.label for term in fit.terms] == ["position_slip(dwell=1)", "bias[xy]"][: 1 + len(bias)]
         assert slip == pytest.approx([15.0], abs=0.03)
@@ -613,7 +613,7 @@ class TestSelection:
             return SimpleNamespace(model=model, chi2=40.0 * (1 + (3e-6 if str(*model) in worse else 1e-8)))
 
         monkeypatch.setattr(choice, "fit_model", refitted)
-        told, fit = choice._fitted(problem, verdict, about, 40.0)
+        told, fit = choice._refit_best(problem, verdict, about, 40.0)
         assert told == replace(verdict, best=(taken,))
         assert vars(fit)["model"] == (taken,)
 
@@ -634,7 +634,7 @@ class TestSelection:
             monkeypatch.setattr(choice, "_mostly_bias", lambda problem, alone=alone: alone)
             monkeypatch.setattr(choice, "_mostly_bias_refitted", lambda *_, refitted=refitted: refitted)
             monkeypatch.setattr(choice, "fit_model", lambda _, model, about: ("a fit of", model, about))
-            told = choice._bias_apart(problem, base, about)
+            told = choice._separate_bias(problem, base, about)
             assert (None if told is None else told()) == apart
 
 
@@ -1015,7 +1015,7 @@ class TestAverages:
             np.concatenate([fixed, *(fit.white(fit.candidate(term)) for term in terms)], axis=1)
             for _, terms in parts
         ]
-        return averaging._fitted(selection, fixed, target, pool, weights), columns, target
+        return averaging._fit_members(selection, fixed, target, pool, weights), columns, target
 
     @pytest.mark.parametrize("inflation", [1.0, 2.0])
     def test_what_is_fixed_is_as_uncertain_as_within_and_between_the_members(
@@ -1056,7 +1056,7 @@ class TestAverages:
         rng = np.random.default_rng(49)
         fixed, target = rng.normal(size=(48, 6)), 2 * rng.normal(size=48)
         unseen = np.column_stack([fixed, np.zeros(48)])  # of a parameter that the dwells do not show
-        solved, covariance, used, visible = averaging._ridge(selection, unseen, target, [term])
+        solved, covariance, used, visible = averaging._solve_ridge(selection, unseen, target, [term])
         # The same as noise of the rows: generalised least squares of what is fixed.
         features = fit.white(fit.candidate(term))
         prior = (term.shrinkage or 0) ** 2 / inflation
@@ -1075,12 +1075,12 @@ class TestAverages:
         two = replace(function("two", lambda c: c.supply_v, ("supply",)), axes=(1,))
         turned = function("turned", lambda c: c.time_s, ("time",), where="angle")
         members = [(0.2, one, np.ones(1)), (0.5, two, np.ones(1)), (0.3, turned, np.ones(1))]
-        readings, angle = averaging._terms(members)
+        readings, angle = averaging._averaged_terms(members)
         assert (readings.where, readings.axes, readings.covariates) == ("bias", (0, 1), ("supply",))
         assert [own.label for _, own, _ in readings.members] == ["one", "two"]
         assert (angle.where, angle.axes, angle.covariates) == ("angle", (), ("time",))
         assert [own.label for _, own, _ in angle.members] == ["turned"]
-        assert [term.label for term in averaging._terms(members[2:])] == ["average at the angle"]
+        assert [term.label for term in averaging._averaged_terms(members[2:])] == ["average at the angle"]
 
     def test_a_polynomial_gives_way_to_a_process_in_its_place_and_a_formula_does_not(self) -> None:
         covered: Any = {("bias", ("time",))}
@@ -1088,7 +1088,9 @@ class TestAverages:
         smooth = function("smooth", lambda c: c.time_s, approximates=True)
         elsewhere = replace(smooth, where="gain")
         other = replace(smooth, covariates=("supply",))
-        told = [averaging._by_process(term, covered) for term in (formula, smooth, elsewhere, other)]
+        told = [
+            averaging._covered_by_process(term, covered) for term in (formula, smooth, elsewhere, other)
+        ]
         assert told == [False, True, False, False]
 
     def test_an_average_adds_the_weighted_mean_and_has_no_columns(self) -> None:

@@ -131,7 +131,7 @@ def test_at_once_over_it_still_gives_a_model_and_says_what_was_left_out() -> Non
     said = words.headline(result)
     assert said.startswith("The time limit of 0.5 s ended the trace")
     assert "nothing is called found" in said
-    assert "the error on left-out dwells" in said
+    assert "the error on held-out dwells" in said
     assert result.as_dict()["stopped"]["sentence"] == said
 
 

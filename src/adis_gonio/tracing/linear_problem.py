@@ -98,7 +98,7 @@ class LinearProblem:
         along = np.add.reduceat(inside * z, first, axis=1)
         gram = np.add.reduceat((inside[:, None] * inside).reshape(k * k, -1), first, axis=1)
         least = 1 + limits.independent
-        solved = _solved(least * np.eye(k)[:, :, None] - gram.reshape(k, k, -1), along)
+        solved = _solve_small_systems(least * np.eye(k)[:, :, None] - gram.reshape(k, k, -1), along)
         both = square + (along * solved).sum(axis=0)
         twice = (both + least * (solved**2).sum(axis=0)) / least**2
         gain: Floats = both / least + limits.independent * twice
@@ -158,7 +158,7 @@ class LinearProblem:
         if not len(model):
             return 0.0
         columns, gram = self.columns_and_gram(model)
-        along = self.target @ columns @ _half(gram)
+        along = self.target @ columns @ _orthonormal_combinations(gram)
         return float(along @ along)
 
     def columns_and_gram(self, model: Sequence[int]) -> tuple[Floats, Floats]:
@@ -174,7 +174,7 @@ class LinearProblem:
         return columns, gram
 
 
-def _solved(gram: Floats, right: Floats) -> Floats:
+def _solve_small_systems(gram: Floats, right: Floats) -> Floats:
     """Solve M small systems by elimination: gram (k, k, M) positive definite, right (k, M) → (k, M).
 
     Each elimination step is vectorised over all systems; factorising each system alone would be slower.
@@ -212,7 +212,7 @@ class Products:
         inside = np.concatenate([self._of[k] for k in model])
         if len(model) > 1:  # a single block is already orthonormal
             columns, gram = problem.columns_and_gram(model)
-            half = _half(gram)
+            half = _orthonormal_combinations(gram)
             along, inside = problem.target @ columns @ half, half.T @ inside
         else:
             along = problem.target @ problem.block(model[0])
@@ -231,7 +231,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     y = y - base @ (base.T @ y)
 
     raw, widths = fit.candidates(terms)
-    columns, length = _beside(base, fit.white(raw), widths)
+    columns, length = _project_off_base(base, fit.white(raw), widths)
     spread = amplitude_spreads(fit.data.model, terms, widths)
     chosen, width, together, back, prior = _orthonormal_blocks(columns, length, spread, widths)
     first = (np.cumsum(width) - width).astype(np.intp)
@@ -252,7 +252,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     return free._with_prior(prior, 1.0)
 
 
-def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
+def _project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
     """Project columns off the base model; return them with unit length, and their original lengths."""
     before = np.linalg.norm(columns, axis=0)
     # A column of rounding errors (the sixth harmonic's sine on a grid of 30°) is set to zero.
@@ -288,14 +288,18 @@ def _orthonormal_blocks(
         root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
         whole = np.all(np.diagonal(root, axis1=1, axis2=2) ** 2 > _RANK, axis=1)
         halves = np.linalg.inv(root[whole]).transpose(0, 2, 1)
-        own = members[whole].tolist(), stack[whole] @ halves, *_back(halves, index[whole], length, spread)
+        own = (
+            members[whole].tolist(),
+            stack[whole] @ halves,
+            *_back_maps(halves, index[whole], length, spread),
+        )
         found.setdefault(size, []).extend(zip(*own, strict=True))
         for k in np.flatnonzero(~whole).tolist():
             values, vectors = np.linalg.eigh(gram[k])
             seen = values > _RANK
             if seen.any():
                 half = vectors[:, seen] / np.sqrt(values[seen])
-                rest = int(members[k]), stack[k] @ half, *_back(half, index[k], length, spread)
+                rest = int(members[k]), stack[k] @ half, *_back_maps(half, index[k], length, spread)
                 found.setdefault(half.shape[1], []).append(rest)
     blocks = [block for size in sorted(found) for block in sorted(found[size], key=lambda own: own[0])]
     return (
@@ -307,7 +311,9 @@ def _orthonormal_blocks(
     )
 
 
-def _back(half: Floats, index: NDArray[np.intp], length: Floats, spread: Floats) -> tuple[Floats, Floats]:
+def _back_maps(
+    half: Floats, index: NDArray[np.intp], length: Floats, spread: Floats
+) -> tuple[Floats, Floats]:
     """Return back maps (…, d, width) for combinations of the columns `index` (…, d), and prior Grams."""
     back = half / length[index][..., None]
     away = back / spread[index][..., None]
@@ -343,7 +349,7 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
     return basis, problem.target - basis @ (basis.T @ problem.target)
 
 
-def _half(gram: Floats) -> Floats:
+def _orthonormal_combinations(gram: Floats) -> Floats:
     """Return combinations (p, k) that make columns with this Gram matrix orthonormal."""
     values, vectors = np.linalg.eigh(gram)
     seen = values > limits.independent

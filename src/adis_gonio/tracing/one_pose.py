@@ -307,7 +307,7 @@ def _columns(model: Model, choice: tuple[int, ...]) -> list[int]:
     return [0, *(c for one, k in zip(model, choice, strict=True) for c in one.variants[k].columns)]
 
 
-def _solved(gram: Floats, cross: Floats) -> Floats:
+def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
     """Solve normal equations (…, p, axes) with a ridge that matters only for equal columns."""
     p = gram.shape[-1]
     ridge = _RIDGE * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] * np.eye(p)
@@ -335,7 +335,7 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
         # Normal equations of all blocks but one, restricted to the columns of this choice.
         gram = (total - problem.gram)[:, columns][:, :, columns]
         cross = (total_cross - problem.cross)[:, columns]
-        solution = _solved(gram, cross)
+        solution = _solve_with_ridge(gram, cross)
         coefficients[j][:, columns] = solution
         inside[j] = _squares(square, cross, gram, solution)
     return choices, coefficients, inside
@@ -360,7 +360,7 @@ def _held_out(problem: _Problem, model: Model) -> Floats:
     return _squares(problem.square, problem.cross, problem.gram, mean)
 
 
-def _picked(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
+def _best_variants(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
     """Return the most likely variants of each axis."""
     choices, _, inside = _fits(problem, model)
     return [choices[k] for k in inside.sum(axis=1).argmin(axis=0)]
@@ -432,7 +432,7 @@ def _confounded(
 
 def _figures(problem: _Problem, model: Model) -> ErrorFigures:
     left = np.empty_like(problem.readings)
-    for axis, choice in enumerate(_picked(problem, model)):
+    for axis, choice in enumerate(_best_variants(problem, model)):
         coefficients = _coefficients(problem, _columns(model, choice), axis)
         left[:, axis] = problem.readings[:, axis] - problem.design @ coefficients
     by_axis = np.sqrt(_held_out(problem, model).sum(axis=0) / len(left))
@@ -450,14 +450,14 @@ def _coefficients(problem: _Problem, columns: list[int], axis: int, without: int
     kept = np.arange(BLOCKS) != (-1 if without is None else without)
     gram = problem.gram[kept].sum(axis=0)[np.ix_(columns, columns)]
     out = np.zeros(problem.design.shape[1])
-    out[columns] = _solved(gram, problem.cross[kept].sum(axis=0)[columns, axis : axis + 1])[:, 0]
+    out[columns] = _solve_with_ridge(gram, problem.cross[kept].sum(axis=0)[columns, axis : axis + 1])[:, 0]
     return out
 
 
 def _finding(problem: _Problem, model: Model, which: int, tried: int, explains: float) -> Finding:
     made = model[which].effect
     parameters: dict[str, Value] = {}
-    for axis, choice in enumerate(_picked(problem, model)):
+    for axis, choice in enumerate(_best_variants(problem, model)):
         variant = model[which].variants[choice[which]]
         columns = _columns(model, choice)
         values = _coefficients(problem, columns, axis) / problem.size
@@ -494,7 +494,7 @@ def _detectable(problem: _Problem, model: Model) -> dict[str, Detectable]:
     out = {}
     for which, candidate in enumerate(model):
         worst = 0.0
-        for axis, choice in enumerate(_picked(problem, model)):
+        for axis, choice in enumerate(_best_variants(problem, model)):
             first = candidate.variants[choice[which]].columns[0]
             worst = max(worst, float(_spread(problem, _columns(model, choice), axis)[first]))
         parameter = candidate.effect.parameters[0]

@@ -390,15 +390,15 @@ def _greedy(
         # Another temperature or supply adds its own effects: use it only if no position decides.
         conditions = np.array([place.conditions for place in options])
         ranked = np.argsort(-gain / effort)
-        apart_before = _apart(set_of)
+        apart_before = _separations(set_of)
         places_first = ranked[~conditions[ranked]][:20].tolist()
         for k in (*places_first, *(ranked[conditions[ranked]][:20].tolist() if heating else ())):
             # Skip gains near zero, whose ranking depends on the grid's order and on rounding.
             if gain[k] < LEAST_INFORMATION[purpose] * min(least / LEAST_SEPARATION, 1.0) ** 2:
                 continue
             with_it = predicted.of(k).after(set_of)
-            apart = _apart(with_it) - apart_before
-            worth = _worth(weights, apart, options[k].conditions, least)
+            apart = _separations(with_it) - apart_before
+            worth = _separated_pair(weights, apart, options[k].conditions, least)
             if worth is not None:
                 break
         else:
@@ -416,7 +416,9 @@ def _greedy(
     return places, out
 
 
-def _worth(weights: Floats, apart: Floats, conditions: bool, least: float) -> tuple[int, int] | None:
+def _separated_pair(
+    weights: Floats, apart: Floats, conditions: bool, least: float
+) -> tuple[int, int] | None:
     """Return the pair of hypotheses that a dwell separates, the more probable first; None without any."""
     both = np.maximum(apart, apart.T)
     likely = np.sqrt(np.outer(weights, weights)) * (both >= least**2)
@@ -460,7 +462,7 @@ def _information(weights: Floats, given: _Predicted, options: _Predicted | None)
     return np.asarray(-(weights[:, None] * np.log(np.maximum(mixed, 1e-300))).sum(axis=0))
 
 
-def _apart(dwells: _Predicted) -> Floats:
+def _separations(dwells: _Predicted) -> Floats:
     """Return the expected excess of χ² (K, K) of hypothesis j if i is true."""
     count = len(dwells.mean)
     out = np.zeros((count, count))

@@ -52,7 +52,7 @@ class Limits:
     # Choice
     adequate: float = number(INADEQUATE, "level", "level of the test of adequacy")
     certain: float = number(0.55, "chosen", "posterior above which a cause is accepted", off=0.0)
-    told: float = number(2.0, "level", "u by which a value differs from zero (95 %)", off=0.0)
+    significance: float = number(2.0, "level", "u by which a value differs from zero (95 %)", off=0.0)
     mostly_bias: float = number(0.97, "chosen", "share of the excess for which a bias goes first", off=1.0)
     scatter_checks: float = number(6, "derived", "least dof: a standard deviation known to a third", off=1)
 

@@ -448,12 +448,12 @@ def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
     The stage's dial and its errors are unaffected by a slip, so `Conditions.angle_rad` does not change.
     """
     moved_deg = np.zeros(len(data))
-    for found in _gross(data, positions):
+    for found in _large_slips(data, positions):
         moved_deg[np.isin(data.position, [found.position, *found.others])] += found.error_deg[0]
     return replace(data, angle_rad=data.angle_rad + np.radians(moved_deg)) if moved_deg.any() else data
 
 
-def _gross(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
+def _large_slips(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
     """Return the lasting slips that are too large for the linear problem."""
     return [f for f in positions.findings if f.finding == "slipped" and _out_of_reach(data, f)]
 
@@ -510,17 +510,17 @@ def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) ->
     corrected = [
         f"traced as the part stood: {found.error_deg[0]:+.2f}° from position {found.position} on, whose"
         " uncertainty is not in these figures"
-        for found in _gross(data, positions)
+        for found in _large_slips(data, positions)
     ]
     return replace(
         result,
         position_findings=positions.findings,
         notes=(*result.notes, *positions.sentences, *corrected),
-        advice=(*_first(positions), *result.advice),
+        advice=(*_position_advice(positions), *result.advice),
     )
 
 
-def _first(positions: Diagnosis) -> tuple[str, ...]:
+def _position_advice(positions: Diagnosis) -> tuple[str, ...]:
     mended = [found.correction for found in positions.findings if found.correction is not None]
     repeated = [str(found.position) for found in positions.findings if found.correction is None]
     said = []

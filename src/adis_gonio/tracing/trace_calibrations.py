@@ -81,13 +81,13 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     standing = [
         term
         for term in final.terms
-        if isinstance(term, NamedTerm) and term.effect.correctable and _stands(term, result)
+        if isinstance(term, NamedTerm) and term.effect.correctable and _is_corrected(term, result)
     ]
     others = [term for term in final.terms if term not in standing and not term.constant]
-    left = [_left_out(term, result, middle_s(final)) for term in others]
+    left = [_reason_not_corrected(term, result, middle_s(final)) for term in others]
     if result.unnamed is not None and all(term.name is not None for term in final.terms):
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
-    fit, inflation = _without(final, others, result.inflation)
+    fit, inflation = _refit_without(final, others, result.inflation)
     named = [term for term in fit.terms if isinstance(term, NamedTerm)]
     corrected = [term for term in named if term in standing]
     columns = _Columns(fit)
@@ -123,7 +123,7 @@ def _may_hold_bias(term: Term, *, biased: bool) -> bool:
     return not term.enters_angle and (term.covariates == ("reading",) or unnamed)
 
 
-def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
+def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
     """Fit the remaining terms again with a bias; return the fit and the factor on its variance."""
     biased = any(term.constant for term in fit.terms)
     terms = [term for term in terms if _may_hold_bias(term, biased=biased)]
@@ -232,7 +232,7 @@ class _Columns:
         ), matrix
 
 
-def _stands(term: NamedTerm, result: TraceResult) -> bool:
+def _is_corrected(term: NamedTerm, result: TraceResult) -> bool:
     """Whether an effect is a finding, or confounded only with other effects that are corrected."""
     if term.name in {finding.effect for finding in result.found}:
         return True
@@ -242,7 +242,7 @@ def _stands(term: NamedTerm, result: TraceResult) -> bool:
     return bool(rivals) and rivals <= correctable
 
 
-def _left_out(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
+def _reason_not_corrected(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
     if follows_clock(term):
         why = _CLOCK if term.name is not None else _NAMELESS
         of = "the start angle is that" if term.enters_angle else "bias and gain are those"

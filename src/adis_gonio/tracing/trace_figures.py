@@ -146,33 +146,24 @@ def _covariate(data: Readings, term: Term, axis: int) -> str:
 
 def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
     """Return a covariate (n,) in the unit of figures; None if it was not recorded."""
+    c = conditions
     if name.startswith("reading_"):
-        axis = AXES.index(name[-1])
-        return data.mean[:, axis] / data.model.full
+        return data.mean[:, AXES.index(name[-1])] / data.model.full
     if name in ("force", "rotation"):
-        rows = conditions.force_g if name == "force" else conditions.rate_dps
+        rows = c.force_g if name == "force" else c.rate_dps
         return None if rows is None else rows[:, int(np.ptp(rows, axis=0).argmax())]
-    if name == "time":
-        return conditions.time_s / 60.0
     if name in ("angle", "previous_angle"):
-        rad = conditions.angle_rad if name == "angle" else conditions.previous_angle_rad
+        rad = c.angle_rad if name == "angle" else c.previous_angle_rad
         return None if rad is None else np.degrees(rad)
     if name == "temperature_rate":
-        history = conditions.temperature_history
+        history = c.temperature_history
         if history is None or len(history[0]) < 2:
             return None
-        return np.interp(conditions.time_s, history[0], np.gradient(history[1], history[0])) * 60.0
+        return np.interp(c.time_s, history[0], np.gradient(history[1], history[0])) * 60.0
     if name == "variance":
-        rows = conditions.variance_mg2
-        return None if rows is None else rows.mean(axis=1)
-    fields = {
-        "temperature": "temperature_c",
-        "supply": "supply_v",
-        "order": "order",
-        "approach": "approach",
-    }
-    found: Floats | None = getattr(conditions, fields[name]) if name in fields else None
-    return found
+        return None if c.variance_mg2 is None else c.variance_mg2.mean(axis=1)
+    plain = {"temperature": c.temperature_c, "supply": c.supply_v, "order": c.order, "approach": c.approach}
+    return c.time_s / 60.0 if name == "time" else plain.get(name)
 
 
 def _lag(data: Readings, after: Fit) -> Floats:

@@ -331,9 +331,7 @@ def sight(result: TraceResult) -> SightWords:
     found = {finding.effect for finding in result.found}
     undecided = {name for names in result.confounded for name in names} | set(result.reasons)
     undecided |= {step.effect for step in result.steps}
-    visible: list[tuple[str, str]] = []
-    still_open: list[tuple[str, str]] = []
-    weak: list[tuple[str, str]] = []
+    shown: dict[str, list[tuple[str, str]]] = {"visible": [], "weak": [], "open": []}
     blind: dict[str, list[str]] = {}
     for name in catalogue():
         if name in found or name not in result.detectable:
@@ -341,25 +339,19 @@ def sight(result: TraceResult) -> SightWords:
         entry = result.detectable[name]
         prototype = _parameter(name, entry)
         if name in undecided:
-            still_open.append((name, amplitude(entry)))
+            shown["open"].append((name, amplitude(entry)))
         elif entry.amplitude is None:
-            blind.setdefault(entry.reason or "its trace lies in what is fitted", []).append(name)
+            blind.setdefault(_reason(entry.reason or "its trace lies in what is fitted"), []).append(name)
         elif prototype is not None and entry.amplitude > prototype.high:
-            blind.setdefault("too little of what drives it; no physical amplitude would show", []).append(
-                name
-            )
+            reason = "too little of what drives it; no physical amplitude would show"
+            blind.setdefault(reason, []).append(name)
         elif prototype is not None and entry.amplitude > abs(prototype.typical):
-            weak.append((name, amplitude(entry)))
+            shown["weak"].append((name, amplitude(entry)))
         else:
-            visible.append((name, amplitude(entry)))
-    worded: dict[str, list[str]] = {}
-    for reason, names in blind.items():
-        worded.setdefault(_reason(reason), []).extend(names)
+            shown["visible"].append((name, amplitude(entry)))
     return SightWords(
-        tuple(visible),
-        tuple(weak),
-        tuple((tuple(names), reason) for reason, names in worded.items()),
-        tuple(still_open),
+        blind=tuple((tuple(names), reason) for reason, names in blind.items()),
+        **{group: tuple(rows) for group, rows in shown.items()},
     )
 
 

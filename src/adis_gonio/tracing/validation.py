@@ -282,7 +282,7 @@ class Fold:
             Fit whose effects are kept in every fold; by default effects are chosen again.
         """
         fresh = {name: masks for name, masks in designs.items() if (id(fit), name) not in self._made}
-        made = cross_validate(data, fresh, self.chosen_anew if fit is None else _keeping(fit))
+        made = cross_validate(data, fresh, self.chosen_anew if fit is None else _keep_effects(fit))
         self._made.update({(id(fit), name): (fit, left) for name, left in made.items()})
         return {name: self._made[id(fit), name][1] for name in designs}
 
@@ -396,7 +396,7 @@ def _by_axis(data: Readings, residual: Sequence[Floats]) -> dict[str, float] | N
     return {AXES[k]: float(value) for k, value in enumerate(each)}
 
 
-def _keeping(fit: Fit) -> Callable[[Readings], Chosen]:
+def _keep_effects(fit: Fit) -> Callable[[Readings], Chosen]:
     def kept(rows: Readings) -> Chosen:
         again = fit.again(rows)
         return Chosen(again, by=again)
@@ -430,7 +430,9 @@ def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
     design = f"each of {len(data)} dwells in turn, effects kept: the others are too few to choose any from"
     designs = {design: singles}
     every = {design: np.ones(len(data), dtype=bool)}
-    return [select_counted(cross_validate(data, designs, _keeping(fit)), every) for fit in fits], design
+    return [
+        select_counted(cross_validate(data, designs, _keep_effects(fit)), every) for fit in fits
+    ], design
 
 
 def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[float | None]:

@@ -70,7 +70,7 @@ def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Sampl
         best = _best(samples, usable)
         if best is None:
             break
-        finding, samples = _fitted(samples, usable, best)
+        finding, samples = _fit_course(samples, usable, best)
         found.append(finding)
     return found, samples
 
@@ -145,12 +145,12 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
     return best
 
 
-def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinFinding, Samples]:
+def _fit_course(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinFinding, Samples]:
     weight = _regressors(samples)[int(best.by_move)]
     dwells = np.flatnonzero(usable).tolist()
     times = {k: samples.elapsed_s(k) for k in dwells}
     centred = {k: samples.values[k] - samples.values[k].mean(axis=0) for k in dwells}
-    axes = _axes_with(samples, usable, best)
+    axes = _significant_axes(samples, usable, best)
 
     def amplitudes(tau: float | None) -> tuple[Floats, float]:
         z, norm = projections(samples, usable, tau)
@@ -202,7 +202,7 @@ def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinF
     return finding, samples.with_values(values)
 
 
-def _axes_with(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
+def _significant_axes(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
     """Return the axes that share the course: the first, and those on which it is significant alone."""
     z, norm = projections(samples, usable, best.tau)
     g = norm[:, None] * _regressors(samples)[int(best.by_move)]
@@ -251,7 +251,7 @@ def _finding(
         parameters["tau"] = Value(tau, float(u[-1]), "s")
         largest = float(np.abs(slope[axes] * weight[dwells][:, axes]).max())
         shift = float(np.abs(shifts[:, axes]).max())
-        needed = _wait(samples, largest, tau)
+        needed = _waiting_time(samples, largest, tau)
         sentence = (
             f"each dwell settles: {sizes} at its first sample, time constant "
             f"{parameters['tau']}{by}; it moves the means by up to {format_number(shift, 2)} mg"
@@ -279,7 +279,7 @@ def _finding(
     )
 
 
-def _wait(samples: Samples, amplitude: float, tau: float) -> float:
+def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
     """Time in s until settling moves a mean by less than a third of its noise (white, n samples)."""
     sizes = []
     for k in range(len(samples)):

@@ -82,9 +82,9 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
         within = (*(finding for finding in codes if finding is not None), *within)
     claimed = {finding.effect for finding in result.found}
     more = tuple(
-        _claim(finding)
+        _finding_of(finding)
         for finding in _first_of_each(within)
-        if stands(finding) and finding.effect not in claimed and not session.cut_by_stillness
+        if counts_as_found(finding) and finding.effect not in claimed and not session.cut_by_stillness
     )
     single, notes = _deviating_dwells(data, result)
     advice = (*_of_single_dwells(data, result), *single, *(f.advice for f in within if f.advice))
@@ -98,7 +98,7 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
     )
 
 
-def stands(finding: WithinFinding) -> bool:
+def counts_as_found(finding: WithinFinding) -> bool:
     """Whether a finding inside separately recorded dwells counts among `found`; see the module."""
     return (
         finding.effect is not None
@@ -125,7 +125,7 @@ def _first_of_each(within: tuple[WithinFinding, ...]) -> list[WithinFinding]:
     return [finding for effect, finding in best.items() if effect is not None]
 
 
-def _claim(finding: WithinFinding) -> Finding:
+def _finding_of(finding: WithinFinding) -> Finding:
     assert finding.effect is not None
     return Finding(
         effect=finding.effect,
