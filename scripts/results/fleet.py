@@ -15,7 +15,7 @@ from adis_gonio.fleet.columns import COLUMNS
 from adis_gonio.fleet.outputs import FleetResult
 from adis_gonio.fleet.pool import cores
 from adis_gonio.fleet.store import IN_MEMORY
-from results.section import Effort, Section, table
+from results.section import Effort, Section
 
 STAGES, OPERATORS = 4, 3
 POSITIONS, SAMPLES = 12, 200
@@ -105,29 +105,4 @@ def run(effort: Effort) -> Section:
     machine = f"{platform.machine()}, {cores()} cores, Python {platform.python_version()}"
     document = {"machine": machine, "fits": fits, "traces": traces, "load": list(os.getloadavg())}
     document |= {"summary": {"rows": big, "processor_s": summary_s}}
-    return Section("A fleet of sessions", _markdown(document), document)
-
-
-def _markdown(found: dict) -> str:
-    head = ("", "sessions", "failed", "one process", "processes", "ratio", "same summary")
-    lines = []
-    for name, what in (("fits", "fits only"), ("traces", "fits and traces")):
-        one = found[name]
-        rate, same = f"{one['one_per_s']:.2f} a second", "yes" if one["same_summary"] else "no"
-        counts = str(one["sessions"]), str(one["failed"])
-        lines.append((what, *counts, rate, str(one["workers"]), f"{one['ratio']:.2f}", same))
-    summary = found["summary"]
-    return "\n".join(
-        [
-            f"Sessions drawn by the planar model ({POSITIONS} positions, {SAMPLES} samples each). Ratio:"
-            " sessions a second by several processes over those by one; linear would be the number of"
-            " processes, where nothing else has the machine.",
-            "",
-            *table(head, lines),
-            "",
-            f"The summary of {summary['rows']} rows takes {summary['processor_s']:.1f} s of one core.",
-            "",
-            f"Machine: {found['machine']}; load {', '.join(f'{x:.1f}' for x in found['load'])}"
-            " in the last 1, 5 and 15 minutes, this run among it.",
-        ]
-    )
+    return Section(document)

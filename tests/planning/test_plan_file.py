@@ -12,7 +12,7 @@ from adis_gonio.plan import plan_by, read_plan, write_plan
 from adis_gonio.plan.document import document_of, plan_from
 from adis_gonio.record.plans import PLAN_NAMES, Plan, Position, plan
 
-PAGE = (Path(__file__).parents[2] / "docs" / "plans.md").read_text("utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
 
 MADE = Plan(
     "angle-4",
@@ -140,10 +140,10 @@ def test_a_plan_of_nothing_but_checks_is_refused():
         plan_from(document)
 
 
-def test_the_page_shows_a_plan_that_is_read_and_code_that_runs(capsys):
-    (shown,) = re.findall(r"```json\n(.*?)```", PAGE, re.S)
+def test_the_pages_show_a_plan_that_is_read_and_code_that_runs(capsys):
+    (shown,) = re.findall(r"```json\n(.*?)```", (DOCS / "files.md").read_text("utf-8"), re.S)
     assert len(plan_from(json.loads(shown))) == 4
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    (code,) = re.findall(r"```python\n(.*?)```", (DOCS / "plans.md").read_text("utf-8"), re.S)
     exec(compile(code, "docs/plans.md", "exec"), {})
     told = capsys.readouterr().out.splitlines()
     assert "bias_drift.drift_x" in told[0]

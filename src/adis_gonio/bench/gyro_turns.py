@@ -33,7 +33,7 @@ ALL_THERMOMETERS = (*DEFAULT_SCAN, "YTEMP_OUT", "ZTEMP_OUT")
 """Registers of a scan with the temperature of each gyro's die."""
 
 TURNS = 5
-"""Turns each way, ten about an axis; during more turns the zero rate would drift (docs/gyro_turns.md)."""
+"""Turns each way, ten about an axis; during more turns the zero rate would drift (docs/gyros.md)."""
 MOST_TURNS = 20
 """Limit of turns each way: with an error of the gain, more turns could not be counted reliably."""
 REST_S = 1.0

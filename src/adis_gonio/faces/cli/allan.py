@@ -43,7 +43,7 @@ def command(
     """Say the noise of a part at rest: random walks, bias instability, each with its uncertainty.
 
     From the dwells of a session, or the rests of a continuous recording, by maximum likelihood, beside the
-    Allan deviation. Noise that is not there is said so, with its limit. How long to record: docs/allan.md.
+    Allan deviation. Noise that is not there is said so, with its limit. How long to record: docs/noise.md.
     """
     from adis_gonio.fitting.allan import fit_allan
 

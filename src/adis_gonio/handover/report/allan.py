@@ -14,7 +14,7 @@ from adis_gonio.page.render import render
 from adis_gonio.page.svg import ROLES, Series, plot
 
 LONG_S = 30.0
-"""Rests from which a gyro's floor shows (docs/allan.md): shorter ones know white noise and little else."""
+"""Rests from which a gyro's floor shows (docs/noise.md): shorter ones know white noise and little else."""
 _TIME = "averaging time / s"
 _SLOW = ("flicker", "walk")
 

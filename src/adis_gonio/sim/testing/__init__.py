@@ -1,7 +1,7 @@
 """For tests of other packages: the bus contract, simulated sensors and boards, faults by seed.
 
 pytest finds the fixtures `simulated_sensor` and `simulated_board` by itself (`plugin`); `BusContract` needs
-pytest, the rest does not. Names are imported when they are first used. The page: docs/test_double.md.
+pytest, the rest does not. Names are imported when they are first used. The page: docs/handover.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The page on simulated gyros: its figures are those that are drawn, its names exist, its commands run."""
+"""The page on the simulator: its figures are those that are drawn, its names exist, its commands run."""
 
 import re
 import shlex
@@ -11,7 +11,7 @@ from adis_gonio.record.loading import load_session
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.gyros import FIGURES, realistic_gyros, stream_of
 
-PAGE = (Path(__file__).parents[2] / "docs" / "simulated_gyros.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text(encoding="utf-8")
 COMMANDS = re.search(r"```sh\n(.*?)```", PAGE, re.S)[1].splitlines()
 
 
