@@ -32,7 +32,7 @@ from pathlib import Path
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.fitting.estimation import Readings
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.plan.best import best_plan, even
 from adis_gonio.plan.imagined import Bench, imagined

@@ -131,7 +131,7 @@ def limits_of(session: Session) -> dict[str, float | None]:
     data = readings_of(session).training
     terms, missing = named_terms(data)
     bias = NamedTerm("bias", (), 0.0, effect("bias", ("x", "y")))
-    fit = Fit.begin(data).having((bias,), (np.zeros(2),)).refit()
+    fit = Fit.begin(data).with_terms((bias,), (np.zeros(2),)).refit()
     problem = linearise(fit, [term for term in terms if term.effect.name in {*EFFECTS, "bias"}])
     both = [k for k, term in enumerate(problem.terms) if term.name == "bias" and len(term.effect.axes) == 2]
     every = detectable(Search(problem, price(problem)), tuple(both), missing)

@@ -26,7 +26,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio import load_session, trace
-from adis_gonio.fitting.estimation import Fit, Readings, readings_of
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.tracing.smooth_candidates import Process, evidence, processes
 from adis_gonio.tracing.validation import leave, rms
 from tracing.blind import Blind, draw, write
@@ -65,7 +66,7 @@ def told_error(blind: Blind, fitted: Readings, checked: Readings) -> float:
         scores = evidence(fit, beside, left, candidates)
         term = candidates[int(np.argmax(scores))].term
         width = term.columns(fitted.mean, fitted.conditions).shape[-1]
-        fit = fit.having((term,), (np.zeros(width),)).refit()
+        fit = fit.with_terms((term,), (np.zeros(width),)).refit()
     return rms(leave(fit, checked).residual, True)
 
 

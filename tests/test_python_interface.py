@@ -117,6 +117,6 @@ def test_so_is_one_that_comes_with_the_comparison_of_methods(result, monkeypatch
     def fail(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr("adis_gonio.fitting.standing.standing_of", fail)
+    monkeypatch.setattr("adis_gonio.fitting.method_comparison.compare_methods", fail)
     with pytest.raises(FitError, match="no fit is possible"):
         replace(result).as_dict()

@@ -198,7 +198,7 @@ def test_in_space_the_answer_is_scale_skew_and_bias():
 
 def test_the_table_of_results_is_no_wider_than_the_page():
     session = planar()
-    page = build_page(session, list(fit(session).standing.results), "not traced")
+    page = build_page(session, list(fit(session).comparison.results), "not traced")
     body = page[page.index("Results by method") :]
     for table in re.findall(r"<table.*?</table>", body, re.DOTALL):
         head = re.findall(r"<th[ >]", table.partition("</thead>")[0])

@@ -11,7 +11,8 @@ from click.testing import CliRunner
 import adis_gonio
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.faces.cli import app
-from adis_gonio.fitting.estimation import Fit, from_means
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import from_means
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
 from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_of
 from adis_gonio.model import Dwell, Session

@@ -10,7 +10,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.estimation import readings_of
+from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.plan import Bench, best_plan, predict
 from adis_gonio.plan.imagined import imagined
 from adis_gonio.record.loading import load_session

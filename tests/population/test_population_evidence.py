@@ -27,7 +27,7 @@ def test_an_estimate_is_that_of_the_full_nonlinear_fit() -> None:
     terms = tuple(
         NamedTerm(name, (), 0.0, effect(name, axes)) for name, axes in (("bias", "xy"), ("hysteresis", "x"))
     )
-    fit = Fit.begin(data).having(terms, (np.zeros(2), np.zeros(1))).refit()
+    fit = Fit.begin(data).with_terms(terms, (np.zeros(2), np.zeros(1))).refit()
     value, u = evidence.estimate(HYSTERESIS)
     assert value == pytest.approx(float(fit.values.terms[1][0]), abs=0.05 * u)
     assert u == pytest.approx(float(np.sqrt(fit.covariance[-1, -1])), rel=0.01)

@@ -165,7 +165,7 @@ class TestLeavingOut:
         line = function("line", lambda c: c.time_s / 1200.0 - 1.0, where=where)
 
         def fit(rows: Readings) -> Chosen:
-            begun = Fit.begin(rows).having([line], [np.array([10.0])])  # mg or mrad
+            begun = Fit.begin(rows).with_terms([line], [np.array([10.0])])  # mg or mrad
             return Chosen(begun, by=begun)
 
         told = cross_validate(data, {"before": [before]}, fit)["before"].rows(before)
@@ -220,7 +220,7 @@ class TestLeavingOut:
 
         def fit(rows: Readings) -> Chosen:
             biases = labelled(data, "bias[xy]")
-            begun = Fit.begin(rows).having(biases, [np.zeros(2)]).refit()
+            begun = Fit.begin(rows).with_terms(biases, [np.zeros(2)]).refit()
             return Chosen(Fit.begin(rows).refit(), by=begun)
 
         told = cross_validate(data, {"all but three": [few, ~few]}, fit)["all but three"]

@@ -47,7 +47,7 @@ def fitted(data: Readings, *labels: str):
     at_hand = {term.label: term for term in named_terms(data)[0]}
     model = tuple(at_hand[label] for label in labels)
     values = tuple(term.start(np.zeros(len(term.amplitudes))) for term in model)
-    return Fit.begin(data).having(model, values).refit()
+    return Fit.begin(data).with_terms(model, values).refit()
 
 
 @cache

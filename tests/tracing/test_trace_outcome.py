@@ -73,7 +73,7 @@ def steps_of(data: Readings, *models: Sequence[Term], unnamed: Any = None) -> An
     fits = [Fit.begin(data).refit()]
     for terms in models:
         zero = [term.start(np.zeros(term.columns(data.mean, data.conditions).shape[-1])) for term in terms]
-        fits.append(fits[0].having(terms, zero).refit())
+        fits.append(fits[0].with_terms(terms, zero).refit())
     steps = tuple(SimpleNamespace(effect=terms[-1].shown_as) for terms in models)
     return SimpleNamespace(fits=tuple(fits), steps=steps, unnamed=unnamed)
 

@@ -623,7 +623,7 @@ class TestSelection:
         data = biased()
         (bias,) = labelled(data, "bias[xy]")
         base = Fit.begin(data).refit()
-        with_one = base.having([bias], [np.zeros(2)]).refit()
+        with_one = base.with_terms([bias], [np.zeros(2)]).refit()
         problem: Any = SimpleNamespace()
         for alone, about, refitted, apart in (
             (None, base, with_one, with_one),
@@ -663,7 +663,7 @@ class TestNestedModels:
         assert checking is not None
         fits = [Fit.begin(data).refit()]
         (term,) = labelled(data, "bias[xy]")
-        fits.append(fits[0].having([term], [np.zeros(2)]).refit())
+        fits.append(fits[0].with_terms([term], [np.zeros(2)]).refit())
         figures, design = without_folds(fits, data, checking)
         assert design == "6 check dwells"
         start, scale_x, scale_y, lean = fits[1].values.base
@@ -1151,7 +1151,7 @@ def test_what_a_model_knows_of_its_values_is_not_lost_to_rounding_where_columns_
     terms = [*labelled(data, "bias[xy]", "cubic[xy]"), smooth]
     widths = [term.columns(data.mean, data.conditions).shape[-1] for term in terms]
     fit = Fit.begin(data).refit()
-    fit = fit.having(terms, [term.start(np.zeros(w)) for term, w in zip(terms, widths, strict=True)])
+    fit = fit.with_terms(terms, [term.start(np.zeros(w)) for term, w in zip(terms, widths, strict=True)])
     told, evidence = _hypothesis(fit, 1.0, 1.0)
     rows = _columns(fit, fit.whitener).reshape(-1, len(told.root))
     _, precision = _prior(fit, rows)

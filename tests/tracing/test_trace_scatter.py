@@ -137,7 +137,7 @@ class TestLikelihood:
 
     def test_terms_are_integrated_out_but_where_their_prices_have_it(self) -> None:
         data, (bias, _), selection = biased_and_curved()
-        fit = selection.base.having([bias], [np.zeros(2)]).refit()
+        fit = selection.base.with_terms([bias], [np.zeros(2)]).refit()
         louder = replace(data, own_covariance=4 * data.own_covariance)
         told = [
             scatter._restricted(replace(fit, data=louder).refit(), base_only=alone)
@@ -243,7 +243,7 @@ class TestRival:
             for term, price in zip(selection.problem.terms, selection.found.prices, strict=True)
         }
         kept = [term for term in terms if term.name in beside]
-        fit = Fit.begin(data).having(kept, [np.zeros(len(term.amplitudes)) for term in kept]).refit()
+        fit = Fit.begin(data).with_terms(kept, [np.zeros(len(term.amplitudes)) for term in kept]).refit()
         gained = 0.5 * (selection.base.chi2 - fit.chi2) - sum(prices[name] for name in beside) + 30.0
         assert told - scatter._restricted(selection.base, base_only=True) == pytest.approx(gained, abs=1e-3)
 
@@ -327,7 +327,7 @@ class TestChoice:
     ) -> tuple[Any, Any]:
         """The choice where the model, reading scatter and fixture scatter are worth so much in nats."""
         _, terms, both = biased_and_curved()
-        fit = both.fit.having([terms[k] for k in model], [np.zeros(1) for _ in model])
+        fit = both.fit.with_terms([terms[k] for k in model], [np.zeros(1) for _ in model])
         selection: Any = replace(both, fit=replace(fit, data=data), **others)
         of = {"reading_scatter": worth[1], "fixture_scatter": worth[2]}
         monkeypatch.setattr(

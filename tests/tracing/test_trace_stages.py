@@ -207,7 +207,7 @@ class TestResult:
     def average(self, selection: Selection) -> Any:
         """An average beside the names, at the values of their fit."""
         wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
-        fit = selection.fit.having([*selection.terms, wave], [*selection.fit.values.terms, np.zeros(1)])
+        fit = selection.fit.with_terms([*selection.terms, wave], [*selection.fit.values.terms, np.zeros(1)])
         return SimpleNamespace(fit=fit, named=selection.terms, smooth=wave, weight=0.9)
 
     def test_an_average_is_the_result_and_check_dwells_do_not_speak_of_it(self, told: Told) -> None:

@@ -45,7 +45,7 @@ def test_a_model_that_lacks_the_effect_makes_a_twin_that_does_not_agree(measured
     session = load_session(measured)
     final = traced.fits[-1]
     kept = [k for k, term in enumerate(final.terms) if term.name == "bias"]
-    lacking = final.having([final.terms[k] for k in kept], [final.values.terms[k] for k in kept])
+    lacking = final.with_terms([final.terms[k] for k in kept], [final.values.terms[k] for k in kept])
     twin = simulate_like(session, lacking, seed=1)
     assert not compare(session, twin, lacking).agrees
 

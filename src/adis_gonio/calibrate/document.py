@@ -1,19 +1,17 @@
-"""Calibrations as JSON and as text, and back; gyros by themselves or under the key `gyro`."""
+"""Calibrations as JSON documents and files, and back; gyros by themselves or under the key `gyro`."""
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import DataError, FitError, UsageError
-from adis_gonio.base.output import check_output, replacing, write_utf8
+from adis_gonio.base.errors import DataError, FitError, UsageError, one_line
+from adis_gonio.base.jsonable import json_value
 from adis_gonio.base.shapes import (
     anything,
     choice,
@@ -26,7 +24,7 @@ from adis_gonio.base.shapes import (
     whole,
 )
 from adis_gonio.calibrate.calibration import Calibration, EffectTerm
-from adis_gonio.calibrate.coefficients import Coefficient, Coefficients, NotCorrected
+from adis_gonio.calibrate.coefficients import VERSION, Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.model.effects import AXES, effect
@@ -34,103 +32,28 @@ from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import SENSORS
 from adis_gonio.record.provenance import Covered, Provenance
 
-SCHEMA = "adis-gonio/calibration"
-GYRO_SCHEMA = "adis-gonio/gyro-calibration"
-VERSION = 1
 Made = TypeVar("Made", Calibration, GyroCalibration)
-_SOURCE = ("title", "serial", "operator", "stage", "source", "sha256", "recorded_utc", "software")
-
-
-def json_text(document: Mapping[str, Any]) -> str:
-    """One JSON document as text; numbers with the fewest digits that give the same float again."""
-    return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
-
-
-def save_document(document: Mapping[str, Any], path: str | Path, *, force: bool) -> None:
-    """Write a document to a file, whole or not at all; errors as `adis_gonio.base.output.check_output`."""
-    with replacing(check_output(path, force=force)) as beside:
-        write_utf8(beside, json_text(document))
-
-
-def document_of(calibration: Calibration) -> dict[str, Any]:
-    """JSON document of a calibration, as `schema/calibration-1.json` describes it."""
-    where = calibration.provenance
-    ratio = derived_delta_k(calibration)
-    gyro = {} if calibration.gyro is None else {"gyro": calibration.gyro.as_dict()}
-    return {
-        **_head(SCHEMA, calibration),
-        "sensor": where.sensor,
-        "plane": where.plane,
-        "unit": calibration.unit,
-        "counts_per_mg": _listed(calibration.counts_per_mg),
-        "gravity_mps2": where.gravity_mps2,
-        "derived": {} if ratio is None else {"delta_k": _coefficient(ratio)},
-        "effects": [_effect(term) for term in calibration.effects],
-        **_body(calibration, where),
-        "source": {name: getattr(where, name) for name in _SOURCE},
-        **gyro,
-    }
-
-
-def gyro_document_of(gyro: GyroCalibration) -> dict[str, Any]:
-    """JSON document of a gyro calibration; `derived` follows from the parameters."""
-    return {
-        **_head(GYRO_SCHEMA, gyro),
-        "unit": "dps",
-        "derived": {
-            "bias_dps": gyro.bias_dps.tolist(),
-            "sensitivity": gyro.sensitivity.tolist(),
-            "g_sensitivity_dps_per_g": gyro.g_sensitivity_dps_per_g.tolist(),
-        },
-        **_body(gyro, gyro),
-        "source": gyro.source,
-    }
-
-
-def _head(schema: str, calibration: Coefficients) -> dict[str, Any]:
-    return {"schema": schema, "version": VERSION, "method": calibration.method}
-
-
-def _body(
-    calibration: Calibration | GyroCalibration, where: Provenance | GyroCalibration
-) -> dict[str, Any]:
-    """Entries that both kinds of calibrations have."""
-    covariance = calibration.covariance
-    return {
-        "parameters": {one.name: _coefficient(one) for one in calibration.parameters},
-        "covariance": None
-        if covariance is None
-        else {"names": calibration.names, "matrix": covariance.tolist()},
-        "not_corrected": [asdict(one) for one in calibration.not_corrected],
-        "assumed": list(calibration.assumed),
-        "reference": {
-            "temperature_c": REFERENCE_C,
-            "supply_v": REFERENCE_V,
-            "session_temperature_c": None if where.temperature_c is None else where.temperature_c.as_dict(),
-            "session_supply_v": None if where.supply_v is None else where.supply_v.as_dict(),
-        },
-        "offsets_lsb": _listed(where.offsets_lsb),
-    }
 
 
 def calibration_from(document: Any, name: str = "calibration") -> Calibration:
-    """Calibration of a JSON document.
+    """Read a calibration from a JSON document.
 
     Raises
     ------
     DataError
-        It is no calibration, of a newer version, or something in it cannot be used; `name` says where.
+        The document is not a calibration, is of a newer version or has unusable entries. The message begins
+        with `name`.
     """
     hint = "; make one with adis-gonio export SESSION -o NAME.json"
-    made = _read_from(document, name, SCHEMA, "calibration", _read, hint)
+    made = _read_from(document, name, Calibration.schema, "calibration", _read, hint)
     if document.get("gyro") is None:
         return made
     return replace(made, gyro=gyro_calibration_from(document["gyro"], f"{name}: gyro"))
 
 
 def gyro_calibration_from(document: Any, name: str = "gyro calibration") -> GyroCalibration:
-    """Gyro calibration of a JSON document; errors as `calibration_from`."""
-    return _read_from(document, name, GYRO_SCHEMA, "gyro calibration", _read_gyro)
+    """Read a gyro calibration from a JSON document; errors as `calibration_from`."""
+    return _read_from(document, name, GyroCalibration.schema, "gyro calibration", _read_gyro)
 
 
 def _read_from(
@@ -151,8 +74,8 @@ def _read_from(
     try:
         return read(document)
     except (KeyError, TypeError, ValueError, AttributeError, UsageError, FitError) as error:
-        what = f"lacks {error}" if isinstance(error, KeyError) else str(error).lstrip(" .")
-        raise DataError(f"{name}: is a damaged {kind}: {what}") from None
+        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error).lstrip(" .")
+        raise DataError(f"{name}: is a damaged {kind}: {reason}") from None
 
 
 _GAINS, _LEAST_GAIN = ("scale_x", "scale_y", "scale_z"), 1e-6
@@ -206,7 +129,7 @@ DOCUMENT = fields(
     },
     others=anything,
 )
-"""Types and ranges of all that is read of a calibration file."""
+"""Types and ranges of the entries of a calibration file."""
 GYRO_DOCUMENT = fields(
     {
         **_BODY,
@@ -216,7 +139,7 @@ GYRO_DOCUMENT = fields(
     {"source": text},
     others=anything,
 )
-"""Types and ranges of all that is read of a gyro calibration."""
+"""Types and ranges of the entries of a gyro calibration."""
 
 
 def _read(document: Mapping[str, Any]) -> Calibration:
@@ -241,7 +164,7 @@ def _read(document: Mapping[str, Any]) -> Calibration:
 def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
     GYRO_DOCUMENT(document)
     reference = document["reference"]
-    # Effects in temperature and supply are zero there: another reference would move every zero rate.
+    # Effects of temperature and supply are zero at the reference: another one would move the zero rates.
     if (reference["temperature_c"], reference["supply_v"]) != (REFERENCE_C, REFERENCE_V):
         raise ValueError(f"its reference is not {REFERENCE_C:g} °C and {REFERENCE_V:g} V")
     names = list(document["parameters"])
@@ -251,14 +174,14 @@ def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
         raise ValueError(f"{strange[0]} is no parameter of a gyro")
     if missing:
         raise ValueError(f"parameter {missing[0]} is missing")
-    # Files of older versions have no source.
+    # Files of older versions lack the source.
     made = GyroCalibration(source=document.get("source", ""), **_read_body(document))
     made.check()
     return made
 
 
 def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes that both kinds of calibrations have."""
+    """Attributes that both kinds of calibrations share."""
     covariance, offsets, reference = document["covariance"], document["offsets_lsb"], document["reference"]
     return {
         "method": document["method"],
@@ -273,15 +196,15 @@ def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
-    """Covariance (p, p) of p parameters.
+    """Read the covariance (p, p) of p parameters.
 
     Raises
     ------
     ValueError
-        Other names, another size, not symmetric, or a negative variance.
+        Names or size differ, the matrix is not symmetric, or a variance is negative.
     """
     if covariance["names"] != names:
-        raise ValueError("the covariance's names are not those of the parameters")
+        raise ValueError("the names of the covariance differ from the names of the parameters")
     rows, p = covariance["matrix"], len(names)
     if len(rows) != p or any(len(row) != p for row in rows):
         raise ValueError(f"the covariance of {p} parameters is no matrix of {p} × {p} finite numbers")
@@ -293,7 +216,7 @@ def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
 
 
 def _checked(calibration: Calibration) -> Calibration:
-    """The same, or `ValueError` where parts of it do not fit together."""
+    """Return the calibration; `ValueError` if its parts are not consistent."""
     names = set(calibration.names)
     for term in calibration.effects:
         wanted = len(term.effect.parameters)
@@ -312,68 +235,59 @@ def _checked(calibration: Calibration) -> Calibration:
     return calibration
 
 
-def derived_delta_k(calibration: Calibration) -> Coefficient | None:
-    """ΔK = K_x/K_y − 1 with u; None in space."""
-    names = calibration.names
-    if not calibration.planar or "scale_x" not in names:
-        return None
-    x = names.index("scale_x")
-    k_x = calibration.parameters[x].value
-    if "scale_y" not in names:
-        return Coefficient("delta_k", k_x - 1, calibration.parameters[x].u, "1")
-    y = names.index("scale_y")
-    k_y = calibration.parameters[y].value
-    if calibration.covariance is None:
-        return Coefficient("delta_k", k_x / k_y - 1, None, "1")
-    slope = np.zeros(len(names))
-    slope[x], slope[y] = 1 / k_y, -k_x / k_y**2
-    variance = float(slope @ calibration.covariance @ slope)
-    return Coefficient("delta_k", k_x / k_y - 1, math.sqrt(max(variance, 0.0)), "1")
-
-
-def summary_of(calibration: Calibration) -> str:
-    """Lines of text about a calibration."""
-    where = calibration.provenance
-    lines = [repr(calibration).removeprefix("Calibration(").removesuffix(")")]
-    told = [("part", where.serial), ("operator", where.operator), ("stage", where.stage)]
-    told += [("title", where.title), ("file", where.source), ("recorded", where.recorded_utc)]
-    lines += [f"  {label}: {text}" for label, text in told if text]
-    ratio = derived_delta_k(calibration)
-    lines += [f"  {one}" for one in (*([ratio] if ratio else []), *calibration.parameters)]
-    if where.temperature_c is not None:
-        t = where.temperature_c
-        lines.append(
-            f"  measured at {t.low:.1f} to {t.high:.1f} °C; effects of temperature are zero at 25 °C"
-        )
-    lines += [f"  {name}: not determined, taken as nominal" for name in calibration.assumed]
-    lines += [f"  not corrected: {one.effect}: {one.reason}" for one in calibration.not_corrected]
-    lines += [] if calibration.gyro is None else [calibration.gyro.summary()]
-    return "\n".join(lines)
-
-
-def _coefficient(one: Coefficient) -> dict[str, Any]:
-    document: dict[str, Any] = {"value": one.value, "u": one.u, "unit": one.unit}
-    return document if one.dof is None or math.isinf(one.dof) else document | {"dof": one.dof}
-
-
 def _parameter(name: str, entry: Mapping[str, Any]) -> Coefficient:
     u, dof = entry["u"], entry.get("dof")
     known_u, known_dof = (None if one is None else float(one) for one in (u, dof))
     return Coefficient(name, float(entry["value"]), known_u, entry["unit"], known_dof)
 
 
-def _effect(term: EffectTerm) -> dict[str, Any]:
-    return {
-        "effect": term.effect.name,
-        "axes": list(term.effect.axes),
-        "choices": {choice: getattr(term.effect, choice) for choice in term.effect.choices()},
-        "parameters": list(term.parameters),
-    }
-
-
-def _listed(values: tuple[float, ...] | tuple[int, ...] | None) -> list[float] | None:
-    return None if values is None else list(values)
-
-
 def _covered(entry: Mapping[str, Any] | None) -> Covered | None:
     return None if entry is None else Covered(**entry)
+
+
+LARGEST_BYTES = 10_000_000
+"""Largest size of a calibration file; usual files have some ten thousand bytes."""
+
+
+def calibration_in(path: str | Path) -> Calibration | None:
+    """Read a calibration from a JSON file; None if the file does not begin like JSON.
+
+    Raises
+    ------
+    DataError
+        The file is JSON but not a calibration, or it is damaged.
+    """
+    document = json_document(Path(path))
+    return None if document is None else calibration_from(document, str(path))
+
+
+def json_document(path: Path) -> Any:
+    """Read the JSON document of a file; None if the file does not begin like JSON.
+
+    Each text becomes one printable line, because texts appear in messages, comments and pages.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(64)
+            if content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] not in (b"{", b"["):
+                return None
+            content += file.read(LARGEST_BYTES)
+    except OSError:
+        return None
+    if len(content) > LARGEST_BYTES:
+        raise DataError(f"{path}: is no calibration: it has more than {LARGEST_BYTES // 1_000_000} MB")
+    try:
+        return _printable(json_value(content.decode("utf-8-sig"), parse_constant=float))
+    except ValueError as error:
+        raise DataError(f"{path}: is no JSON: {error}") from None
+
+
+def _printable(value: Any) -> Any:
+    """Convert each text of a JSON value to one printable line."""
+    if isinstance(value, str):
+        return one_line(value)
+    if isinstance(value, list):
+        return [_printable(entry) for entry in value]
+    if isinstance(value, dict):
+        return {one_line(key): _printable(entry) for key, entry in value.items()}
+    return value

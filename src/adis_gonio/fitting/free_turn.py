@@ -17,7 +17,6 @@ from adis_gonio.base.intervals import effective_dof, factor_over
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.values import Value
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.estimation.shown import gradient_of_base
 from adis_gonio.fitting.free_turn_estimate import (
     NAMES,
     LeastSquaresProblem,
@@ -26,10 +25,9 @@ from adis_gonio.fitting.free_turn_estimate import (
     Windows,
     solve,
 )
+from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
 from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.fitting.scores import Score
-from adis_gonio.fitting.standing import Recommendation, Standing
-from adis_gonio.fitting.uncertainty_budget import BudgetRow
+from adis_gonio.fitting.uncertainty import BudgetRow, gradient_of_base
 from adis_gonio.model.records import Session
 from adis_gonio.model.sweeps import Sweeps
 from adis_gonio.record.provenance import provenance_of
@@ -199,10 +197,10 @@ class FreeTurnResult(FitResult):
     length_s: float = 0.0
 
     @cached_property
-    def standing(self) -> Standing:
+    def comparison(self) -> MethodComparison:
         """The one method that such a recording supports."""
         own = replace(self, warnings=self.warnings)
-        return Standing(
+        return MethodComparison(
             (own,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
         )
 

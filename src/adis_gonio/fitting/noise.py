@@ -1,15 +1,16 @@
-"""How sure readings and declared angles are, where the session itself has to say.
+"""Noise of readings and declared angles that is not stated and has to be estimated from the session.
 
 * A reading without a stated uncertainty: one common standard deviation, such that χ² equals its degrees of
-  freedom. If the noise of other readings is known, these are fitted first, by themselves, and the model is
-  tested by them. The unknown noise is then the one at which the remaining readings scatter about the
-  prediction of that fit as they should; it is never smaller than the noise of the known readings, so that
-  a lucky reading cannot take over the fit.
+  freedom. If the noise of other readings is known, these are fitted first, by themselves, and they test the
+  model. The unknown noise is then chosen so that the remaining readings scatter about the prediction of
+  that fit as expected. It is never smaller than the noise of the known readings, so that a reading that
+  agrees by chance cannot dominate the fit.
 * A fixture without a stated uncertainty: the σ_f of greatest restricted likelihood, if there is redundancy.
-* A residual beyond what the noise within the dwells explains (χ² above its 99.9 % quantile): the model
-  lacks something. An extra standard deviation on every reading, again such that χ² equals its degrees of
-  freedom (Mandel and Paule 1970), keeps the intervals honest and the weights from trusting the quietest
-  dwell; the reported χ² stays that of the measured noise, so that the misfit shows.
+* A residual that the noise within the dwells does not explain (χ² above its 99.9 % quantile): the model
+lacks
+  an effect. An extra standard deviation is added to every reading, again such that χ² equals its degrees of
+  freedom (Mandel and Paule 1970). It keeps the intervals valid and limits the weight of the quietest dwell.
+  The reported χ² is computed with the measured noise, so that the misfit remains visible.
 """
 
 from __future__ import annotations
@@ -29,29 +30,29 @@ from adis_gonio.fitting.estimation.readings import Readings
 
 _EXCESS = 1e-3
 _LEAST_SCALE = 1e-5
-"""Residual in mg below which averaged readings show no noise but the rounding of a computation."""
+"""Residual in mg below which averaged readings show only rounding errors."""
 _LARGEST_SCALE = 1e4
 _LARGEST_SIGMA_RAD = 0.2
 
 
 @dataclass(frozen=True)
 class NoiseAssumptions:
-    """What is assumed about readings and angles.
+    """Assumed noise of readings and angles.
 
     Attributes
     ----------
     scale : float
-        Factor on the placeholder (1 mg) of readings whose uncertainty nothing states.
+        Factor on the placeholder (1 mg) of readings without a stated uncertainty.
     extra_mg : float
         Standard deviation added to every reading.
     sigma_rad : float
-        Standard uncertainty of a declared angle; inf free.
+        Standard uncertainty of a declared angle; inf for free attitudes.
     dof, sigma_dof, scale_dof : float
-        Degrees of freedom of `extra_mg`, `sigma_rad` and `scale`; inf if it was not estimated.
+        Degrees of freedom of `extra_mg`, `sigma_rad` and `scale`; inf if not estimated.
     known : bool
-        False where the noise of a reading is neither stated nor estimable.
+        False if the noise of a reading is neither stated nor estimable.
     notes : tuple of str
-        What the result has to say.
+        Remarks for the result.
     """
 
     scale: float = 1.0
@@ -64,7 +65,8 @@ class NoiseAssumptions:
     notes: tuple[str, ...] = ()
 
     def applied(self, readings: Readings) -> Readings:
-        """The readings with the noise that is assumed."""
+        """Readings with the assumed noise."""
+        # Readings without a stated noise have a placeholder of 1 mg, scaled here.
         factor = np.where(readings.known, 1.0, self.scale**2)[:, None, None]
         covariance = readings.own_covariance * factor + self.extra_mg**2 * np.eye(readings.axes)
         return replace(readings, own_covariance=covariance, fixture_rad=self.sigma_rad)
@@ -72,10 +74,10 @@ class NoiseAssumptions:
 
 @dataclass(frozen=True)
 class Settled:
-    """A fit with its noise settled.
+    """A fit with its estimated noise.
 
-    `chi2` and `dof` are those of the measured noise: of the readings whose noise is known, if there are
-    enough of them to test the model.
+    `chi2` and `dof` are computed with the measured noise: from the readings with a known noise, if there
+    are enough of them to test the model.
     """
 
     determination: Determination
@@ -85,14 +87,14 @@ class Settled:
 
 
 def settle(readings: Readings) -> Settled:
-    """Fit base model and bias, and settle what the session leaves open about its noise."""
+    """Fit base model and bias, and estimate the noise that the session does not state."""
     if readings.known.any() and not readings.noise_known:
         first = _settle_known(readings)
         return _without_noise(readings) if first is None else _settle_unknown(readings, first)
     open_sigma = not readings.fixture_stated and readings.planar and not readings.free
     noise = NoiseAssumptions(sigma_rad=readings.fixture_rad)
     determination = determine(readings)
-    dof = _dof(determination)
+    dof = determination.dof
     follow = _Follow(readings, determination)
 
     if not readings.noise_known:
@@ -103,13 +105,14 @@ def settle(readings: Readings) -> Settled:
         noise = _unknown_fixture(follow, noise, dof)
         determination = follow.determination(noise)
     chi2 = determination.fit.chi2
-    if dof > 0 and chi2 > _chi2_quantile(dof):
+    if dof > 0 and chi2 > chi2_quantile(dof, _EXCESS):
         low, high = 1e-7 * readings.gravity_mg, readings.gravity_mg
+        # Solve χ²(extra) = dof for the additional standard deviation.
         extra = _equal_to_dof(lambda s: follow(replace(noise, extra_mg=s)).chi2, dof, low, high)
         ratio = math.sqrt(chi2 / dof)
         note = (
             f"the residual is {ratio:.3g} times what the noise within the dwells explains (chi2 "
-            f"{chi2:.4g}, dof {dof}): the model does not describe this session; each u holds "
+            f"{chi2:.4g}, dof {dof}): the model does not describe this session; each u includes "
             f"{extra:.3g} mg of scatter on every reading and the catalogue's effects that the data allow"
         )
         noise = replace(noise, extra_mg=extra, dof=float(dof), notes=(*noise.notes, note))
@@ -130,22 +133,22 @@ def _without_noise(readings: Readings) -> Settled:
     """Fit base model and bias, and give no uncertainty."""
     determination = determine(readings)
     note = (
-        "the readings whose noise is known cannot be fitted by themselves: no uncertainty can be given; "
+        "the readings with a known noise cannot be fitted by themselves: no uncertainty can be given; "
         "state reading_u_mg, or keep the samples of each dwell"
     )
     noise = NoiseAssumptions(sigma_rad=readings.fixture_rad, known=False, notes=(note,))
-    return Settled(determination, noise, determination.fit.chi2, _dof(determination))
+    return Settled(determination, noise, determination.fit.chi2, determination.dof)
 
 
 def _settle_unknown(readings: Readings, first: Settled) -> Settled:
-    """Estimate the noise of the readings that state none, as they scatter about the fit of the others.
+    """Estimate the noise of readings without a stated noise from their scatter about the fit of the others.
 
     χ² of all readings less χ² of the known ones is (y − ŷ)ᵀ(S + P)⁻¹(y − ŷ) with the noise S of the others
-    and the covariance P of their prediction ŷ: on average the number of equations that they add.
+    and the covariance P of their prediction ŷ. Its mean is the number of equations that they add.
     """
     determination = determine(first.noise.applied(readings))
-    added = _dof(determination) - first.dof
-    # A reading of unknown noise is at best as good as those whose noise is known.
+    added = determination.dof - first.dof
+    # A reading of unknown noise is at best as good as the readings with a known noise.
     own = np.einsum("naa->na", readings.own_covariance[readings.known])
     least = scale = max(math.sqrt(float(own.mean())), _LEAST_SCALE)
     if added > 0:
@@ -159,8 +162,8 @@ def _settle_unknown(readings: Readings, first: Settled) -> Settled:
         else "the noise of the other readings, since the residual shows no more"
     )
     note = (
-        f"{_unstated(readings)} were given {scale:.3g} mg, {given}; chi2 and dof are those of the other "
-        f"{counted(len(own), 'reading')}"
+        f"{_unstated(readings)} were given {scale:.3g} mg, {given}; chi2 and dof are computed from the "
+        f"other {counted(len(own), 'reading')}"
     )
     noise = replace(
         first.noise, scale=scale, scale_dof=float(max(added, 1)), notes=(*first.noise.notes, note)
@@ -168,17 +171,11 @@ def _settle_unknown(readings: Readings, first: Settled) -> Settled:
     return Settled(determine(noise.applied(readings)), noise, first.chi2, first.dof)
 
 
-def _dof(determination: Determination) -> int:
-    """Degrees of freedom of the residual of a fit."""
-    fit, free = determination.fit, int(determination.free.sum())
-    return int(fit.equations - free + determination.null.shape[1])
-
-
 def state_noise(readings: Readings) -> Readings:
-    """Return the readings with a noise for those that state none, if the others' noise is known.
+    """Return readings with an estimated noise for readings without one, if the noise of others is known.
 
-    The noise is the one that `settle` estimates from the dwells that may be fitted. If no reading states
-    its noise, or too few do to test a model, the readings are returned unchanged.
+    `settle` estimates the noise from the dwells that may be fitted. If no reading states its noise, or too
+    few for a test of the model, the readings are returned unchanged.
     """
     training = readings.training
     if training.noise_known or not training.known.any():
@@ -203,7 +200,7 @@ def _unstated(readings: Readings) -> str:
 
 
 class _Follow:
-    """Refits from the last values, with the same parameters held."""
+    """Refits that start from the last values and hold the same parameters."""
 
     def __init__(self, readings: Readings, first: Determination) -> None:
         self.readings = readings
@@ -216,7 +213,7 @@ class _Follow:
         return fit
 
     def determination(self, noise: NoiseAssumptions) -> Determination:
-        """Fit under `noise` with what is determined looked at again."""
+        """Fit with `noise`, and find the determined parameters again."""
         return determine(noise.applied(self.readings), self.first.held)
 
 
@@ -226,14 +223,15 @@ def _unknown_readings(
     notes = ["fixture_sigma_deg is not stated: declared angles were taken as exact"] if open_sigma else []
     if dof <= 0:
         notes.append(
-            "nothing states the noise of a reading and no position is left over to show it: no uncertainty "
-            "can be given; state reading_u_mg, keep the samples of each dwell, or measure more positions"
+            "the noise of a reading is unknown and there are too few positions to estimate it: no "
+            "uncertainty can be given; state reading_u_mg, keep the samples of each dwell, or measure "
+            "more positions"
         )
         return replace(noise, known=False, notes=tuple(notes))
     scale = _equal_to_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, _LEAST_SCALE, _LARGEST_SCALE)
     if scale <= _LEAST_SCALE:
         notes.append(
-            "nothing states the noise of a reading and the model passes through all of them: no "
+            "the noise of a reading is unknown and the model fits all readings exactly: no "
             "uncertainty can be given; state reading_u_mg, or keep the samples of each dwell"
         )
         return replace(noise, known=False, notes=tuple(notes))
@@ -258,13 +256,16 @@ def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> Nois
         sigma = math.exp(log_sigma)
         fit = follow(replace(noise, sigma_rad=sigma))
         free = follow.first.free
+        # Whitened tangent: σ² times its square is the variance of a dwell from its angle.
         along = fit.data.root @ fit.tangent
         carried = np.where(np.isfinite(fit.data.fixture), (along**2).sum(axis=(1, 2)), 0.0)
+        # Log determinants of the covariance and of the information: restricted likelihood.
         spread = np.log1p(sigma**2 * carried).sum()
         return fit.chi2 + float(spread + np.linalg.slogdet(information(fit)[np.ix_(free, free)])[1])
 
     low, high = math.log(1e-6), math.log(_LARGEST_SIGMA_RAD)
     found = minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 0.02})
+    # No clear gain over an exact fixture.
     if float(found.fun) > deviance(low) - 0.1:
         return replace(
             noise,
@@ -278,20 +279,22 @@ def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> Nois
     return replace(noise, sigma_rad=sigma, sigma_dof=float(max(declared - 3, 1)), notes=(note,))
 
 
-def _chi2_quantile(dof: int) -> float:
+def chi2_quantile(dof: int, level: float) -> float:
+    """Value that χ² exceeds with a probability of `level`."""
     from scipy.special import chdtri
 
-    return float(chdtri(dof, _EXCESS))
+    return float(chdtri(dof, level))
 
 
 def _equal_to_dof(cost: Callable[[float], float], dof: int, low: float, high: float) -> float:
-    """Standard deviation at which a falling χ² equals its degrees of freedom; else an end of the range."""
+    """Standard deviation at which a decreasing χ² equals its degrees of freedom, or an end of the range."""
     from scipy.optimize import brentq
 
-    @cache  # a refit begins where the last one ended: asked again it could answer otherwise
+    @cache  # a refit starts at the last values, so a second call could give another result
     def gap(log_s: float) -> float:
         return math.log(max(cost(math.exp(log_s)), 1e-300) / dof)
 
+    # χ² decreases with s, so that a sign change brackets the solution.
     a, b = math.log(low), math.log(high)
     if gap(a) <= 0:
         return low

@@ -1,45 +1,48 @@
-"""What a fit returns."""
+"""Result of a fit: parameters with names, units and covariance, and everything derived from them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, mean_direction, unsolvable, wrap_radians
+from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.intervals import factor_over
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.values import Value
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.coefficients import Coefficient
+from adis_gonio.fitting.determination import LIMIT, Determination, is_determined, names_of
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.linked import LinkReport
+from adis_gonio.fitting.noise import NoiseAssumptions
+from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.position_diagnosis import listed
-from adis_gonio.fitting.solvable import unsolvable
+from adis_gonio.fitting.uncertainty import BudgetRow, ShownAngle, Sources, budget_of
+from adis_gonio.model.effects import AXES
+from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
+from adis_gonio.model.records import MG_PER_MPS2
 from adis_gonio.record.provenance import Provenance
+from adis_gonio.record.write_journal import INTERRUPTED
 
 if TYPE_CHECKING:
-    from adis_gonio.calibrate import Calibration
-    from adis_gonio.fitting.determination import Determination
-    from adis_gonio.fitting.estimation.fit import Fit
-    from adis_gonio.fitting.estimation.readings import Readings
-    from adis_gonio.fitting.estimation.shown import ShownAngle
-    from adis_gonio.fitting.linked import LinkReport
-    from adis_gonio.fitting.noise import NoiseAssumptions
-    from adis_gonio.fitting.outputs import Output
-    from adis_gonio.fitting.slips import PositionFinding
-    from adis_gonio.fitting.sources import Sources
-    from adis_gonio.fitting.standing import Standing
-    from adis_gonio.fitting.uncertainty_budget import BudgetRow
+    from adis_gonio.fitting.method_comparison import MethodComparison
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter: value, standard uncertainty (None: nothing tells the noise), unit, degrees of freedom.
+    """A parameter: value, standard uncertainty (None if the noise is unknown), unit, degrees of freedom.
 
-    `u` is the GUM's standard uncertainty, `dof` its effective degrees of freedom (inf where unlimited);
-    what covers 95 % is `U` = `k`·`u` with Student's quantile k.
+    `u` is the GUM's standard uncertainty, `dof` its effective degrees of freedom (inf if unlimited). The
+    expanded uncertainty for 95 % is `U` = `k`·`u` with Student's quantile k.
     """
 
     name: str
@@ -50,7 +53,7 @@ class Estimate:
 
     @property
     def stated(self) -> Value:
-        """The same without its name."""
+        """Value without the name."""
         return Value(self.value, self.u, self.unit, self.dof)
 
     @property
@@ -66,20 +69,20 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Origin:
-    """What a fit was made of, for all that follows from it.
+    """Inputs of a fit, for quantities that are derived from it.
 
     Attributes
     ----------
     readings : Readings
-        That were fitted, before `noise` was settled.
+        Fitted readings, before `noise` was estimated.
     fit : Fit
-        At the method's own parameters, on the readings with that noise.
+        Model at the parameters of the method, on the readings with that noise.
     outputs : tuple of Output
-        Gradients of the parameters, in their order.
+        Parameters with their gradients, in the order of the result.
     sources : Sources or None
-        None where nothing tells the noise of a reading.
+        None if the noise of a reading is unknown.
     determination : Determination or None
-        Of `ml`: what was free.
+        Free and held parameters of `ml`; None for other methods.
     """
 
     readings: Readings
@@ -105,38 +108,38 @@ class FitResult(ParameterTable):
     method : str
         One of `METHODS`.
     parameters : tuple of Estimate
-        Those that the session determines; the others are named in `undetermined`.
+        Parameters that the session determines; the others are named in `undetermined`.
     covariance : (p, p) float or None
-        In the order and units of `parameters`; None where no noise is known.
+        In the order and units of `parameters`; None if the noise is unknown.
     chi2, dof : float, int
-        Residual against the noise measured in the dwells and the stated fixture uncertainty.
+        χ² of the residual, by the noise measured in the dwells and the stated fixture uncertainty.
     residual_mg : (n, axes) or (n, 1) float
         Reading minus model of each dwell used, in mg; in space the residual of the norm.
     positions : tuple of int
         Numbers of the dwells used.
     angle_error_rad : (m,) float or None
-        Angle that the calibrated goniometer computes minus the declared one.
+        Angle by the calibrated goniometer minus the declared angle.
     undetermined : tuple of str
         Parameters, or combinations, that the session cannot determine.
     extra_mg : float
-        Standard deviation per reading and axis beyond the measured noise, which the residual demanded.
+        Standard deviation per reading and axis, beyond the measured noise, that explains the residual.
     fixture_sigma_deg : float or None
-        Standard uncertainty of a declared angle that was used; inf free; None in space.
+        Standard uncertainty of a declared angle in the fit; inf for free attitudes; None in space.
     provenance : Provenance or None
-        Where the readings come from; None where no session was given.
+        Origin of the readings; None if no session was given.
     overrides : mapping
-        What was stated otherwise than in the session's file, old and new (`session.overrides`).
+        Overrides of values in the session's file, old and new (`session.overrides`).
     origin : Origin or None
-        What it was made of; no part of the JSON, nor of a comparison.
+        Inputs of the fit; not part of the JSON document or of a comparison.
     session : Readings or None
         All readings of the session, on which methods are compared.
     session_notes : tuple of str
-        What the reader of the file had to tell, and what is wrong with positions; they precede the other
-        `warnings`, and `doubts` precede them.
+        Notes from the reader of the file and on wrong positions; they are the first `warnings` after
+        `doubts`.
     position_findings : tuple of PositionFinding
-        Positions that are not where they were declared (`adis_gonio.fitting.slips`).
+        Positions that differ from the declared angle (`adis_gonio.fitting.slips`).
     links : LinkReport or None
-        What turns between poses in space gave; None where there are none.
+        Report on turns between poses in space; None without such turns.
     """
 
     method: str
@@ -160,7 +163,7 @@ class FitResult(ParameterTable):
     links: LinkReport | None = None
 
     def __getitem__(self, name: str) -> Estimate:
-        """Estimate by name; `KeyError` where the session does not determine it."""
+        """Estimate by name; `KeyError` if the session does not determine it."""
         for estimate in self.parameters:
             if estimate.name == name:
                 return estimate
@@ -176,46 +179,44 @@ class FitResult(ParameterTable):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentence that leads everything else if the model does not describe the session; else empty."""
+        """Sentence for the head of a report if the model does not describe the session; else empty."""
         return (MISFIT,) if self.extra_mg else ()
 
     def __repr__(self) -> str:
         lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
             :2
         ]
-        told = ", ".join(f"{one.name} {format_uncertain(one.value, one.u, one.unit)}" for one in lead)
-        return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {told})"
+        values = ", ".join(f"{one.name} {format_uncertain(one.value, one.u, one.unit)}" for one in lead)
+        return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
 
     def calibration(self) -> Calibration:
-        """What turns readings into angles by these parameters.
+        """Calibration from readings to angles by these parameters.
 
         Raises
         ------
         UsageError
             The result was made from readings, not from a session.
         FitError
-            The session does not determine what an angle needs.
+            The session does not determine a parameter that an angle needs.
         """
-        from adis_gonio.fitting.calibrations import as_written, calibration_as_recorded
-
         return as_written(calibration_as_recorded(self))
 
     @property
     def reference_temperature_c(self) -> float | None:
-        """Mean temperature of the dwells used, at which the parameters hold; None where not recorded."""
+        """Mean temperature of the fitted dwells, at which the parameters are valid; None if unknown."""
         if self.origin is None or self.origin.readings.conditions.temperature_c is None:
             return None
         return float(self.origin.readings.conditions.temperature_c.mean())
 
     @cached_property
-    def standing(self) -> Standing | None:
-        """Every method of the session scored on the same readings, and which is recommended."""
-        from adis_gonio.fitting.standing import standing_of
+    def comparison(self) -> MethodComparison | None:
+        """Scores of all methods on the readings of the session, and the recommended method."""
+        from adis_gonio.fitting.method_comparison import compare_methods
 
         if self.session is None:
             return None
         try:
-            return standing_of(self.session)
+            return self.session.once(compare_methods)
         except np.linalg.LinAlgError as error:
             source = "" if self.provenance is None else self.provenance.source
             raise unsolvable(source or "session", error) from error
@@ -223,8 +224,6 @@ class FitResult(ParameterTable):
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
         """Uncertainty budget of `delta_k`, `delta_phi` and `angle`; empty in space or without a noise."""
-        from adis_gonio.fitting.uncertainty_budget import budget_of
-
         made = self.origin
         if made is None or made.sources is None or not made.readings.planar:
             return {}
@@ -240,10 +239,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def _around(self) -> ShownAngle | None:
-        """The angle shown after calibration; None where the session leaves part of it undetermined."""
-        from adis_gonio.fitting.determination import is_determined
-        from adis_gonio.fitting.estimation.shown import ShownAngle
-
+        """Slopes of the angle after calibration; None if the session leaves part of it undetermined."""
         assert self.origin is not None
         shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
         sure = found is None or all(is_determined(slope, found.null) for slope in shown.gradient)
@@ -251,10 +247,10 @@ class FitResult(ParameterTable):
 
     @cached_property
     def shown_angle(self) -> Value | None:
-        """An angle shown after calibration: no value, but its uncertainty; None in space.
+        """Uncertainty of an angle after calibration, with a value of NaN; None in space.
 
-        That of a reading as long as the session's dwells, the root mean square over a turn; no uncertainty
-        where the session leaves part of what an angle needs undetermined.
+        It is the root mean square over a turn, for a reading with the length of the session's dwells. There
+        is no uncertainty if the session leaves a parameter that an angle needs undetermined.
         """
         made = self.origin
         if made is None or not made.readings.planar:
@@ -270,10 +266,10 @@ class FitResult(ParameterTable):
     def angle(self) -> Value | None:
         """Error of the angle after calibration (rms, deg) with the uncertainty of `shown_angle`.
 
-        The value is the root mean square over the dwells of the session, left out of the fit where they
-        were in it; NaN where none is declared or can be left out.
+        The value is the root mean square over the dwells of the session, each left out of the fit; NaN if
+        no angle is declared or no dwell can be left out.
         """
-        score = None if self.standing is None else self.standing.scores.get(self.method)
+        score = None if self.comparison is None else self.comparison.scores.get(self.method)
         if self.shown_angle is None or score is None or score.angle_rms_deg is None:
             return self.shown_angle
         return replace(self.shown_angle, value=score.angle_rms_deg)
@@ -300,15 +296,15 @@ class FitResult(ParameterTable):
             degrees = np.degrees(self.angle_error_rad)
             errors = {"rms": np.sqrt(np.mean(degrees**2)), "max": np.abs(degrees).max()}
         sigma = self.fixture_sigma_deg
-        standing = self.standing
+        comparison = self.comparison
         return json_object(
             method=self.method,
-            recommended=None if standing is None else standing.recommended,
+            recommended=None if comparison is None else comparison.recommended,
             parameters={estimate.name: estimate.stated for estimate in self.parameters},
             angle=self.angle,
             covariance={"names": names, "matrix": matrix},
             budget=self.budget,
-            scores={} if standing is None else standing.scores,
+            scores={} if comparison is None else comparison.scores,
             chi2=self.chi2,
             dof=self.dof,
             residual_rms_mg=self.residual_rms_mg,
@@ -323,3 +319,170 @@ class FitResult(ParameterTable):
             **listed(self.position_findings),
             **{} if self.links is None else {"links": self.links},
         )
+
+
+@dataclass(frozen=True)
+class Output:
+    """A reported quantity: value and gradient (p,) by the parameters in natural units."""
+
+    name: str
+    value: float
+    unit: str
+    gradient: Floats
+
+
+def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
+    """All reported quantities, from base parameters and biases (p,) in mg.
+
+    In the plane delta_k and delta_phi come first. For readings in counts, gains and biases are in counts.
+    """
+    names = names_of(data)
+    eye = np.eye(len(names))
+    at = {name: k for k, name in enumerate(names)}
+    axes = AXES[: data.axes]
+    outputs = []
+    for base in data.model.parameters:
+        k = at[base.name]
+        factor, unit = base.per_natural, base.unit
+        if base.name.startswith("scale") and not data.unit.known:
+            factor, unit = float(data.unit.per_mg[AXES.index(base.name[-1])]) * MG_PER_MPS2, "counts/(m/s²)"
+        value = float(parameters[k]) * factor if unit != "deg" else base.stated(float(parameters[k]))
+        outputs.append(Output(base.name, value, unit, eye[k] * factor))
+    for axis, letter in enumerate(axes):
+        k = at[f"bias_{letter}"]
+        factor = float(data.unit.per_mg[axis])
+        value = float(data.unit.zero[axis]) + float(parameters[k]) * factor
+        outputs.append(Output(names[k], value, data.unit.name, eye[k] * factor * data.gravity_mg))
+    if data.planar:
+        x, y = at["scale_x"], at["scale_y"]
+        ratio = float(data.unit.per_mg[0] / data.unit.per_mg[1])
+        k_x, k_y = float(parameters[x]), float(parameters[y])
+        outputs.append(
+            Output("delta_k", ratio * k_x / k_y - 1, "1", ratio * (eye[x] / k_y - eye[y] * k_x / k_y**2))
+        )
+    return tuple(sorted(outputs, key=lambda output: _RANK.get(output.name, len(_RANK))))
+
+
+def stage_warnings(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
+    """Warning if only the stage determines the angle between the axes, and its uncertainty is large."""
+    u_deg = next((one.u for one in found if one.name == "delta_phi"), None)
+    if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:
+        return []
+    return [
+        f"u of delta_phi is {u_deg:.2g}°: only the stage determines it in these positions "
+        f"({math.degrees(sigma_rad):.3g}°), and the uncertainties of gains and biases, "
+        "which are linear in it, are rough; five or more positions all around the turn need no stage for it"
+    ]
+
+
+_FIRST: Sequence[str] = ("delta_k", "delta_phi", "alpha", "scale_x", "scale_y", "scale_z")
+_RANK = {name: rank for rank, name in enumerate(_FIRST)}
+
+
+def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
+    """Covariance (m, m) of outputs from the covariance (p, p) of the parameters in natural units."""
+    gradients = np.stack([output.gradient for output in outputs])
+    return np.asarray(gradients @ natural @ gradients.T)
+
+
+def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estimate, ...]:
+    """Outputs with their uncertainty, which is None without sources."""
+    found = []
+    for output in outputs:
+        u, dof = (None, math.inf) if sources is None else sources.uncertainty(output.gradient[None])
+        found.append(Estimate(output.name, output.value, u, output.unit, dof))
+    return tuple(found)
+
+
+def angle_errors(fit: Fit) -> Floats | None:
+    """Angle by the calibrated goniometer minus declared angle (m,) in rad; None without declared angles.
+
+    With free attitudes α is unknown, and the mean difference is used instead.
+    """
+    data = fit.data
+    declared = np.isfinite(data.angle_rad)
+    if not isinstance(data.model, PlanarTurn) or not declared.any():
+        return None
+    gravity = fit.gravity[declared]
+    shown = np.arctan2(gravity[:, 1], gravity[:, 0]) + data.angle_rad[declared]
+    zero = mean_direction(shown) if data.free else float(fit.values.base[0])
+    # Positive for a stage at a larger angle than declared: ψ = α − θ.
+    return -wrap_radians(shown - zero)
+
+
+def calibration_as_recorded(result: FitResult) -> Calibration:
+    """Return the calibration by a fit, for the offsets in force while its session was recorded.
+
+    Use only this calibration for the session's own readings: a later write changes the sensor and the
+    coefficients, but not the recorded readings.
+
+    Raises
+    ------
+    UsageError
+        The result was not made from a session (`fit_readings`).
+    FitError
+        The session does not determine a parameter that an angle needs.
+    """
+    where = known_provenance(result.provenance)
+    gravity_mg = where.gravity_mps2 * MG_PER_MPS2
+    model = PlanarTurn(gravity_mg) if where.plane == "xy" else FreeAttitude(gravity_mg)
+    estimates = {one.name: one for one in result.parameters}
+    if where.plane == "xy" and "scale_x" not in estimates and "delta_k" in estimates:
+        # Only the ratio of the gains is known, which is enough for an angle: the gain of Y is set to 1.
+        ratio = estimates["delta_k"]
+        estimates["scale_x"] = Estimate("scale_x", 1 + ratio.value, ratio.u, "1")
+    names = [name for name in _names(model) if name in estimates]
+    given = [one.name for one in result.parameters]
+    rows = [given.index("delta_k" if name not in given else name) for name in names]
+    matrix = None if result.covariance is None else result.covariance[np.ix_(rows, rows)]
+    parameters = tuple(Coefficient.of(name, estimates[name]) for name in names)
+    assumed = assumed_parameters(model, names)
+    scales = [estimates[f"scale_{axis}"].value for axis in AXES[: model.axes]] if where.counts else []
+    counts = tuple(scale / MG_PER_MPS2 for scale in scales) or None
+    return Calibration(result.method, where, parameters, matrix, assumed=assumed, counts_per_mg=counts)
+
+
+def as_written(calibration: Calibration) -> Calibration:
+    """Return the calibration for the offsets that the sensor holds now.
+
+    Raises
+    ------
+    SessionError
+        A write of offsets was interrupted.
+    """
+    where = calibration.provenance
+    if where.write_open:
+        raise SessionError(f"{where.source}: {INTERRUPTED}")
+    return calibration if where.written_lsb is None else calibration.with_offsets(where.written_lsb)
+
+
+def known_provenance(where: Provenance | None) -> Provenance:
+    """Return the provenance of a result that was made from a session.
+
+    Raises
+    ------
+    UsageError
+        The result was made from readings.
+    """
+    if where is None:
+        raise UsageError("this result was made from readings: fit or trace a session to get a calibration")
+    return where
+
+
+def _names(model: Measurement) -> list[str]:
+    return [*model.names, *(f"bias_{axis}" for axis in AXES[: model.axes])]
+
+
+def assumed_parameters(model: Measurement, names: Sequence[str]) -> tuple[str, ...]:
+    """Parameters that keep their nominal values.
+
+    Raises
+    ------
+    FitError
+        One of them is needed for an angle.
+    """
+    missing = [name for name in _names(model) if name not in names]
+    needed = [name for name in missing if not name.startswith(("bias", "alpha", "scale_y"))]
+    if needed:
+        raise FitError(f"the session does not determine {', '.join(needed)}: it gives no calibration")
+    return tuple(missing)

@@ -19,9 +19,8 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri, stdtr
 from scipy.stats import hypergeom, rankdata
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
 from adis_gonio.base.levels import OUTLYING
-from adis_gonio.fitting.estimation.robust import MAD_TO_SD, robust_sd
 
 FEWEST_UNITS = 5
 """Units from which on one can stand out from the others."""

@@ -12,9 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, robust_sd
 from adis_gonio.base.jsonable import JsonRecord, key
-from adis_gonio.fitting.estimation.robust import robust_sd
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 LEAST = 3

@@ -11,7 +11,7 @@ import numpy as np
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.calibrate.calibration import Calibration
-from adis_gonio.calibrate.document import derived_delta_k, json_text
+from adis_gonio.calibrate.coefficients import json_text
 from adis_gonio.handover.c_rates import of_gyros, rate_remarks, rate_rows, rates_content
 from adis_gonio.handover.fixed import (
     CORDIC_UDEG,
@@ -227,7 +227,7 @@ def _origin(calibration: Calibration) -> list[str]:
 
 
 def _table(calibration: Calibration) -> list[str]:
-    ratio = derived_delta_k(calibration)
+    ratio = calibration.delta_k
     rows = []
     for one in (*([ratio] if ratio else []), *calibration.parameters):
         u = "not known" if one.u is None else f"{one.u:.2g}"

@@ -16,7 +16,6 @@ import numpy as np
 from adis_gonio.base.errors import FitError, one_line
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.coefficients import Coefficient
-from adis_gonio.calibrate.document import derived_delta_k
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
@@ -209,7 +208,7 @@ def _results(parent: ET.Element, calibration: Calibration) -> None:
         _condition(conditions, "Supply voltage, mean", where.supply_v.mean, r"\volt")
     results = _add(parent, "results")
     data = _add(_named(results, "result", "Parameters"), "data")
-    ratio = derived_delta_k(calibration)
+    ratio = calibration.delta_k
     for one in (*([ratio] if ratio else []), *calibration.parameters):
         quantity = _named(data, "quantity", _label(one.name))
         _real(quantity, one)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.computed_once import ComputedOnce
 from adis_gonio.base.errors import one_line
 from adis_gonio.base.numbers import counted
 
@@ -110,7 +111,7 @@ class Dwell:
 
 
 @dataclass(frozen=True)
-class Session:
+class Session(ComputedOnce):
     """All dwells of a calibration with what surrounded them.
 
     Attributes

@@ -13,8 +13,8 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.determination import natural_units
 from adis_gonio.fitting.estimation.fit import Fit, Values
 from adis_gonio.fitting.estimation.readings import Readings, from_means
-from adis_gonio.fitting.estimation.shown import ShownAngle
 from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.uncertainty import ShownAngle
 from adis_gonio.model.effects import AXES, Conditions, effect
 from adis_gonio.plan.criteria import Best, Criterion
 from adis_gonio.plan.imagined import Bench, imagined, perfect_mg

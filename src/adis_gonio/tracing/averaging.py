@@ -163,7 +163,7 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
         for term, values in zip(selection.fit.terms, selection.fit.values.terms, strict=True)
         if term.name is not None
     ]
-    fit = selection.fit.having(
+    fit = selection.fit.with_terms(
         [*(term for term, _ in own), *averaged], [*(v for _, v in own), *(np.zeros(0) for _ in averaged)]
     ).refit()
     weight = float(weights[: len(promising)].sum())

@@ -222,7 +222,7 @@ class Products:
 def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     """Build the linear problem about a fit; its model may contain some of the terms."""
     # The target contains the contributions of the fit's own terms, which are candidates like all others.
-    left = fit.left
+    left = fit.declared_misfit
     for k in range(len(fit.terms)):
         left = left + fit.added(k)
     y = fit.white(left[:, :, None])[:, 0]

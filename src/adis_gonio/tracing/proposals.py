@@ -261,7 +261,7 @@ def _extended(
         if name in known or name in inside:
             continue
         absent = term.start(np.zeros(len(term.amplitudes)))
-        fit = chosen.having((*chosen.terms, term), (*chosen.values.terms, absent))
+        fit = chosen.with_terms((*chosen.terms, term), (*chosen.values.terms, absent))
         pairs.append(_hypothesis(fit, UNSEEN, inflation))
     top = max(found for _, found in pairs)
     return [replace(h, weight=h.weight * float(np.exp(found - top))) for h, found in pairs]

@@ -129,7 +129,7 @@ def _evidence_of_processes(selection: Selection) -> float:
     plain = tuple(term for term in named if term.constant)
     best = -math.inf
     for kept in dict.fromkeys((named, plain, ())):
-        fit = selection.fit.having(kept, [selection.fit.value_of(term) for term in kept]).refit()
+        fit = selection.fit.with_terms(kept, [selection.fit.value_of(term) for term in kept]).refit()
         beside = orthonormal(fit.jacobian)
         left = fit.residual.ravel()
         gained = evidence(fit, beside, left - beside @ (beside.T @ left), candidates)
@@ -147,7 +147,7 @@ def _fit_component(
 ) -> tuple[float, Selection | None]:
     """Return the size of a component and the selection with it, found by turns."""
     bias = [term for term in selection.terms if term.constant]
-    kept = selection.fit.having(bias, [selection.fit.value_of(term) for term in bias])
+    kept = selection.fit.with_terms(bias, [selection.fit.value_of(term) for term in bias])
     size = 0.0
     again: Selection | None = None
     for _ in range(2):

@@ -97,7 +97,7 @@ def fit_model(problem: LinearProblem, chosen: Sequence[int], about: Fit) -> Fit:
     """Refit a model of the linear problem in full, starting at its amplitudes there."""
     terms = [problem.terms[k] for k in chosen]
     values = [term.start(a) for term, a in zip(terms, amplitudes(problem, chosen), strict=True)]
-    return about.having(terms, values).refit()
+    return about.with_terms(terms, values).refit()
 
 
 def select(
@@ -161,7 +161,7 @@ def _start_with_slips(base: Fit, terms: Sequence[Term]) -> Fit:
     biases = [term for term in named if term.constant]
     widest = max(biases, key=lambda term: len(term.effect.axes), default=None)
     model = slips if widest is None else [*slips, widest]
-    return base.having(
+    return base.with_terms(
         model, [term.start(np.full(len(term.amplitudes), term.begins)) for term in model]
     ).refit()
 

@@ -21,17 +21,16 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base.arrays import solvable
 from adis_gonio.base.budget import attempt, current, spent, within
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.values import Detectable
-from adis_gonio.fitting.estimation.parts import ACCELEROMETER, known_part, readings_of_part
-from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.noise import state_noise
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
 from adis_gonio.fitting.slips.session_positions import in_context, positions_of
-from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.averaging import average

@@ -21,14 +21,12 @@ from adis_gonio.base.output import ends_in
 from adis_gonio.calibrate.calibration import Calibration, EffectTerm
 from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
 from adis_gonio.calibrate.document import (
-    GYRO_SCHEMA,
-    SCHEMA,
     calibration_from,
+    calibration_in,
     gyro_calibration_from,
+    json_document,
 )
-from adis_gonio.calibrate.files import calibration_in, json_document
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-from adis_gonio.fitting.calibrations import as_written, assumed_parameters, known_provenance
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.gyros.gyro_fit import (
@@ -39,6 +37,7 @@ from adis_gonio.fitting.gyros.gyro_fit import (
     make_gyro_calibration,
     stated_parameters,
 )
+from adis_gonio.fitting.result import as_written, assumed_parameters, known_provenance
 from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.measurement import BaseParameter
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
@@ -437,7 +436,7 @@ def load_gyro_calibration(
         _refuse_another_part(part, _named(provenance_of(session)), path)
         return gyro_calibration_of(session, traced=traced)
     schema = document.get("schema") if isinstance(document, dict) else None
-    if schema == SCHEMA:
+    if schema == Calibration.schema:
         whole = calibration_from(document, str(path))
         _refuse_another_part(part, _named(whole.provenance), path)
         if whole.gyro is None:
@@ -447,7 +446,7 @@ def load_gyro_calibration(
         # Export of a session that calibrates only its gyros, such as one of the plan gyro-turns.
         _refuse_another_part(part, _exported(document.get("session")), path)
         return gyro_calibration_from(document["gyro"], str(path))
-    if schema != GYRO_SCHEMA:
+    if schema != GyroCalibration.schema:
         raise DataError(f"{path}: is no gyro calibration; GyroCalibration.save makes one")
     return gyro_calibration_from(document, str(path))
 

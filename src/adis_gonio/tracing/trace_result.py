@@ -20,7 +20,7 @@ from adis_gonio.base.jsonable import (
 from adis_gonio.base.tables import Entries, ParameterTable, lines_of
 from adis_gonio.base.values import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO
+from adis_gonio.fitting.estimation.readings import ACCELEROMETER, GYRO
 from adis_gonio.fitting.slips.position_diagnosis import PositionFinding, listed
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.effects.environment import REFERENCE_C

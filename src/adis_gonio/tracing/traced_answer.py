@@ -16,13 +16,17 @@ from adis_gonio.base.values import Value
 from adis_gonio.fitting.answer import Answer, with_notes
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.estimation.shown import ShownAngle
+from adis_gonio.fitting.method_comparison import (
+    DwellPrediction,
+    Recommendation,
+    Score,
+    predicted,
+    predicts_worse,
+    scores_of,
+)
 from adis_gonio.fitting.noise import NoiseAssumptions
 from adis_gonio.fitting.result import FitResult
-from adis_gonio.fitting.scores import DwellPrediction, Score, predicted, scores_of
-from adis_gonio.fitting.sources import MODEL, response_of, sources_of
-from adis_gonio.fitting.standing import Recommendation, surely_worse
-from adis_gonio.fitting.uncertainty_budget import BudgetRow, budget_of
+from adis_gonio.fitting.uncertainty import MODEL, BudgetRow, ShownAngle, budget_of, response_of, sources_of
 from adis_gonio.tracing.trace_result import TraceResult
 
 TRACED = "trace"
@@ -79,7 +83,9 @@ class TracedAnswer(Answer):
     def remarks(self) -> tuple[str, ...]:
         """Remarks on the values, such as their reference temperature."""
         temperature = self.traced.reference_temperature_c
-        return super().remarks if temperature is None else (f"Parameters hold at {temperature:.1f} °C.",)
+        return (
+            super().remarks if temperature is None else (f"Parameters are valid at {temperature:.1f} °C.",)
+        )
 
     @property
     def reference_temperature_c(self) -> float | None:
@@ -116,24 +122,24 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
         A `TracedAnswer` if the trace added effects and its model predicts as well as the best method.
     """
     plain = Answer.of(result, own=own)
-    standing = plain.standing
+    comparison = plain.comparison
     if trace is None or not trace.fits or result.session is None:
         return plain
-    likely = next((r for r in standing.results if r.method == "ml"), standing.best)
+    likely = next((r for r in comparison.results if r.method == "ml"), comparison.best)
     names = _beyond(likely, trace)
     if not names:
-        return replace(plain, recommended=_confirmed(standing.recommended, trace))
+        return replace(plain, recommended=_confirmed(comparison.recommended, trace))
     prediction = _of_trace(result.session, trace)
     if prediction is None:
         return plain
-    found = {**standing.predictions, TRACED: prediction}
+    found = {**comparison.predictions, TRACED: prediction}
     scores = scores_of(found)
-    reason = _reason(trace, found, scores, standing.recommended.method)
+    reason = _reason(trace, found, scores, comparison.recommended.method)
     if reason is None:
         return replace(plain, scores=scores)
     return TracedAnswer(
         with_notes(likely, result),
-        standing,
+        comparison,
         Recommendation(likely.method, reason, names),
         scores,
         traced=trace,
@@ -175,7 +181,7 @@ def _reason(
     """Reason to recommend the traced model, or None."""
     if trace.stopped is not None and not trace.stopped.checked:
         return None
-    if surely_worse(found[TRACED], found[best]):
+    if predicts_worse(found[TRACED], found[best]):
         return None
     own, other = scores[TRACED], scores[best]
     if own.angle_rms_deg is not None and other.angle_rms_deg is not None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.base.budget import check, told
-from adis_gonio.fitting.estimation.fit import Fit, adequacy, foreseen
+from adis_gonio.fitting.estimation.fit import Fit, adequacy, predictable_dwells
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES
@@ -173,7 +173,9 @@ def determined(
     columns = begun.white_by_dwell(np.concatenate([begun.base_columns, zero, *more], axis=2))
     out = np.zeros(len(data), dtype=bool)
     for mask in masks:
-        out[mask] = foreseen(columns[~mask].reshape(-1, columns.shape[2]), columns[mask], limits.predicted)
+        out[mask] = predictable_dwells(
+            columns[~mask].reshape(-1, columns.shape[2]), columns[mask], limits.predicted
+        )
     return out
 
 
@@ -212,7 +214,7 @@ def cross_validate(
         for mask in told(masks, begun, folds_in_all):
             check()
             answer = fit(data.rows(~mask))
-            predicted[mask] = answer.by.foresees(data.rows(mask), limits.predicted)
+            predicted[mask] = answer.by.can_predict(data.rows(mask), limits.predicted)
             left = residuals_on(answer.fit, data.rows(mask))
             residual[mask] = left.residual
             if left.angle_rad is not None:
@@ -311,7 +313,7 @@ def nest_fits(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit
         left.remove(best)
         terms = [selection.problem.terms[k] for k in model]
         steps.append(terms[-1].shown_as)
-        fits.append(selection.base.having(terms, [values[term.label] for term in terms]).refit())
+        fits.append(selection.base.with_terms(terms, [values[term.label] for term in terms]).refit())
     if averaged is not None:
         if len(averaged.named) == len(selection.terms):
             steps.append(averaged.fit.terms[-1].shown_as)

@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Of numpy or scipy, whose import costs more than the commands that do not compute.
         if type(error).__name__ != "LinAlgError":
             raise
-        from adis_gonio.fitting.solvable import unsolvable
+        from adis_gonio.base.arrays import unsolvable
 
         files = " ".join(word for word in words if not word.startswith("-") and Path(word).is_file())
         return _fail(str(unsolvable(files or words[0], error)), 1)

@@ -149,7 +149,7 @@ def print_answer(
     _budget(screen, answer)
     _others(screen, answer)
     if everything:
-        _print_all(screen, answer.standing.results)
+        _print_all(screen, answer.comparison.results)
     for text in answer.warnings(everything=everything):
         if text not in shown:
             screen.print(text)
@@ -191,22 +191,22 @@ def _budget(screen: Console, answer: Answer) -> None:
 
 def _others(screen: Console, answer: Answer) -> None:
     head, rows = answer.score_rows()
-    if len(rows) < 2 and not answer.standing.failures:
+    if len(rows) < 2 and not answer.comparison.failures:
         return
     screen.print()
     screen.print(answer.scored_on)
     if len(head) > 1:
         screen.print(table_of(head, rows, bold=rows[0][:1] if rows else ()))
-    for method, reason in answer.standing.failures.items():
+    for method, reason in answer.comparison.failures.items():
         screen.print(f"no result by {method}: {reason}")
 
 
 def _print_all(screen: Console, results: Sequence[FitResult]) -> None:
     """Every method in full, as many beside each other as the screen is wide."""
-    from adis_gonio.fitting.tables import blocks
+    from adis_gonio.fitting.answer import method_tables
 
     narrow = {"no_wrap": True}
-    for head, rows in blocks(results, screen.width):
+    for head, rows in method_tables(results, screen.width):
         screen.print()
         screen.print(table_of(head, rows, (0, 1), number=narrow, text=narrow))
 
@@ -272,7 +272,7 @@ def show_gyro_fit(
 
 
 def _gyro_parameters(parameters: dict[str, Value]) -> Table:
-    from adis_gonio.fitting.tables import parameter_row
+    from adis_gonio.fitting.answer import parameter_row
 
     rows = [parameter_row(name, value) for name, value in parameters.items()]
     return table_of(_PARAMETER_HEAD, rows, (0, 1))

@@ -14,7 +14,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy import fft, stats
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.intervals import NORMAL_95
@@ -35,8 +35,7 @@ from adis_gonio.fitting.allan.spectral_likelihood import (
     together,
     without_lines,
 )
-from adis_gonio.fitting.estimation.converter import steps_of
-from adis_gonio.fitting.solvable import solvable
+from adis_gonio.fitting.estimation.screening import steps_of
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 
 Part = Literal["gyro", "accelerometer"]

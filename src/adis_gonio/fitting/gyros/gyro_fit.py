@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats, central_differences
+from adis_gonio.base.arrays import Floats, central_differences, solvable
 from adis_gonio.base.errors import AdisGonioError, FitError, SessionError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.levels import INADEQUATE
@@ -45,10 +45,8 @@ from adis_gonio.calibrate.coefficients import NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy
-from adis_gonio.fitting.estimation.parts import GYRO, readings_of_part
-from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.readings import GYRO, Readings, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.solvable import solvable
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.measurement import SKEW_AXES
 from adis_gonio.model.records import Session
@@ -335,14 +333,11 @@ def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> Gyr
         from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_by
 
         return _fit_session(session, gyro_readings_by(session, accelerometers))
-    kept: GyroFit | None = vars(session).get("_gyro_fit")  # the session is frozen: it cannot go stale
-    if kept is None:
-        kept = _fit_session(session, readings_of_part(session, GYRO))
-        vars(session)["_gyro_fit"] = kept
-    return kept
+    return session.once(_fit_session)
 
 
-def _fit_session(session: Session, readings: Readings) -> GyroFit:
+def _fit_session(session: Session, readings: Readings | None = None) -> GyroFit:
+    readings = readings_of_part(session, GYRO) if readings is None else readings
     try:
         result = fit_gyro_readings(readings.training)
     except FitError as error:
@@ -429,7 +424,7 @@ class _Model:
         base = Fit.begin(self.data, with_prior=False)
         tau = max(BEGIN_TAU * float(np.ptp(self.data.conditions.time_s)), 1.0)
         values = [[tau if p.shape else 0.0 for p in term.effect.parameters] for term in self.terms]
-        return base.having(self.terms, [np.array(own) for own in values])
+        return base.with_terms(self.terms, [np.array(own) for own in values])
 
     @cached_property
     def fit(self) -> Fit:

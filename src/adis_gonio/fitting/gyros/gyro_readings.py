@@ -34,16 +34,15 @@ from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import counted, format_ranges
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
-from adis_gonio.fitting.estimation.converter import steps_of
-from adis_gonio.fitting.estimation.flicker import spans
 from adis_gonio.fitting.estimation.readings import (
     Readings,
     Unit,
     flicker_parts,
-    left_by_quantization,
     mg_per_unit,
+    quantization_variance,
 )
-from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means
+from adis_gonio.fitting.estimation.screening import steps_of
+from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means, spans
 from adis_gonio.fitting.gyros.accelerometer_triad import Triad, triad_of
 from adis_gonio.fitting.gyros.turn_integration import Integral, Path, Sampling, integrate, period_of
 from adis_gonio.fitting.gyros.turn_references import (
@@ -370,7 +369,7 @@ def _of_dwells(
 ) -> list[_Interval]:
     per_g = 1e-3 * mg_per_unit(session) if session.accel_unit != "counts" else math.nan
     steps = np.full(3, _step(session)) if session.gyro_unit == "dps" else steps_of(rows)
-    rounding = left_by_quantization(rows, np.full(3, scale), scale * steps)
+    rounding = quantization_variance(rows, np.full(3, scale), scale * steps)
     begin, end = spans([dwell.time_s for dwell in dwells])
     return [
         _Interval(
@@ -588,12 +587,12 @@ def gyro_readings_of(session: Session) -> Readings:
     DataError
         The session has no gyros, or their unit is not known.
     """
-    kept: Readings | None = vars(session).get("_gyro_readings")  # the session is frozen: it cannot go stale
-    if kept is None:
-        current().tell("noise of the gyros")
-        kept = readings_of_intervals(rate_intervals(session), session.sensor, session.gravity_mg)
-        vars(session)["_gyro_readings"] = kept
-    return kept
+    return session.once(_gyro_readings)
+
+
+def _gyro_readings(session: Session) -> Readings:
+    current().tell("noise of the gyros")
+    return readings_of_intervals(rate_intervals(session), session.sensor, session.gravity_mg)
 
 
 def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:

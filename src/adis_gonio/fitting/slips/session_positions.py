@@ -27,7 +27,7 @@ UNKNOWN_MG = 1.0
 
 
 def positions_of(session: Session) -> Diagnosis:
-    """What the three angles say of a session's positions; worked out once and kept with it.
+    """Diagnosis of a session's positions by its three angles, computed once for each session.
 
     Nothing is said of sessions in space, without declared angles, or of more than `LARGEST` dwells.
 
@@ -36,12 +36,12 @@ def positions_of(session: Session) -> Diagnosis:
     DataError
         As `adis_gonio.fitting.estimation.readings_of`.
     """
-    kept: Diagnosis | None = vars(session).get("_positions")  # the session is frozen: it cannot go stale
-    if kept is None:
-        angles = angles_of(session)
-        kept = Diagnosis() if angles is None else diagnose(angles)
-        vars(session)["_positions"] = kept
-    return kept
+    return session.once(_diagnosed)
+
+
+def _diagnosed(session: Session) -> Diagnosis:
+    angles = angles_of(session)
+    return Diagnosis() if angles is None else diagnose(angles)
 
 
 def in_context(session: Session, error: Exception) -> str:

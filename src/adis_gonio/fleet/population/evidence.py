@@ -177,7 +177,7 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
 def _begun(data: Readings) -> Fit:
     """Base model and bias."""
     bias = _bias(data)
-    return Fit.begin(data).having((bias,), (np.zeros(data.axes),)).refit()
+    return Fit.begin(data).with_terms((bias,), (np.zeros(data.axes),)).refit()
 
 
 def _bias(data: Readings) -> NamedTerm:
@@ -187,7 +187,7 @@ def _bias(data: Readings) -> NamedTerm:
 def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
     data = fit.data
     asked, missing = columns_of(data)
-    left = fit.left
+    left = fit.declared_misfit
     own: list[Term] = [_bias(data)]
     for k, term in enumerate(fit.terms):
         left = left + fit.added(k)

@@ -56,7 +56,7 @@ def build_page(
     """
     software = f"adis-gonio {__version__}"
     result = traced if isinstance(traced, TraceResult) else None
-    best = next((fit for fit in reversed(fits) if fit.standing is not None), None)
+    best = next((fit for fit in reversed(fits) if fit.comparison is not None), None)
     given = None if best is None else answer_with_trace(best, result, own=False)
     body = [make.answer(given)] if given is not None else []
     body += [make.summary(traced, fits, shown)]

@@ -29,11 +29,10 @@ from adis_gonio.base.numbers import (
 from adis_gonio.base.values import Value
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
-from adis_gonio.fitting.answer import Answer
+from adis_gonio.fitting.answer import Answer, format_dof, format_share
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.position_diagnosis import Angle
-from adis_gonio.fitting.tables import freedom, share
 from adis_gonio.model.records import Session
 from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
 from adis_gonio.page.svg import Role, Series, Style, plot
@@ -154,14 +153,14 @@ def budget(given: Answer) -> Section:
                 "–" if row.u is None else with_unit(format_number(row.u, 2), row.unit),
                 format_number(row.sensitivity),
                 format_number(row.contribution, 2),
-                share(row.share),
+                format_share(row.share),
             ]
             for row in rows
         ]
         value = given.values.get(name)
         contribution = label_quantity("contribution", "" if value is None else value.unit)
         head = ["source", "type", "distribution", "u of it", "sensitivity", contribution, "share"]
-        dof = "–" if value is None else freedom(value.dof)
+        dof = "–" if value is None else format_dof(value.dof)
         caption = f"{NAMES.get(name, name)}: effective degrees of freedom {dof}."
         tables.append(Table(head, cells, caption=caption, numeric=(3, 4, 5, 6)))
     first = next(iter(given.budget.values()), ())

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.errors import DataError
 from adis_gonio.fitting.allan.noise_processes import overlapping
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.solvable import solvable
 from adis_gonio.handover.twin.world import period_of
 from adis_gonio.model.records import Session
 
@@ -85,7 +84,9 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     from scipy import stats
 
     ours, theirs = readings_of(measured), readings_of(twin)
-    fits = [Fit.begin(data).having(traced.terms, traced.values.terms).refit() for data in (ours, theirs)]
+    fits = [
+        Fit.begin(data).with_terms(traced.terms, traced.values.terms).refit() for data in (ours, theirs)
+    ]
     residual = [_residual(fitted) for fitted in fits]
     if not all(part.size for part in residual):
         raise DataError("there are no more readings than parameters: nothing is left to compare")

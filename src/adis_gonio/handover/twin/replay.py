@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from adis_gonio.base.arrays import solvable
 from adis_gonio.base.errors import AdisGonioError, DataError
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor.driver import Adis16354
@@ -13,7 +14,6 @@ from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT
 from adis_gonio.device.sensor.settings import sample_period_s
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.fitting.solvable import solvable
 from adis_gonio.handover.twin.world import LikeWorld, noise_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim.bus import SimBus

@@ -35,7 +35,7 @@ from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.values import Value
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.estimation.readings import Readings, left_by_quantization
+from adis_gonio.fitting.estimation.readings import Readings, quantization_variance
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.within.samples import (
     SEARCHES,
@@ -319,7 +319,7 @@ def _coarse(samples: Samples, axis: int, reach: int) -> float:
     variance = np.array([float(values.var()) for values in rows])
     worth = np.maximum(samples.counts / reach, 1.0)
     on_means = float(np.mean(np.maximum(variance - step**2 / 12, 0.0) / worth))
-    if float(np.mean(left_by_quantization(rows, np.ones(1), np.array([step])))) <= on_means:
+    if float(np.mean(quantization_variance(rows, np.ones(1), np.array([step])))) <= on_means:
         return 1.0
     k = np.arange(1, 50)
 

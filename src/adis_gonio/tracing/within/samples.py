@@ -9,13 +9,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import MAD_TO_SD, Floats
 from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import name_positions
 from adis_gonio.base.values import Value
-from adis_gonio.fitting.estimation.converter import steps_of
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.estimation.robust import MAD_TO_SD
+from adis_gonio.fitting.estimation.screening import steps_of
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Session
 

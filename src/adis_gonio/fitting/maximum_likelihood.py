@@ -1,18 +1,19 @@
-"""Method `ml`: the base model with a bias, by maximum likelihood, in the plane and in space."""
+"""Method `ml`: maximum likelihood of the base model and a bias, in the plane and in space."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats, mean_direction, wrap_radians
 from adis_gonio.base.errors import SingularError
 from adis_gonio.base.numbers import counted, use_minus, with_unit
 from adis_gonio.fitting.determination import (
     Determination,
     covariance,
-    in_words,
+    format_directions,
     is_determined,
     natural_units,
     shift_by_held,
@@ -20,10 +21,20 @@ from adis_gonio.fitting.determination import (
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.noise import Settled, settle
-from adis_gonio.fitting.outputs import Output, estimates, left_to_the_stage, outputs_of, variances
-from adis_gonio.fitting.result import FitResult, Origin
-from adis_gonio.fitting.sources import Sources, Unseen, by_rotation_of, response_of, sources_of
-from adis_gonio.model.measurement import PlanarTurn
+from adis_gonio.fitting.result import (
+    FitResult,
+    Origin,
+    Output,
+    angle_errors,
+    estimates,
+    outputs_of,
+    stage_warnings,
+    variances,
+)
+from adis_gonio.fitting.uncertainty import Sources, Unseen, by_rotation_of, response_of, sources_of
+
+if TYPE_CHECKING:
+    pass
 
 
 def fit_ml(readings: Readings) -> FitResult:
@@ -32,7 +43,7 @@ def fit_ml(readings: Readings) -> FitResult:
     Raises
     ------
     SingularError
-        If the session determines neither delta_k nor delta_phi, in space none of the parameters.
+        The session determines neither delta_k nor delta_phi, or in space none of the parameters.
     """
     settled = settle(readings)
     determination, noise = settled.determination, settled.noise
@@ -45,7 +56,7 @@ def fit_ml(readings: Readings) -> FitResult:
     lost = [o.name for o in outputs if not is_determined(o.gradient, null)]
     wanted = ("delta_k", "delta_phi") if readings.planar else names
     if not any(o.name in wanted for o in reported):
-        directions = "; ".join(in_words(null, names))
+        directions = "; ".join(format_directions(null, names))
         raise SingularError(
             f"{counted(len(readings), 'position')} cannot determine {' or '.join(wanted[:2])}: without "
             f"information is {directions}; {_advice(lost)}"
@@ -53,8 +64,8 @@ def fit_ml(readings: Readings) -> FitResult:
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
     sources = _sources(readings, settled)
     found = estimates(reported, sources)
-    warnings += left_to_the_stage(found, noise.sigma_rad)
-    norm = np.linalg.norm(_calibrated(fit), axis=1)[:, None] - 1
+    warnings += stage_warnings(found, noise.sigma_rad)
+    norm = np.linalg.norm(fit.gravity, axis=1)[:, None] - 1
     return FitResult(
         method="ml",
         parameters=found,
@@ -72,30 +83,8 @@ def fit_ml(readings: Readings) -> FitResult:
     )
 
 
-def _calibrated(fit: Fit) -> Floats:
-    """Gravity (n, axes) that the calibrated sensor computes from each reading alone."""
-    beside = sum((fit.added(k) for k in range(len(fit.terms))), np.zeros(fit.data.mean.shape))
-    return fit.data.model.calibrated(fit.values.base, fit.data.mean - beside)
-
-
-def angle_errors(fit: Fit) -> Floats | None:
-    """Angle of the calibrated goniometer minus the declared angle (m,) in rad; None without any.
-
-    Where attitudes are free, α is not known and the mean difference stands in for it.
-    """
-    data = fit.data
-    declared = np.isfinite(data.angle_rad)
-    if not isinstance(data.model, PlanarTurn) or not declared.any():
-        return None
-    gravity = _calibrated(fit)[declared]
-    shown = np.arctan2(gravity[:, 1], gravity[:, 0]) + data.angle_rad[declared]
-    zero = mean_direction(shown) if data.free else float(fit.values.base[0])
-    # Positive for a stage that stands further on than declared: ψ = α − θ.
-    return -wrap_radians(shown - zero)
-
-
 def _sources(readings: Readings, settled: Settled) -> Sources | None:
-    """Sources of the uncertainty; None where nothing tells the noise of a reading."""
+    """Sources of the uncertainty; None if the noise of a reading is unknown."""
     if not settled.noise.known:
         return None
     found = settled.determination
@@ -117,7 +106,7 @@ def _warnings(
     names = determination.names
     for name, k in zip(held, determination.held, strict=True):
         shift = shift_by_held(determination, k)
-        # One mg of bias, or a tenth of a degree of skew.
+        # Effect of 1 mg of bias, or of a tenth of a degree of skew.
         one = 1 / determination.fit.data.gravity_mg if name.startswith("bias") else math.radians(0.1)
         moves = [
             f"{o.name} by {with_unit(use_minus(f'{float(o.gradient @ shift) * one:+.2g}'), o.unit)}"
@@ -130,7 +119,7 @@ def _warnings(
             f"{name} cannot be seen in these positions and was taken as zero{moved}; {_advice([name])}"
         )
     if determination.null.shape[1]:
-        for direction in in_words(determination.null, names):
+        for direction in format_directions(determination.null, names):
             warnings.append(f"not determined by these positions: {direction}")
         warnings.append(f"left out because not determined: {', '.join(lost)}; {_advice(lost)}")
     return warnings
@@ -145,3 +134,13 @@ def _advice(names: list[str]) -> str:
     if any(name.startswith("bias") for name in names) and not any(n.startswith("scale") for n in names):
         return "measure the opposite positions too (180° and 270°)"
     return "measure positions all around the turn (0°, 90°, 180°, 270°)"
+
+
+def refit_ml(readings: Readings, made: Origin) -> Fit:
+    """Model of an `ml` fit on other readings of the same dwells, or of some of them, from its values."""
+    assert made.determination is not None
+    row = {position: k for k, position in enumerate(made.fit.data.position.tolist())}
+    attitude = made.fit.values.attitude[[row[position] for position in readings.position.tolist()]]
+    start = replace(made.fit, values=replace(made.fit.values, attitude=attitude))
+    readings = replace(readings, fitted=made.fit.data.fitted)
+    return replace(made.determination, fit=start).refitted(readings)

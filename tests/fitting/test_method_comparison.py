@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.method_comparison import (
+    DwellPrediction,
+    Recommendation,
+    Score,
+    predicts_worse,
+    recommend,
+    scores_of,
+)
 from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.fitting.scores import DwellPrediction, Score, scores_of
-from adis_gonio.fitting.standing import Recommendation, recommend, surely_worse
 
 
 def result(method: str, u: float | None = 1.0, *, bias: bool = True, other: float = 1.0) -> FitResult:
@@ -38,27 +44,27 @@ def test_an_error_is_surely_larger_beyond_three_standard_errors_of_the_paired_di
     for mean, worse in ((2.9 * error, False), (3.1 * error, True), (-3.1 * error, False)):
         base = np.full(12, 5.0)
         one = angles(np.sqrt(base + away + mean))
-        assert surely_worse(one, angles(np.sqrt(base))) == worse
+        assert predicts_worse(one, angles(np.sqrt(base))) == worse
 
 
 def test_a_difference_of_a_thousandth_is_none_however_sure_it_is() -> None:
     base = angles(np.full(9, 1.0))
-    assert not surely_worse(angles(np.full(9, math.sqrt(1.0009))), base)
-    assert surely_worse(angles(np.full(9, math.sqrt(1.0011))), base)
+    assert not predicts_worse(angles(np.full(9, math.sqrt(1.0009))), base)
+    assert predicts_worse(angles(np.full(9, math.sqrt(1.0011))), base)
 
 
 def test_two_dwells_tell_nothing_and_what_is_unknown_does_not_count() -> None:
     large = np.array([9.0, 9.0, np.nan, 9.0])
-    assert surely_worse(angles(large), angles(np.ones(4)))
-    assert not surely_worse(angles(large[:3]), angles(np.ones(3)))
+    assert predicts_worse(angles(large), angles(np.ones(4)))
+    assert not predicts_worse(angles(large[:3]), angles(np.ones(3)))
 
 
 def test_without_declared_angles_the_residuals_are_compared() -> None:
     none = np.full(5, np.nan)
     small = DwellPrediction(none, np.tile([1.0, 0.0], (5, 1)))
     large = DwellPrediction(none, np.tile([0.0, -2.0], (5, 1)))
-    assert surely_worse(large, small)
-    assert not surely_worse(small, large)
+    assert predicts_worse(large, small)
+    assert not predicts_worse(small, large)
 
 
 def test_of_methods_that_predict_alike_the_surest_is_taken_to_one_percent() -> None:
