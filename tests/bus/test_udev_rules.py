@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from adis_gonio.device.bus.cp2130 import requests
 from adis_gonio.device.bus.mcp2210 import reports
 from adis_gonio.device.bus.udev import RULES_FILE, rule_for, rules
-from adis_gonio.faces.cli.devices import command
+from adis_gonio.faces.cli.device_commands import devices_command
 
 LINES = [line for line in rules().splitlines() if line and not line.startswith("#")]
 
@@ -45,6 +45,6 @@ def test_a_rule_that_is_not_there_is_an_error():
 
 
 def test_the_command_prints_the_file_as_it_is():
-    result = CliRunner().invoke(command, ["--udev"])
+    result = CliRunner().invoke(devices_command, ["--udev"])
     assert result.exit_code == 0
     assert result.output == rules()
