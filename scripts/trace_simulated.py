@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.base.intervals import wilson
+from adis_gonio.base.uncertainty import wilson
 
 CASES = {
     "tumble-3s": ("--plan", "tumble", "--dwell", "3"),

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from adis_gonio.base.budget import Budget, current, told, within
+from adis_gonio.base.budget import Budget, current, with_progress, within
 from adis_gonio.faces.cli import main, show
 from adis_gonio.faces.cli.terminal import RepeatedInterrupt
 from adis_gonio.record.archive import ArchiveView
@@ -114,8 +114,8 @@ def test_on_a_terminal_stage_share_and_time_stand_in_one_place(monkeypatch):
 def test_a_loop_tells_its_share():
     heard = []
     with within(Budget(share=heard.append)):
-        assert list(told("ab", 1, 4)) == ["a", "b"]
-        assert list(told([])) == []
+        assert list(with_progress("ab", 1, 4)) == ["a", "b"]
+        assert list(with_progress([])) == []
     assert heard == [0.25, 0.5, 0.75, 0.0]
 
 

@@ -17,8 +17,7 @@ from adis_gonio.device.bus import Capability, FrameBlock, FrameStream, Words
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.device.sensor.variants import variant
 from adis_gonio.sim import SimBus, SimulatedChip, World, WorldSettings
-from adis_gonio.sim.inputs import Inputs
-from adis_gonio.sim.sampling import ACCEL_COLUMNS, SELF_TEST_ACCEL_MG, SignalChain
+from adis_gonio.sim.sampling import ACCEL_COLUMNS, SELF_TEST_ACCEL_MG, Inputs, SignalChain
 
 TRIGGER_S = 4e-6
 """From an edge to the fall of chip select."""

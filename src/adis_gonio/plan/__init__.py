@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from adis_gonio.base.lazy_names import lazily
+from adis_gonio.base import lazily
 
 if TYPE_CHECKING:
     from adis_gonio.plan.optimal_plan import BestPlan, best_plan, fewest_positions, positions_in

@@ -15,7 +15,7 @@ from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import HIDDEN, JsonRecord
 from adis_gonio.base.numbers import NAMES, count_decimals, counted, format_fixed, format_unit
 from adis_gonio.base.tables import align_columns, fold_text
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.plan.plan_search import MEANING, Best, Candidates, Choice, Criterion, candidates, search
 from adis_gonio.plan.prediction import (
     Bench,

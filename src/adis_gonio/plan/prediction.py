@@ -26,7 +26,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import join_words
-from adis_gonio.base.values import Detectable, Value
+from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.device.sensor.settings import filter_settling_samples, sample_period_s
 from adis_gonio.device.sensor.variants import VARIANTS, Variant, variant
 from adis_gonio.fitting.estimation.fit import Fit

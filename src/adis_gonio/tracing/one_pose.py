@@ -28,9 +28,8 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import attempt, check
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.levels import FOUND_IN_ONE_POSE
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Detectable, Value
+from adis_gonio.base.uncertainty import FOUND_IN_ONE_POSE, Detectable, Value
 from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
 from adis_gonio.model.records import Dwell, Session

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import click
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.base.version import __version__
 from adis_gonio.faces.cli.command_groups import Home, LazyGroup
 from adis_gonio.faces.cli.terminal import RepeatedInterrupt, format_message, replace_missing_letters
 

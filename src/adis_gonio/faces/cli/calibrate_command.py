@@ -330,7 +330,7 @@ def _gravity_and_fixture(
 
     A simulated bench states both if they are not given, as the operator of a real bench knows them.
     """
-    from adis_gonio.model.gravity import normal_gravity_mps2
+    from adis_gonio.model.records import normal_gravity_mps2
 
     world = sensor.world
     if latitude is not None:

@@ -12,7 +12,7 @@ import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.bus import find_devices
-from adis_gonio.device.bus.udev import rules
+from adis_gonio.device.bus.host import udev_rules
 from adis_gonio.device.sensor import DEFAULT_SCAN, REGISTERS, Adis16354, Register, open_sensor
 from adis_gonio.device.sensor.registers import Kind, register, registers
 from adis_gonio.faces.cli import options as option
@@ -40,7 +40,7 @@ def devices_command(*, udev: bool, as_json: bool) -> None:
     adis-gonio devices --udev | sudo tee /etc/udev/rules.d/70-adis-gonio.rules
     """  # noqa: D301 - click keeps the lines of a paragraph with this character
     if udev:
-        click.echo(rules(), nl=False)
+        click.echo(udev_rules(), nl=False)
         return
     devices = find_devices()
     if as_json:
@@ -89,10 +89,15 @@ def selftest_command(*, url: str, variant: str, no_check: bool, as_json: bool) -
 @option.command("serve")
 @option.url
 @option.with_default(
-    "--iio", "port", type=click.IntRange(0, 65535), default=30431, help="TCP port; 0: a free one."
+    "--iio",
+    "port",
+    type=click.IntRange(0, 65535),
+    default=30431,
+    metavar="PORT",
+    help="TCP port; 0: a free one.",
 )
 @option.with_default(
-    "--listen", "host", default="127.0.0.1",
+    "--listen", "host", default="127.0.0.1", metavar="ADDRESS",
     help="Address to listen on; 0.0.0.0 is every address of this machine.",
 )  # fmt: skip
 @option.flag("--allow-writes", help="Let clients write calibbias, rate and filter.")

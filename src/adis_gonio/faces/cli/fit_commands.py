@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from adis_gonio.base.values import Value
+    from adis_gonio.base.uncertainty import Value
     from adis_gonio.fitting.allan.allan_fit import Part
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.fitting.monte_carlo import MonteCarlo

@@ -13,8 +13,7 @@ import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli.command_groups import SectionedCommand
-from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.model.records import ACCEL_UNITS, SENSORS
+from adis_gonio.model.records import ACCEL_UNITS, SENSORS, checked_gravity_mps2
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session

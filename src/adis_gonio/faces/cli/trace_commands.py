@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from adis_gonio.model.records import Session
-    from adis_gonio.page.parts import Section
+    from adis_gonio.page.document import Section
     from adis_gonio.record.loading import Overrides
     from adis_gonio.tracing.trace_result import TraceResult
 
@@ -26,7 +26,11 @@ if TYPE_CHECKING:
 @option.command("trace", "--max-effects --time-limit --json")
 @option.session
 @option.with_default(
-    "--max-effects", type=click.IntRange(0, 12), default=6, help="Most effects to add to the model."
+    "--max-effects",
+    type=click.IntRange(0, 12),
+    default=6,
+    metavar="N",
+    help="Most effects to add to the model.",
 )
 @option.time_limit(
     "End after this time with the best model so far; effects without validation are not called found."
@@ -272,7 +276,7 @@ def report_command(*, session: Path, output: Path, time_limit: float | None, ove
 
 def _report_page(session: Session, time_limit: float | None) -> str:
     """Build the page from the fits by every method, the trace and the twin."""
-    from adis_gonio.base.budget import current, told
+    from adis_gonio.base.budget import current, with_progress
     from adis_gonio.fitting import applicable_methods, fit
     from adis_gonio.handover.calibration_report import build_page, views
     from adis_gonio.handover.gyro_report import gyro_section, noise_section
@@ -281,7 +285,7 @@ def _report_page(session: Session, time_limit: float | None) -> str:
     tell = current().tell
     tell("every method")
     fits, failures = [], {}
-    for method in told(applicable_methods(session)):
+    for method in with_progress(applicable_methods(session)):
         try:
             fits.append(fit(session, method=method))
         except AdisGonioError as error:
@@ -302,7 +306,7 @@ def _report_page(session: Session, time_limit: float | None) -> str:
 def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:
     """Section of the digital twin, or none if the session supports no twin."""
     from adis_gonio.handover.twin_comparison import twin_section
-    from adis_gonio.page.parts import Section
+    from adis_gonio.page.document import Section
 
     try:
         section = twin_section(session, traced)

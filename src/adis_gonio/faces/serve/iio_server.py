@@ -14,9 +14,9 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, UsageError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.version import __version__
 from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354
 from adis_gonio.faces.serve import iiod_protocol
 from adis_gonio.faces.serve.iio_device import (

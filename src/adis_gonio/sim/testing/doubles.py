@@ -1,11 +1,13 @@
-"""A board with the project's firmware and a chip, behind a serial port that any program can open.
+"""Simulated sensors and boards for tests of host code.
 
-The board speaks the wire protocol of `firmware_proto/PROTOCOL.md` on a pseudo-terminal or a TCP port of
-this machine, so that a host program in any language takes it for the real one. It lives in real time.
+A sensor is the driver over a simulated chip, with access to its stage and world. A board has the project's
+firmware and a chip behind a serial port that any program can open: it speaks the wire protocol of
+`firmware_proto/PROTOCOL.md` on a pseudo-terminal or a TCP port of this machine, in real time, so that a
+host program in any language can use it like a real board.
 
-What is not simulated
-    The modem lines (a pty and a socket have none: nothing resets the board by opening it), the baud rate
-    (bytes leave at that of `SimulatedFirmware`, whatever the host sets), USB.
+Not simulated
+    The modem lines (a pty and a socket have none: opening the port does not reset the board), the baud rate
+    (bytes leave at the rate of `SimulatedFirmware`, whatever the host sets), USB.
 """
 
 from __future__ import annotations
@@ -18,17 +20,103 @@ import threading
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, Protocol, get_args
+from typing import Literal, cast, get_args
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing
 from adis_gonio.base.errors import CannotOpenError, UsageError
+from adis_gonio.device.bus.opening import BusUrl
+from adis_gonio.device.sensor.driver import Adis16354
+from adis_gonio.sim.bus import SimBus, SimStage
+from adis_gonio.sim.bus import open_from_url as _open_bus
 from adis_gonio.sim.chip import SimulatedChip
-from adis_gonio.sim.testing.clocks import WorkClock
-from adis_gonio.sim.testing.faults import Faults, FaultyStream
+from adis_gonio.sim.testing.faults import NO_FAULTS, BusFaults, Faults, FaultyBus, FaultyStream
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins
-from adis_gonio.sim.testing.simulated import DEFAULT_URL, simulated_bus
+from adis_gonio.sim.testing.pins import ChipPins, WorkClock
 from adis_gonio.sim.world import World
+
+DEFAULT_URL = "sim:?seed=1"
+
+
+class SimulatedSensor(Adis16354):
+    """The driver on a simulated chip; open one by `open_simulated` or by the fixture `simulated_sensor`.
+
+    Host code calls the methods of the driver; a test also uses `stage`, `world`, `chip`, `truth` and
+    `faulty`. Time is virtual: moves, dwells and waits cost nothing.
+    """
+
+    @property
+    def faulty(self) -> FaultyBus:
+        """The bus, which corrupts frames by its `faults`; `faulty.seen` counts the faults."""
+        return cast(FaultyBus, self.bus)
+
+    @property
+    def _simulated(self) -> SimBus:
+        return cast(SimBus, self.faulty.inner)
+
+    @property
+    def stage(self) -> SimStage:
+        """Moves the part: `move_to(angle_deg, approach)` in the plane, `orient((x, y, z))` in space."""
+        return self._simulated.stage
+
+    @property
+    def world(self) -> World:
+        """The world around the part; `bring_to` heats it or sets the supply."""
+        return self._simulated.world
+
+    @property
+    def chip(self) -> SimulatedChip:
+        """The chip behind the pins."""
+        return self._simulated.chip
+
+    def truth(self) -> dict[str, float]:
+        """Hidden parameters by the names that a fit uses; units as `World.truth`."""
+        return self.world.truth()
+
+
+def simulated_bus(url: str = DEFAULT_URL) -> SimBus:
+    """Open a simulated bus.
+
+    Parameters
+    ----------
+    url : str
+        URL of the simulator: `sim:?seed=3&delta_k=0.01&effects=quadratic:k2_x=2`.
+
+    Raises
+    ------
+    UsageError
+        The URL belongs to another bus, or has an unknown option.
+    """
+    parsed = BusUrl.parse(url)
+    if parsed.scheme != "sim":
+        raise UsageError(f"'{url}': a test double is simulated; give a URL such as {DEFAULT_URL}")
+    return _open_bus(parsed)
+
+
+def open_simulated(
+    url: str = DEFAULT_URL, *, check: bool = True, bus_faults: BusFaults = NO_FAULTS
+) -> SimulatedSensor:
+    """Open a simulated sensor; use it as a context manager.
+
+    Parameters
+    ----------
+    url : str
+        See `simulated_bus`; the URL gives the variant.
+    check : bool
+        As `open_sensor`.
+    bus_faults : BusFaults
+        Faults; they begin after opening, so that opening never fails.
+
+    Raises
+    ------
+    UsageError
+        As `simulated_bus`.
+    """
+    bus = simulated_bus(url)
+    faulty = FaultyBus(bus)
+    sensor = SimulatedSensor(faulty, bus.world.variant, check=check)
+    faulty.faults = bus_faults
+    return sensor
+
 
 Transport = Literal["pty", "tcp"]
 
@@ -45,21 +133,21 @@ class SimulatedBoard(Closing):
     Parameters
     ----------
     firmware : SimulatedFirmware
-        On a `WorkClock`. `open_board` makes one from a URL.
+        Firmware on a `WorkClock`; `open_board` makes one from a URL.
     faults : Faults
-        Of the line: `drop`, `duplicate`, `flip`, `delay`, `chunk` and `hang`.
+        Faults of the line: `drop`, `duplicate`, `flip`, `delay`, `chunk` and `hang`.
     transport : {"pty", "tcp"}
         A pseudo-terminal needs POSIX.
     world : World
-        Of the chip, where a test wants to move it.
+        World of the chip, if a test moves it.
 
     Attributes
     ----------
     path : str
-        What a program opens: a device such as `/dev/pts/3`, or `socket://127.0.0.1:41234`, as pyserial
-        has it.
+        Name that a program opens: a device such as `/dev/pts/3`, or a URL of pyserial such as
+        `socket://127.0.0.1:41234`.
     host, port : str, int
-        The same for plain sockets; of a pty there is none, and they are empty.
+        Address for plain sockets; empty for a pty.
     stage : BoardStage
         Moves the part.
 
@@ -68,7 +156,7 @@ class SimulatedBoard(Closing):
     UsageError
         No such transport.
     CannotOpenError
-        The machine gives no pseudo-terminal, or no port.
+        The machine has no free pseudo-terminal or port.
     """
 
     def __init__(
@@ -88,7 +176,7 @@ class SimulatedBoard(Closing):
         self._world = world
         self._clock = firmware.pins.clock
         try:
-            self._line: _Line = _Pty() if transport == "pty" else _Tcp()
+            self._line: _Pty | _Tcp = _Pty() if transport == "pty" else _Tcp()
         except (OSError, ImportError) as error:
             raise CannotOpenError(
                 f"no {transport} on this machine for a simulated board: {error}"
@@ -112,7 +200,7 @@ class SimulatedBoard(Closing):
 
     @property
     def world(self) -> World:
-        """What is around the chip."""
+        """The world around the chip."""
         if self._world is None:
             raise UsageError("this board was made without its world; open_board brings one")
         return self._world
@@ -123,11 +211,11 @@ class SimulatedBoard(Closing):
             return self.world.truth()
 
     def now_s(self) -> float:
-        """The board's time in s; the chip has not lived beyond it. Hold `lock` where it matters."""
+        """The board's time in s, not before the time of the chip. Hold `lock` if the two must agree."""
         return max(self._clock.now_s(), self.chip.time_s)
 
     def close(self) -> None:
-        """Take the port away; may be called twice."""
+        """Remove the port; may be called twice."""
         self._stop.set()
         self._thread.join(_END_S)
         self._line.close()
@@ -159,7 +247,7 @@ class SimulatedBoard(Closing):
         return min([_LONGEST_WAIT_S, *(max(0.0, t - now) for t in times)])
 
     def _work(self, there: FaultyStream, back: FaultyStream) -> None:
-        """Let the firmware catch up with the clock."""
+        """Run the firmware up to the present time."""
         now, firmware = self._clock.wall_s(), self.firmware
         firmware.run(now)
         data = there.take(now, _BUFFER)
@@ -173,14 +261,14 @@ class SimulatedBoard(Closing):
 
 
 class BoardStage:
-    """The stage under a board: a move takes its time on the wall's clock, and the call ends with it."""
+    """The stage under a board: a call returns when its move ends on the wall clock."""
 
     def __init__(self, board: SimulatedBoard) -> None:
         self._board = board
 
     @property
     def angle_deg(self) -> float:
-        """Declared angle; nan where the attitude was given in space."""
+        """Declared angle; NaN after a move in space."""
         return self._board.world.stage.angle_deg
 
     def move_to(self, angle_deg: float, approach: int = 0) -> None:
@@ -220,11 +308,11 @@ def open_board(
         Such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`; the same URL gives `open_simulated` a part
         with the same hidden parameters.
     transport : {"pty", "tcp"}
-        By default a pseudo-terminal where there are some.
+        By default a pseudo-terminal if the system has them.
     line_faults : Faults
-        See `SimulatedBoard`; the board takes a copy with fresh dice: a mark may stand over many tests.
+        See `SimulatedBoard`; each board takes a copy with new dice, because a mark may apply to many tests.
     boot_s : float
-        Silence at first, as of a board that boots.
+        Silence at the beginning, like a board that boots.
 
     Raises
     ------
@@ -240,25 +328,8 @@ def open_board(
     return SimulatedBoard(firmware, line_faults, transport=transport, world=bus.world)
 
 
-class _Line(Protocol):
-    """The board's end of a line; `OSError` where it is gone for good."""
-
-    path: str
-    host: str
-    port: int
-
-    def receive(self, wait_s: float, *, writes: bool) -> bytes:
-        """What has arrived; waits for something, or with `writes` for room, for so long at most."""
-
-    def send(self, data: bytes) -> int:
-        """Send what there is room for; return how many bytes were."""
-
-    def close(self) -> None:
-        """Give it back; may be called twice."""
-
-
 class _Pty:
-    """The upper end of a pseudo-terminal."""
+    """The board's end of a pseudo-terminal; its methods raise `OSError` if the line is gone."""
 
     host, port = "", 0
 
@@ -271,10 +342,12 @@ class _Pty:
         self.path = os.ttyname(self._slave)
 
     def receive(self, wait_s: float, *, writes: bool) -> bytes:
+        """Bytes that have arrived; waits at most so long for input, or with `writes` for room."""
         ready = select.select([self._master], [self._master] if writes else [], [], wait_s)
         return os.read(self._master, 4096) if ready[0] else b""
 
     def send(self, data: bytes) -> int:
+        """Send as many bytes as possible; return their number."""
         if not data:
             return 0
         try:
@@ -318,7 +391,7 @@ class _Tcp:
 
     def send(self, data: bytes) -> int:
         if self._client is None:
-            return len(data)  # nobody is there to hear it
+            return len(data)  # no host is connected
         try:
             return self._client.send(data) if data else 0
         except BlockingIOError:
