@@ -1,4 +1,4 @@
-"""Estimators and their uncertainty: `fit(session, method)`; pure numpy, no files, no devices.
+"""Estimators and their uncertainty: `fit(session, method)`; no files, no devices.
 
 Names are imported when first used: a guard at the bench needs a part of this package and no scipy.
 """
@@ -17,15 +17,6 @@ _HOMES = {
     "fit": "methods",
     "fit_readings": "methods",
 }
-
-__all__ = [
-    "METHODS",
-    "Estimate",
-    "FitResult",
-    "applicable_methods",
-    "fit",
-    "fit_readings",
-]
 
 if TYPE_CHECKING:
     from adis_gonio.fitting.methods import METHODS as METHODS
