@@ -22,11 +22,11 @@ An effect is a named physical term that the seed paper's model (start angle α, 
 bounds is rejected. Typical sizes are **estimates** for a bench with an ADIS16354, not the maker's
 figures.
 
-Symbols: a_i is the ideal reading of axis i in mg, a_p that of an axis across it, θ the declared
-angle of the stage, ψ = α − θ the true angle of the part, t the time; for gyros ω_i is the ideal
+Symbols: a_i is the ideal reading of axis i in mg, a_p the ideal reading of an axis across it, θ the
+declared angle of the stage, ψ = α − θ the true angle of the part, t the time; for gyros ω_i is the ideal
 reading of gyro i in °/s, Ω the true rate about the accelerometers' axes, f the reading of the
-accelerometers in g. The parameters of an axis have its letter (`bias_x`), those of a pair both
-(`kpp_xy`: axis x, acceleration along y).
+accelerometers in g. The parameters of an axis have its letter (`bias_x`), the parameters of a
+pair have both (`kpp_xy`: axis x, acceleration along y).
 
 On a command line an effect is `name` (all parameters typical) or `name:parameter=value,…` (other
 amplitudes are zero; time constants, frequencies and limits keep their typical values). Your own

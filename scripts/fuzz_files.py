@@ -283,9 +283,9 @@ def warm_up() -> None:
         "bench.runner",
         "sim.bus",
         "plan.best",
-        "handover.report.page",
+        "handover.calibration_report",
     )
-    handover = ("exporting", "c_header", "certificate", "report.page")
+    handover = ("session_export", "c_header", "certificate", "calibration_report")
     commands = (words.split()[0] for lines in COMMANDS.values() for _, words in lines)
     for name in (
         *names,

@@ -31,7 +31,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fleet.population import PopulationResult, SessionEvidence, evidence_of, trace_population
+from adis_gonio.fleet.population_trace import PopulationResult, trace_population
+from adis_gonio.fleet.session_evidence import SessionEvidence, evidence_of
 from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.findings import detectable

@@ -38,7 +38,7 @@ LIMITS = """\
 - Most right names are found: at a gain of 16 or more 78 to 93 % of those that the oracle finds.
 - Nothing is invented if nothing is hidden: 1 of the sessions of the last two rounds.
 - Wrong names are the weak point: 10 % of the sessions, 2 % for the oracle, who knows the form of every
-  stranger. A stranger and a name explain the same readings at a moderate gain. Half the prior share of an
+  stranger. A stranger and a name explain equal readings at a moderate gain. Half the prior share of an
   effect halves the wrong names and costs a tenth of the right ones.
 - At more than 95 % probability, 2 of 300 sessions of the sixth round have a wrong name; the oracle has 3.
 - If there is only scatter, a cause is claimed in 13 of 28 sessions of the sixth round (oracle 3).

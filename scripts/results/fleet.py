@@ -10,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.fleet import LocalPool, Options, Store, files_of, run_fleet, summarise, survey
-from adis_gonio.fleet.columns import COLUMNS
-from adis_gonio.fleet.outputs import FleetResult
-from adis_gonio.fleet.pool import cores
-from adis_gonio.fleet.store import IN_MEMORY
+from adis_gonio.fleet.fleet_pages import FleetResult
+from adis_gonio.fleet.fleet_run import files_of, run_fleet, survey
+from adis_gonio.fleet.fleet_summary import summarise
+from adis_gonio.fleet.session_record import Options
+from adis_gonio.fleet.session_table import COLUMNS
+from adis_gonio.fleet.store import IN_MEMORY, Store
+from adis_gonio.fleet.workers import LocalPool, cores
 from results.section import Effort, Section
 
 STAGES, OPERATORS = 4, 3

@@ -125,8 +125,9 @@ def paper(found: Document) -> str:
             "hardly feel the fixture in the gains. In Δφ its error is at least "
             f"{found['map']['least_ratio_of_delta_phi']:.1f} times as large. With biases of 10 mg, it is "
             f"off by {bias['error_deg']['paper']:.2f}° in Δφ, {bias['multiple']:.0f} times as far as `ml` "
-            f"(95 %: {bias['low']:.0f} to {bias['high']:.0f}). `adis-gonio paper` also lists the points "
-            "that the paper leaves open.",
+            f"(95 %: {bias['low']:.0f} to {bias['high']:.0f}). "
+            "[Theory](../theory.md#open-points-of-the-seed-paper) lists the points that the paper leaves "
+            "open.",
         )
     )
 
@@ -186,7 +187,7 @@ def free_turn(found: Document) -> str:
     head = ("60 s", "hands", "ΔK", "Δφ", "bias of X", "angle", "error of the angle", "over 24 dwells")
     return "\n\n".join(
         (
-            "Coverage of U, and the error of the angle over that of 24 dwells with equal measuring time.",
+            "Coverage of U, and the error of the angle relative to 24 dwells with equal measuring time.",
             table(head, rows),
             "![Error of the angle, hand by hand](free_turn-errors.svg)",
         )
@@ -392,7 +393,7 @@ def bench(found: Document) -> str:
         (
             "Time of the baseline over ours, measured in turn; above 1 we are faster. The answers are "
             "compared first. "
-            "`trace` also weighs unnamed causes, holds dwells out and looks into the dwells; its peers "
+            "`trace` also weighs unnamed causes, leaves dwells out and looks into the dwells; its peers "
             "do not.",
             table(("benchmark", "baseline", "ratio"), rows),
         )

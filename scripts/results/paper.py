@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from adis_gonio.handover.paper import reproduce
-from adis_gonio.handover.paper.page import map_figures
+from adis_gonio.handover.paper_page import map_figures
+from adis_gonio.handover.paper_study import reproduce
 from results.section import Effort, Section
 
 

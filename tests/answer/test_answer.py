@@ -16,7 +16,7 @@ from adis_gonio.base.values import Value
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.readings import Unit
-from adis_gonio.handover.report.page import build_page
+from adis_gonio.handover.calibration_report import build_page
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing.findings import in_units_of_file, shares

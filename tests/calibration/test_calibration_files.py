@@ -160,7 +160,7 @@ def test_what_export_makes_for_others_is_told_from_a_session(name, tmp_path):
 def test_a_table_with_other_names_gets_advice_that_can_be_taken(tmp_path):
     path = tmp_path / "logger.csv"
     path.write_text("clock,Acc_X,Acc_Y\n0,1,2\n1,2,3\n")
-    with pytest.raises(DataError, match="here the file itself has to say it"):
+    with pytest.raises(DataError, match="has to be in the file"):
         Calibration.load(path)
 
 

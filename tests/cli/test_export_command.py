@@ -166,7 +166,7 @@ def test_nothing_is_replaced_unless_forced(recorded, tmp_path, capsys):
 def test_an_export_that_fails_half_way_leaves_the_old_file_alone(
     recorded, tmp_path, capsys, monkeypatch, name
 ):
-    from adis_gonio.handover.exporting import ExportSource
+    from adis_gonio.handover.session_export import ExportSource
 
     def half(source, kind, path):
         path.write_bytes(b"half")

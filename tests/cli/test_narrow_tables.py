@@ -7,7 +7,8 @@ from rich.console import Console
 
 from adis_gonio.faces.cli.characters import readable
 from adis_gonio.faces.cli.show import print_table
-from adis_gonio.fleet.memory import history_of, words
+from adis_gonio.fleet import sensor_history as words
+from adis_gonio.fleet.sensor_history import history_of
 from memory.made_up import made_up
 
 HEAD = ("serial", "plan", "ΔK", "Δφ / °", "effects", "file")

@@ -62,3 +62,10 @@ def test_every_file_of_the_page_exists(page):
         assert (ROOT / name).exists() or (page.parent / name).exists(), name
     for link in set(re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", text)):
         assert (page.parent / link).exists(), link
+
+
+def test_every_page_that_the_source_names_exists():
+    sources = [path for folder in ("src", "scripts", "examples") for path in ROOT.glob(f"{folder}/**/*.py")]
+    for path in sources:
+        for name in re.findall(r"\bdocs/[\w/]+\.md\b", path.read_text("utf-8")):
+            assert (ROOT / name).exists(), (path, name)

@@ -10,7 +10,7 @@ from adis_gonio.base.errors import DataError
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fleet.population import SessionEvidence, evidence_of
+from adis_gonio.fleet.session_evidence import SessionEvidence, evidence_of
 from adis_gonio.model.effects import effect
 from population.units import evidence_with, session_with
 from tracing.named_truth import catalogued_term

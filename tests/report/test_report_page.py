@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio import fit, trace
 from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, with_unit
-from adis_gonio.handover.report.page import build_page, views
+from adis_gonio.handover.calibration_report import build_page, views
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.page.parts import Figure, Section, Table
@@ -108,8 +108,8 @@ def test_the_page_is_well_formed_and_loads_nothing(page):
 
 def test_the_page_answers_every_question(page):
     wanted = {
-        "Summary", "Results by method", "What was found", "Error before and after",
-        "Residual, step by step", "What is left", "Rivals", "What could not be seen",
+        "Summary", "Results by method", "Effects found", "Error before and after",
+        "Residual, step by step", "Remaining residual", "Rivals", "Smallest detectable amplitudes",
         "What to measure next", "Data and configuration",
     }  # fmt: skip
     assert wanted <= set(outline(page).headings)
@@ -124,7 +124,7 @@ def test_every_step_has_a_figure(page, curved):
     _, result, _ = curved
     steps = [h for h in outline(page).headings if h.startswith("Step ")]
     assert steps == [f"Step {k}: {step.effect}" for k, step in enumerate(result.steps, 1)]
-    body = page[page.index("Residual, step by step") : page.index("What is left")]
+    body = page[page.index("Residual, step by step") : page.index("Remaining residual")]
     assert body.count("<svg") >= len(result.steps)
 
 
@@ -228,7 +228,7 @@ def test_the_answer_stands_first_in_large_numerals_with_what_covers_it(page, cur
     phi = values["delta_phi"]
     assert with_unit(format_uncertain(phi.value, phi.U), "deg") in key
     assert f"k\u00a0=\u00a0{phi.k:.2f}" in key
-    assert "U of an angle shown" in key
+    assert "U of a displayed angle" in key
 
 
 def test_sections_of_others_stand_before_the_data():

@@ -6,7 +6,7 @@ from adis_gonio.bench.events import Configured
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.faces.cli.plain import configured
-from adis_gonio.handover.report.sections import facts
+from adis_gonio.handover.calibration_report import facts
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings

@@ -204,14 +204,14 @@ def test_a_good_file_says_nothing_of_positions(tmp_path, capsys):
 
 
 def test_the_report_shows_the_three_angles(file):
-    from adis_gonio.handover.report.page import build_page
+    from adis_gonio.handover.calibration_report import build_page
 
     session = load_session(file)
     page = build_page(session, [fit(session)], "not traced here")
-    assert "Positions that are not right" in page
+    assert "Wrong positions" in page
     assert "210.0" in page
     good = fit(load_session(file, Overrides(angles=(AngleChange(7, 7, 210.0),))))
-    assert "Positions that are not right" not in build_page(session, [good], "not traced here")
+    assert "Wrong positions" not in build_page(session, [good], "not traced here")
 
 
 # -- the override ----------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.handover.twin import gyro_settings, simulate_like
+from adis_gonio.handover.digital_twin import gyro_settings, simulate_like
 from adis_gonio.model.effects import effect
 from adis_gonio.record.loading import load_session
 from adis_gonio.sim.settings import WorldSettings

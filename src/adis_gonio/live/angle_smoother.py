@@ -110,7 +110,7 @@ class PlaneWatch:
 
 
 LAG_S = 0.5
-"""Default: what a lag more than this adds is small (docs/results/smoother.md)."""
+"""Default: what a lag more than this adds is small (docs/results/index.md)."""
 LONGEST_LAG_S = 10.0
 DOUBT = 4.0
 """A calibration of the gyros is given up where the zero rate is off by so many of its uncertainties."""

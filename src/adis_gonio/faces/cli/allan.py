@@ -54,7 +54,7 @@ def command(
     with working(f"noise of {session.name}"):
         found = fit_allan(loaded, part, filter_m=filter_m)
     if output is not None:
-        from adis_gonio.handover.report.allan import allan_page, allan_svg
+        from adis_gonio.handover.gyro_report import allan_page, allan_svg
 
         drawn = allan_svg if output.suffix.lower() == ".svg" else allan_page
         write_page(output, drawn(found))

@@ -12,7 +12,7 @@ from adis_gonio.faces.cli.remembering import remembered, sessions_of
 from adis_gonio.faces.cli.show import console, print_json
 
 if TYPE_CHECKING:
-    from adis_gonio.fleet.memory.intervals_due import Due
+    from adis_gonio.fleet.calibration_due import Due
 
 _POSITIVE = click.FloatRange(min=0, min_open=True)
 
@@ -53,8 +53,8 @@ def command(
     Staircase: intervals grow while the calibration before was still good, and shrink when it was not.
     Control chart: the day on which drift and U reach the permissible error. The earlier date counts.
     """
-    from adis_gonio.fleet.memory.history import history_of
-    from adis_gonio.fleet.memory.intervals_due import DEFAULT_LIMIT_DEG, Rules, due_of
+    from adis_gonio.fleet.calibration_due import DEFAULT_LIMIT_DEG, Rules, due_of
+    from adis_gonio.fleet.sensor_history import history_of
 
     limits = Rules(DEFAULT_LIMIT_DEG if limit_deg is None else limit_deg, limit_deg is None, **more)
     with remembered(places, index_path, trace=trace) as (store, _):

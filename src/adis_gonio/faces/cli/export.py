@@ -17,7 +17,7 @@ from adis_gonio.faces.cli.show import working
 from adis_gonio.handover.formats import BY_NAME, format_of
 
 if TYPE_CHECKING:
-    from adis_gonio.handover.exporting import ExportSource
+    from adis_gonio.handover.session_export import ExportSource
     from adis_gonio.record.loading import Overrides
 
 STANDARD_OUTPUT = "-"
@@ -69,7 +69,7 @@ def command(
     SESSION may be a calibration file for c-header, dcc and registers.
     """
     from adis_gonio.base.output import check_output, replacing
-    from adis_gonio.handover.exporting import ExportSource
+    from adis_gonio.handover.session_export import ExportSource
 
     if kind is None and output in (None, STANDARD_OUTPUT):
         raise UsageError("what shall be made? Give -o FILE with an ending such as .h or .json, or --format")

@@ -15,8 +15,9 @@ from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json, print_table, working
 
 if TYPE_CHECKING:
-    from adis_gonio.fleet import Cluster, LocalPool, Store
-    from adis_gonio.fleet.outputs import FleetResult
+    from adis_gonio.fleet.fleet_pages import FleetResult
+    from adis_gonio.fleet.store import Store
+    from adis_gonio.fleet.workers import Cluster, LocalPool
 
 
 @click.command("fleet")
@@ -64,15 +65,16 @@ def command(
     population: bool,
     as_json: bool,
 ) -> int:
-    """Fit and trace many sessions, and summarise parameters, effects, and who stands out.
+    """Fit and trace many sessions, and summarise parameters, effects and outlying groups.
 
     FILES are sessions, or folders of them. With -o or --journal results are kept as they come: after
     Ctrl-C, a crash or a full disk the same command goes on where it stopped. The exit status is 1 where a
     session failed.
     """
     from adis_gonio.base.budget import current
-    from adis_gonio.fleet import Options, files_of, run_fleet, survey
-    from adis_gonio.fleet.outputs import FleetResult, check_outputs
+    from adis_gonio.fleet.fleet_pages import FleetResult, check_outputs
+    from adis_gonio.fleet.fleet_run import files_of, run_fleet, survey
+    from adis_gonio.fleet.session_record import Options
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: the one is for this machine, the other for a cluster")
@@ -119,13 +121,13 @@ def _kept(journal: Path | None) -> Iterator[Store]:
 
 
 def _workers(workers: int | None, scheduler: str | None) -> AbstractContextManager[LocalPool | Cluster]:
-    from adis_gonio.fleet import Cluster, LocalPool
+    from adis_gonio.fleet.workers import Cluster, LocalPool
 
     return LocalPool(workers) if scheduler is None else Cluster(scheduler)
 
 
 def _show(outcome: FleetResult) -> None:
-    from adis_gonio.fleet import words
+    from adis_gonio.fleet import fleet_summary as words
 
     screen = console()
     summary = outcome.summary
@@ -136,7 +138,7 @@ def _show(outcome: FleetResult) -> None:
     _table("Effects by frequency", words.EFFECT_HEAD, words.effect_rows(summary))
     screen.print()
     screen.print(words.outlying_text(summary))
-    _table("Standing out", words.OUTLYING_HEAD, words.outlying_rows(summary))
+    _table("Outlying groups", words.OUTLYING_HEAD, words.outlying_rows(summary))
     if outcome.population_lines:
         screen.print()
     for line in outcome.population_lines:

@@ -12,7 +12,7 @@ from adis_gonio.faces.cli.remembering import remembered, sessions_of
 from adis_gonio.faces.cli.show import check_page, console, print_json, write_page
 
 if TYPE_CHECKING:
-    from adis_gonio.fleet.memory.history import History
+    from adis_gonio.fleet.sensor_history import History
 
 _WIDTH = 80
 
@@ -44,15 +44,15 @@ def command(
     Tests for drift between sessions, keeps a control chart (CUSUM, and 3σ limits from u and the scatter
     between sessions), and lists the effects found each time.
     """
-    from adis_gonio.fleet.memory.control_chart import CUSUM_H, limit_for
-    from adis_gonio.fleet.memory.history import history_of
+    from adis_gonio.fleet.control_charts import CUSUM_H, limit_for
+    from adis_gonio.fleet.sensor_history import history_of
 
     check_page(output)
     h = CUSUM_H if run_length is None else limit_for(run_length)
     with remembered(places, index_path, trace=trace) as (store, _):
         found = history_of(serial, sessions_of(store, serial), h=h)
     if output is not None:
-        from adis_gonio.fleet.memory.history_page import history_page
+        from adis_gonio.fleet.fleet_pages import history_page
 
         write_page(output, history_page(found))
     if as_json:
@@ -62,7 +62,7 @@ def command(
 
 
 def _show(found: History) -> None:
-    from adis_gonio.fleet.memory import words
+    from adis_gonio.fleet import sensor_history as words
 
     screen = console(most=_WIDTH)
     screen.print(f"Sensor {found.serial}: {words.headline(found)}", style="bold")
@@ -71,11 +71,11 @@ def _show(found: History) -> None:
         screen.print(track.label, style="bold cyan")
         for line in words.chart_lines(track, min(screen.width, _WIDTH)):
             screen.print(line)
-        for text in (*words.of_drift(track), *words.of_chart(track, found)):
+        for text in (*words.drift_sentences(track), *words.chart_sentences(track, found)):
             screen.print(f"  {text}")
     screen.print()
     screen.print("Effects found", style="bold cyan")
-    for row in words.of_effects(found):
+    for row in words.effect_table(found):
         screen.print(f"  {'  '.join(row)}")
     for record, reason in found.left_out:
         screen.print(f"left out: {record.path}: {reason}")

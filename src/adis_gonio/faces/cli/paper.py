@@ -21,19 +21,19 @@ def command(*, output: Path | None, as_json: bool, seed: int, sessions: int) -> 
     Sessions are simulated through chip and driver, from parts whose truth is the table's measured column.
     Takes a minute or two on two cores. Without -o and --json what came out is printed.
     """
-    from adis_gonio.handover.paper import reproduce
+    from adis_gonio.handover.paper_study import reproduce
 
     check_page(output)
     with working("the seed paper"):
         done = reproduce(seed, sessions)
     if output is not None:
-        from adis_gonio.handover.paper.page import build_page
+        from adis_gonio.handover.paper_page import build_page
 
         write_page(output, build_page(done))
     if as_json:
         print_json(done.as_dict())
     elif output is None:
-        from adis_gonio.handover.paper.page import verdicts
+        from adis_gonio.handover.paper_page import verdicts
 
         for sentence in verdicts(done):
             click.echo(sentence)

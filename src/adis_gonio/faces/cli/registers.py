@@ -16,7 +16,7 @@ from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json
 
 if TYPE_CHECKING:
-    from adis_gonio.handover.offsets import WantedOffset
+    from adis_gonio.handover.register_offsets import OffsetWord
 
 _ASSIGNMENT = re.compile(r"(?P<name>[A-Za-z0-9_/]+)=(?P<value>.+)")
 _VALUE = re.compile(r"(?P<number>[-+]?(0[xX][0-9a-fA-F]+|\d+(\.\d*)?([eE][-+]?\d+)?))\s*(?P<unit>\S*)")
@@ -88,11 +88,11 @@ def command(
         _show(held, fields=fields, as_json=as_json, beside=wanted_offsets)
 
 
-def _wanted(path: Path) -> dict[str, WantedOffset]:
+def _wanted(path: Path) -> dict[str, OffsetWord]:
     """What a calibration would write, by register."""
-    from adis_gonio.handover.offsets import wanted_offsets_in
+    from adis_gonio.handover.register_offsets import offset_words_in
 
-    return {one.name: one for one in wanted_offsets_in(path)}
+    return {one.name: one for one in offset_words_in(path)}
 
 
 def _number(sensor: Adis16354, row: Register, text: str) -> int:
@@ -119,7 +119,7 @@ def _show(
     *,
     fields: bool,
     as_json: bool,
-    beside: Mapping[str, WantedOffset] | None = None,
+    beside: Mapping[str, OffsetWord] | None = None,
 ) -> None:
     beside = beside or {}
     if as_json:

@@ -12,8 +12,8 @@ import click
 from adis_gonio.faces.cli.show import working
 
 if TYPE_CHECKING:
-    from adis_gonio.fleet.record import SessionRecord
-    from adis_gonio.fleet.run import Scan
+    from adis_gonio.fleet.fleet_run import Scan
+    from adis_gonio.fleet.session_record import SessionRecord
     from adis_gonio.fleet.store import Store
 
 
@@ -22,7 +22,7 @@ def remembered(
     places: Sequence[Path], index_path: Path | None, *, trace: bool
 ) -> Iterator[tuple[Store, Scan]]:
     """The store with the results of all sessions in the folders; reports problems of its file."""
-    from adis_gonio.fleet.run import scan
+    from adis_gonio.fleet.fleet_run import scan
     from adis_gonio.fleet.store import Store
 
     places = places or (Path(),)
@@ -42,7 +42,7 @@ def sessions_of(store: Store, serial: str) -> list[SessionRecord]:
     UsageError
         No session has this serial number; the message lists those like it.
     """
-    from adis_gonio.fleet.memory.history import alike, known_serial
+    from adis_gonio.fleet.sensor_history import alike, known_serial
 
     known = store.serials()
     found = store.records(known_serial(serial, known))

@@ -47,9 +47,8 @@ def _page(session: Session, time_limit: float | None) -> str:
     from adis_gonio.base.budget import current, told
     from adis_gonio.base.errors import AdisGonioError
     from adis_gonio.fitting import applicable_methods, fit
-    from adis_gonio.handover.report.allan import noise_section
-    from adis_gonio.handover.report.gyros import gyro_section
-    from adis_gonio.handover.report.page import build_page, views
+    from adis_gonio.handover.calibration_report import build_page, views
+    from adis_gonio.handover.gyro_report import gyro_section, noise_section
     from adis_gonio.tracing.trace import trace
 
     tell = current().tell
@@ -76,7 +75,7 @@ def _page(session: Session, time_limit: float | None) -> str:
 def _twin(session: Session, traced: TraceResult) -> list[Section]:
     """The twin's section, where the session can have one."""
     from adis_gonio.base.errors import AdisGonioError
-    from adis_gonio.handover.report.twin import twin_section
+    from adis_gonio.handover.twin_comparison import twin_section
     from adis_gonio.page.parts import Section
 
     try:

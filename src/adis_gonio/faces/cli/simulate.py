@@ -133,7 +133,7 @@ def command(*, output: Path, **options: Any) -> None:
 def _twin(path: Path, output: Path, seed: int) -> None:
     """Write the twin of a session."""
     from adis_gonio.base.budget import current
-    from adis_gonio.handover.twin import simulate_like
+    from adis_gonio.handover.digital_twin import simulate_like
     from adis_gonio.record.loading import explain_refusal, load_session
     from adis_gonio.record.samples_writer import export_csv
     from adis_gonio.tracing.trace import trace
