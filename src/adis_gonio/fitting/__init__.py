@@ -11,19 +11,19 @@ from adis_gonio.base.lazy_names import lazily
 
 _HOMES = {
     "METHODS": "methods",
-    "Estimate": "result",
-    "FitResult": "result",
+    "Estimate": "fit_result",
+    "FitResult": "fit_result",
     "applicable_methods": "methods",
     "fit": "methods",
     "fit_readings": "methods",
 }
 
 if TYPE_CHECKING:
+    from adis_gonio.fitting.fit_result import Estimate as Estimate
+    from adis_gonio.fitting.fit_result import FitResult as FitResult
     from adis_gonio.fitting.methods import METHODS as METHODS
     from adis_gonio.fitting.methods import applicable_methods as applicable_methods
     from adis_gonio.fitting.methods import fit as fit
     from adis_gonio.fitting.methods import fit_readings as fit_readings
-    from adis_gonio.fitting.result import Estimate as Estimate
-    from adis_gonio.fitting.result import FitResult as FitResult
 
 __getattr__ = lazily(__name__, _HOMES)

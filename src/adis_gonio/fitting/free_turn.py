@@ -17,6 +17,7 @@ from adis_gonio.base.intervals import effective_dof, factor_over
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.values import Value
 from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.fit_result import Estimate, FitResult
 from adis_gonio.fitting.free_turn_estimate import (
     NAMES,
     LeastSquaresProblem,
@@ -26,7 +27,6 @@ from adis_gonio.fitting.free_turn_estimate import (
     solve,
 )
 from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
-from adis_gonio.fitting.result import Estimate, FitResult
 from adis_gonio.fitting.uncertainty import BudgetRow, gradient_of_base
 from adis_gonio.model.records import Session
 from adis_gonio.model.sweeps import Sweeps

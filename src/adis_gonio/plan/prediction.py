@@ -21,8 +21,8 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.values import Value
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import fit_readings
-from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.uncertainty import ShownAngle
 from adis_gonio.plan.imagined import Bench, imagined
 from adis_gonio.plan.sight import Sight, sight_of
