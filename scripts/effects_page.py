@@ -111,10 +111,8 @@ def section(kind: type[Effect]) -> list[str]:
 
 
 GROUPS = {
-    "sensor_terms": "Response of the sensor",
-    "environment": "Surroundings: temperature, supply, time, gravity",
-    "stage": "Stage and approach of a position",
-    "dwell_terms": "Within dwells, and single dwells",
+    "sensor_terms": "Sensor and its surroundings: response, temperature, supply, time, gravity",
+    "stage_terms": "Stage, approach of a position, single dwells and samples",
     "gyro_terms": "Gyros ([how to calibrate them](gyros.md))",
 }
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fleet.control_charts import CUSUM_H, average_run_length, control_chart, cusum, drift_of
 from adis_gonio.fleet.fleet_summary import summarise
 from adis_gonio.fleet.session_record import SessionRecord

@@ -89,7 +89,7 @@ def test_without_pandas_the_extra_is_named(session, result, monkeypatch):
 
 
 def test_a_trace_shows_itself_too():
-    from adis_gonio.base.values import Value
+    from adis_gonio.base.uncertainty import Value
     from adis_gonio.tracing.trace_result import ErrorFigures, Finding, TraceResult
 
     figures = ErrorFigures(1.0, 1.0, 0.1, 1.0)

@@ -12,7 +12,7 @@ import pytest
 import adis_gonio
 from adis_gonio import fit, trace
 from adis_gonio.base.errors import DataError, NotInstalledError, UsageError
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.readings import Unit

@@ -15,9 +15,9 @@ from adis_gonio.base.errors import (
     ProtocolError,
 )
 from adis_gonio.device.bus import BusUrl, SpiTiming
-from adis_gonio.device.bus.mcp2210 import find_devices, open_from_url, writes
-from adis_gonio.device.bus.mcp2210 import reports as r
-from adis_gonio.device.bus.mcp2210.writes import TimedWrites
+from adis_gonio.device.bus import mcp2210 as r
+from adis_gonio.device.bus import mcp2210 as writes
+from adis_gonio.device.bus.mcp2210 import TimedWrites, find_devices, open_from_url
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig
 from adis_gonio.sim.testing.faults import Faults

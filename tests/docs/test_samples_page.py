@@ -75,11 +75,11 @@ def test_every_column_and_key_of_the_code_is_in_the_format():
 
 
 def test_every_option_of_the_page_is_one_of_the_command():
-    from adis_gonio.faces.cli.fit import command
+    from adis_gonio.faces.cli.fit_commands import fit_command
 
     rows = re.findall(r"^\| (`--.*?) \|", TEXT, re.MULTILINE)
     options = {option for row in rows for option in re.findall(r"`(--\w+)", row)}
-    known = {name for option in command.params for name in option.opts}
+    known = {name for option in fit_command.params for name in option.opts}
     assert (
         options
         == {"--angles", "--reverse", "--unit", "--gravity", "--fixture", "--sensor", "--columns"} & known

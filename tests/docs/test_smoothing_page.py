@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from adis_gonio.faces.cli.angle import NOTES
+from adis_gonio.faces.cli.live_commands import NOTES
 from adis_gonio.live.smoothed_meter import Smoothed
 
 DOCS = Path(__file__).parents[2] / "docs"

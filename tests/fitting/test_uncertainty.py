@@ -10,7 +10,7 @@ from scipy import stats
 
 import coverage_of_u as coverage
 from adis_gonio import fit
-from adis_gonio.base.intervals import coverage_factor, effective_dof, factor_over
+from adis_gonio.base.uncertainty import coverage_factor, effective_dof, factor_over
 from adis_gonio.fitting.monte_carlo import monte_carlo
 from adis_gonio.fitting.uncertainty import GRAVITY, SOURCES
 from adis_gonio.model.records import Dwell, Session

@@ -11,8 +11,7 @@ import pytest
 from scipy.stats import binom, chi2, fisher_exact
 
 from adis_gonio.base.errors import DataError
-from adis_gonio.base.intervals import wilson
-from adis_gonio.base.levels import OUTLYING
+from adis_gonio.base.uncertainty import OUTLYING, wilson
 from adis_gonio.fleet.fleet_pages import build_page
 from adis_gonio.fleet.fleet_statistics import beyond, by_share, repeats
 from adis_gonio.fleet.fleet_summary import summarise

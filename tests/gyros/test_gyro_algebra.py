@@ -15,7 +15,7 @@ from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.gyros import gyro_fit as module
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro_readings
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 
 BIAS = np.array([0.4, -1.1, 0.2])
 FORCE_ON = np.array([[0.05, -0.02, 0.03], [0.01, 0.04, -0.03], [-0.02, 0.02, 0.06]])

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.gyros.gyro_fit import alignment, fit_gyro, rotation_and_skews_deg
 from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
 from adis_gonio.fitting.gyros.turn_integration import Integral, Path, Sampling, integral_over, integrate
-from adis_gonio.model.records import Dwell, Session
-from adis_gonio.model.turns import Turn
+from adis_gonio.model.records import Dwell, Session, Turn
 from adis_gonio.sim import World, WorldSettings
 from gyros.simulated import PERIOD_S, Recorder, planar
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import adis_gonio
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.answer import Answer

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fleet.fleet_pages import build_page, history_page
 from adis_gonio.fleet.fleet_run import Repeated
 from adis_gonio.fleet.fleet_summary import summarise

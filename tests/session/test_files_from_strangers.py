@@ -25,7 +25,7 @@ from adis_gonio.base.output import write_utf8
 from adis_gonio.calibrate.calibration_document import calibration_from
 from adis_gonio.faces import cli
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
-from adis_gonio.plan.document import document_of, read_plan
+from adis_gonio.plan.plan_file import document_of, read_plan
 from adis_gonio.record import database, samples_reader
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session

@@ -7,7 +7,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from adis_gonio.base.levels import POSITION_QUESTIONED
+from adis_gonio.base.uncertainty import POSITION_QUESTIONED
 from adis_gonio.bench.events import DwellDone, GuardKind, Problem
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor

@@ -15,7 +15,7 @@ from adis_gonio.base.budget import Budget, within
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing import validation
 from adis_gonio.tracing.trace_result import ErrorFigures
 from adis_gonio.tracing.validation import (

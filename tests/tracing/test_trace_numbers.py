@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing.averaging import AveragedTerm, average
 from adis_gonio.tracing.credible_sets import Names, judge, set_of, undecided
 from adis_gonio.tracing.findings import told_from_zero

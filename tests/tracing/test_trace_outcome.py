@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
 from adis_gonio.fitting.slips.position_diagnosis import Named
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing.credible_sets import credible_sets, one_a_function, votes
 from adis_gonio.tracing.findings import (
     base_of,
@@ -465,7 +465,7 @@ class TestFindings:
             assert value.value == pytest.approx(data.mean[:, axis].mean(), abs=0.02)
             assert value.u == pytest.approx(U / math.sqrt(24), rel=1e-3)
             assert (value.unit, value.dof) == ("mg", math.inf)
-        assert "reads other than zero" in found.cause
+        assert "zero without acceleration" in found.cause
         assert found.probability == 1.0
 
     @pytest.mark.parametrize("inflation", [1.0, 2.0])

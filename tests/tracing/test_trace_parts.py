@@ -19,12 +19,12 @@ from scipy import linalg, stats
 
 from adis_gonio.base.budget import Budget, within
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamelessTerm
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing import averaging
 from adis_gonio.tracing import selection as choice
 from adis_gonio.tracing.averaging import AveragedTerm, average

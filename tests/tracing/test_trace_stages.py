@@ -18,7 +18,7 @@ import pytest
 
 from adis_gonio.base.budget import Budget, within
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.readings import Readings, Unit, in_mg
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.fitting.slips import Diagnosis

@@ -266,7 +266,7 @@ def test_two_positions_a_csv_and_an_open_end_are_refused(tmp_path):
 
 
 def test_a_model_that_lacks_something_is_refused_unless_told(tmp_path):
-    from adis_gonio.model.effects.registry import parse_effect
+    from adis_gonio.model.effects import parse_effect
     from adis_gonio.sim import World, WorldSettings
     from writeback.rig import PowerBus
 

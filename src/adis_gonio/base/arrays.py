@@ -1,4 +1,4 @@
-"""Arrays of numbers: their type, angles within a turn, derivatives, robust scatter, singular matrices."""
+"""Arrays of numbers: type, wrapped angles, derivatives, robust scatter, singular matrices."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Angle = TypeVar("Angle", float, Floats)
 
 
 def wrap_degrees(angle_deg: Angle) -> Angle:
-    """Angle in degrees, a number or an array, brought into [−180, 180)."""
+    """Wrap an angle in degrees, a number or an array, to [−180, 180)."""
     return (angle_deg + 180.0) % 360.0 - 180.0
 
 
 def wrap_radians(angle_rad: Angle) -> Angle:
-    """Angle in radians, a number or an array, brought into [−π, π)."""
+    """Wrap an angle in radians, a number or an array, to [−π, π)."""
     return (angle_rad + np.pi) % (2 * np.pi) - np.pi
 
 

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base import Closing
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.bench.iio_devices import (

@@ -23,7 +23,7 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.bench.dialogue import Questions
 from adis_gonio.bench.events import Event, Problem, StageMoved, TurnDone, TurnProgress
 from adis_gonio.bench.session_bench import SessionBench
-from adis_gonio.model.sweeps import Sweeps
+from adis_gonio.model.records import Sweeps
 from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase, utc_now
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.plans import Plan, Position

@@ -48,8 +48,7 @@ from adis_gonio.bench.recorder import FreeTurnRecorder, Recorder
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.session_state import Knowledge, Ledger
 from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, checked_gravity_mps2
 from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position, blindness, extended, extension

@@ -28,7 +28,7 @@ from adis_gonio.calibrate.coefficients import VERSION, Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.model.effects import AXES, effect
-from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import SENSORS
 from adis_gonio.record.provenance import Covered, Provenance
 

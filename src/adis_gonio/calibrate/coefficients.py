@@ -17,7 +17,7 @@ from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import format_uncertain
 from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.tables import ParameterTable
-from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.record.provenance import Provenance
 
 if TYPE_CHECKING:

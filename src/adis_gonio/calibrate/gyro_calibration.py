@@ -35,7 +35,7 @@ from adis_gonio.calibrate.coefficients import (
 from adis_gonio.device.sensor.registers import Kind
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.record.provenance import Covered
 
 GYRO_OFFSET_DPS = VARIANTS["adis16354"].lsb(Kind.GYRO_OFFSET)[0]

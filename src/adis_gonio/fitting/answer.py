@@ -26,7 +26,7 @@ from adis_gonio.base.numbers import (
     with_unit,
 )
 from adis_gonio.base.tables import align_columns, fold_text
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
 from adis_gonio.fitting.uncertainty import BudgetRow

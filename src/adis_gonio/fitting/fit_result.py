@@ -12,11 +12,10 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, mean_direction, unsolvable, wrap_radians
 from adis_gonio.base.errors import FitError, SessionError, UsageError
-from adis_gonio.base.intervals import factor_over
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import Entries, ParameterTable
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.fitting.determination import LIMIT, Determination, is_determined, names_of

@@ -13,9 +13,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import DataError, FitError
-from adis_gonio.base.intervals import effective_dof, factor_over
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value, effective_dof, factor_over
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.fit_result import Estimate, FitResult
 from adis_gonio.fitting.free_turn_estimate import (
@@ -28,8 +27,7 @@ from adis_gonio.fitting.free_turn_estimate import (
 )
 from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
 from adis_gonio.fitting.uncertainty import BudgetRow, gradient_of_base
-from adis_gonio.model.records import Session
-from adis_gonio.model.sweeps import Sweeps
+from adis_gonio.model.records import Session, Sweeps
 from adis_gonio.record.provenance import provenance_of
 
 LEAST_S = 10.0

@@ -16,8 +16,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.intervals import COVERED
 from adis_gonio.base.jsonable import KEYED_BY_NAME, JsonRecord
+from adis_gonio.base.uncertainty import COVERED
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.fit_result import Estimate, FitResult, Origin, outputs_of

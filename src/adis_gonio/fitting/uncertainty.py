@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import effective_dof
 from adis_gonio.base.jsonable import JsonRecord, key
+from adis_gonio.base.uncertainty import effective_dof
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings

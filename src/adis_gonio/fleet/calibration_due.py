@@ -25,9 +25,9 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.intervals import coverage_factor
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.base.numbers import counted
+from adis_gonio.base.uncertainty import coverage_factor
 from adis_gonio.fleet.control_charts import LEAST, YEAR_DAYS
 from adis_gonio.fleet.sensor_history import History, date_of
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2

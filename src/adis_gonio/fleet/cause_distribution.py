@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fleet.population_likelihood import (
     MEANS,
     MOST_OF_KNOWN,

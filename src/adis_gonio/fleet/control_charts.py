@@ -21,7 +21,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 
 CUSUM_K = 0.5
 """Half of the shift, in standard deviations, for which the chart is tuned (Montgomery, chapter 9)."""

@@ -11,19 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.base.jsonable import finite, json_object
 from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
 from adis_gonio.base.output import check_output, replacing, write_utf8
-from adis_gonio.base.version import __version__
 from adis_gonio.fleet import fleet_summary, sensor_history
 from adis_gonio.fleet.fleet_run import Fleet, Repeated
 from adis_gonio.fleet.fleet_summary import GROUPS, Outlying, QuantitySummary, Summary, summarise
 from adis_gonio.fleet.sensor_history import History, Track
 from adis_gonio.fleet.session_record import Options
-from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
-from adis_gonio.page.render import render
+from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
 from adis_gonio.page.svg import Series, plot
 
 if TYPE_CHECKING:

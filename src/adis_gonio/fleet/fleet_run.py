@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from adis_gonio.base.budget import told
+from adis_gonio.base.budget import with_progress
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted, format_duration
@@ -90,7 +90,7 @@ class ThisProcess:
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
         """Yield each job with its record."""
-        for job in told(jobs):
+        for job in with_progress(jobs):
             yield job, record_of(job.path, **options.as_dict())
 
 

@@ -22,7 +22,7 @@ from scipy.stats import hypergeom, rankdata
 
 from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
 from adis_gonio.base.jsonable import JsonRecord, key
-from adis_gonio.base.levels import OUTLYING
+from adis_gonio.base.uncertainty import OUTLYING
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 LEAST = 3

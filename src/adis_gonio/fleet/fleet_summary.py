@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import wilson
 from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord, key
-from adis_gonio.base.levels import OUTLYING
 from adis_gonio.base.numbers import (
     NAMES,
     count_decimals,
@@ -28,7 +27,7 @@ from adis_gonio.base.numbers import (
     format_unit,
     with_unit,
 )
-from adis_gonio.base.version import __version__
+from adis_gonio.base.uncertainty import OUTLYING, wilson
 from adis_gonio.fleet.fleet_statistics import (
     FEWEST,
     FEWEST_UNITS,

@@ -13,9 +13,8 @@ import numpy as np
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.levels import POPULATION_SET
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import POPULATION_SET, Value
 from adis_gonio.fleet.cause_distribution import Reach, means_of, reach_of, share_of
 from adis_gonio.fleet.population_likelihood import Units, units_of
 from adis_gonio.fleet.population_selection import (

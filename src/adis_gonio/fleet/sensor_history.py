@@ -13,7 +13,6 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import JsonRecord, json_object
-from adis_gonio.base.levels import DRIFTING
 from adis_gonio.base.numbers import (
     DASH,
     NAMES,
@@ -24,7 +23,7 @@ from adis_gonio.base.numbers import (
     label_quantity,
     use_minus,
 )
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import DRIFTING, Value
 from adis_gonio.fleet.control_charts import CUSUM_H, CUSUM_K, ControlChart, Drift, control_chart, drift_of
 from adis_gonio.fleet.session_record import ANGLE, QUANTITIES, SessionRecord
 

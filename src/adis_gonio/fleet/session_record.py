@@ -14,10 +14,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.values import Value, finite_or_none
-from adis_gonio.base.version import __version__
+from adis_gonio.base.uncertainty import Value, finite_or_none
 from adis_gonio.record.provenance import digest_of_file, provenance_of
 
 if TYPE_CHECKING:

@@ -28,8 +28,8 @@ from itertools import islice
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import FleetError, NotInstalledError, UsageError
-from adis_gonio.base.version import __version__
 from adis_gonio.fleet.session_record import Job, Options, SessionRecord, lost, work
 
 if TYPE_CHECKING:

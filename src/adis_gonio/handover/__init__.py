@@ -3,7 +3,7 @@
 Public names are imported when they are first used.
 """
 
-from adis_gonio.base.lazy_names import lazily
+from adis_gonio.base import lazily
 
 _HOMES = {
     "ExportSource": "session_export",

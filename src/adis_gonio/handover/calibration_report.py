@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.numbers import (
     DASH,
@@ -26,8 +27,7 @@ from adis_gonio.base.numbers import (
     use_minus,
     with_unit,
 )
-from adis_gonio.base.values import Value
-from adis_gonio.base.version import __version__
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer, format_dof, format_share
@@ -35,8 +35,7 @@ from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.position_diagnosis import Angle
 from adis_gonio.model.records import Session
-from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
-from adis_gonio.page.render import render
+from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
 from adis_gonio.page.svg import Role, Series, Style, plot
 from adis_gonio.record.provenance import digest_of_file
 from adis_gonio.tracing import trace_summary as words

@@ -15,7 +15,7 @@ from datetime import date
 import numpy as np
 
 from adis_gonio.base.errors import FitError, one_line
-from adis_gonio.base.intervals import coverage_factor
+from adis_gonio.base.uncertainty import coverage_factor
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of

@@ -11,10 +11,9 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.errors import AdisGonioError, DataError
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-from adis_gonio.device.sensor.bartlett import bartlett
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT
-from adis_gonio.device.sensor.settings import sample_period_s, smpl_prd_for
+from adis_gonio.device.sensor.settings import filter_weights, sample_period_s, smpl_prd_for
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Unit, readings_of
@@ -94,7 +93,7 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     if stated is None:
         noisy = (variance > 0) & (white > 0)  # a constant axis shows no filter
         target = float(np.mean(np.log(variance[noisy] / white[noisy] ** 2))) if noisy.any() else 0.0
-        filter_m = min(range(7), key=lambda m: abs(math.log((bartlett(m) ** 2).sum()) - target))
+        filter_m = min(range(7), key=lambda m: abs(math.log((filter_weights(m) ** 2).sum()) - target))
     return SamplesNoise(smpl_prd, filter_m, white, np.sqrt(means.flicker))
 
 

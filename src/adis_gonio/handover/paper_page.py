@@ -19,8 +19,7 @@ from adis_gonio.handover.paper_study import (
     Study,
     printed_verdicts,
 )
-from adis_gonio.page.parts import Figure, KeyFigure, Section, Table
-from adis_gonio.page.render import render
+from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
 from adis_gonio.page.svg import Series, plot
 
 NAMES = {

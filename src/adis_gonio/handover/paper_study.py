@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.budget import current, told
+from adis_gonio.base.budget import current, with_progress
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import JsonRecord, json_object, key
-from adis_gonio.base.version import __version__
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
@@ -210,13 +210,13 @@ def results_of(part: Part, traced: bool = False) -> Results:
 def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Results]:
     """Results of many parts, each given with a flag for the trace, in their order."""
     if jobs <= 1:
-        return [results_of(*one) for one in told(parts)]
+        return [results_of(*one) for one in with_progress(parts)]
     # Only the parent handles Ctrl-C, so that the processes print no tracebacks.
     with ProcessPoolExecutor(
         jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
     ) as pool:
         done = pool.map(results_of, *zip(*parts, strict=True))
-        return [one for one, _ in zip(done, told(parts), strict=True)]
+        return [one for one, _ in zip(done, with_progress(parts), strict=True)]
 
 
 def facts_of(results: Results) -> dict[str, Any]:

@@ -24,8 +24,8 @@ from adis_gonio.calibrate.calibration import Calibration, EffectTerm
 from adis_gonio.device.sensor.registers import Kind
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
-from adis_gonio.model.effects.families import CrossEffect
+from adis_gonio.model.effects.base import CrossEffect
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import MG_PER_G
 
 PARTS = 256

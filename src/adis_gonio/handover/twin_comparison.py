@@ -15,7 +15,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.handover.digital_twin import period_of, simulate_like
 from adis_gonio.model.records import Session
-from adis_gonio.page.parts import Figure, Section, Table
+from adis_gonio.page.document import Figure, Section, Table
 from adis_gonio.page.svg import Role, Series, plot
 from adis_gonio.tracing.trace_result import TraceResult
 

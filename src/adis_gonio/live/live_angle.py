@@ -17,9 +17,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import BusError, ChipError, UsageError
-from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT
-from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.live.smoothed_meter import Smoothed, SmoothedMeter, sensing_of
 from adis_gonio.record.blocks import Block, session_columns
 from adis_gonio.record.settings import Settings
@@ -120,7 +119,7 @@ class AngleMeter:
         self._least = max(1, round(every_s * measuring.sample_rate_hz))
         # Samples behind the filter lean on one another: as many independent ones have its white noise.
         filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
-        self._independent = white_gain(filter_m) ** 2 if filter_m else 1.0
+        self._independent = white_noise_gain(filter_m) ** 2 if filter_m else 1.0
         self._waiting: list[Block] = []
         self._kept = np.empty((0, 3))
         self._first_s: float | None = None

@@ -14,8 +14,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.sensor.bartlett import white_gain
-from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.live.angle_smoother import LAG_S, AngleSmoother, SmoothedAngle
 from adis_gonio.live.gyro_steps import GyroKnowledge, Sensing
@@ -83,7 +82,7 @@ def sensing_of(measuring: Measuring, part: str, noise_mg: float) -> Sensing:
     known = VARIANTS[part].performance if part in VARIANTS else None
     return Sensing(
         period_s,
-        noise_mg / white_gain(filter_m),
+        noise_mg / white_noise_gain(filter_m),
         known.gyro_noise_dps if known else GENERIC_WALK_DEG / math.sqrt(period_s),
         filter_m,
         range_dps,

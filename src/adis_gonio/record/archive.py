@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing, __version__
 from adis_gonio.base.errors import SessionError
 from adis_gonio.base.shapes import ShapeError, anything
-from adis_gonio.base.version import __version__
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.record import database
 from adis_gonio.record.archive_tables import (

@@ -15,7 +15,7 @@ from statistics import NormalDist
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_radians
-from adis_gonio.base.levels import POSITION_QUESTIONED
+from adis_gonio.base.uncertainty import POSITION_QUESTIONED
 from adis_gonio.record.stillness import SHIFT_MG
 
 K = NormalDist().inv_cdf(1 - POSITION_QUESTIONED / 2)

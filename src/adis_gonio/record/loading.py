@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Session
+from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Session, checked_gravity_mps2
 
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 
@@ -98,7 +97,7 @@ class Overrides:
     Attributes
     ----------
     gravity_mps2 : float or None
-        Local gravity; any value above zero (`adis_gonio.model.gravity.checked_gravity_mps2` checks whether
+        Local gravity; any value above zero (`adis_gonio.model.records.checked_gravity_mps2` checks whether
         it occurs on Earth).
     fixture_sigma_deg : float or None
         Standard uncertainty of a declared angle in degrees; `inf` if attitudes are free.

@@ -103,7 +103,7 @@ def provenance_of(session: Session) -> Provenance:
 
 
 def _provenance(session: Session) -> Provenance:
-    from adis_gonio.base.version import __version__
+    from adis_gonio.base import __version__
 
     return Provenance(
         **{name: getattr(session, name) for name in _FROM_SESSION},

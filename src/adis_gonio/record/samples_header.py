@@ -24,8 +24,7 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, checked_gravity_mps2
 from adis_gonio.record.samples_columns import (
     AXES,
     COLUMNS,

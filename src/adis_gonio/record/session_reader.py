@@ -16,8 +16,7 @@ import numpy as np
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor.registers import changed_settings
-from adis_gonio.model.records import METADATA, Dwell, Session
-from adis_gonio.model.turns import Turn
+from adis_gonio.model.records import METADATA, Dwell, Session, Turn
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.archive_tables import Header, JsonDict, StoredAttempt
 from adis_gonio.record.blocks import (

@@ -13,15 +13,14 @@ from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any, Protocol
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
-from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.data_ready import MASK as DATA_READY_BITS
 from adis_gonio.device.sensor.data_ready import DataReadyLoan
 from adis_gonio.device.sensor.driver import Adis16354, open_sensor
 from adis_gonio.device.sensor.registers import BY_NAME, READING_BITS, REGISTERS
-from adis_gonio.device.sensor.settings import Configuration, Status
+from adis_gonio.device.sensor.settings import Configuration, Status, white_noise_gain
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.settings import Settings
 
@@ -308,7 +307,7 @@ class ChipSource(SampleSource):
     def expected_noise_mg(self, measuring: Measuring) -> float:
         """The variant's noise estimate behind the present filter."""
         filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
-        return self.sensor.variant.performance.noise_mg * white_gain(filter_m)
+        return self.sensor.variant.performance.noise_mg * white_noise_gain(filter_m)
 
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
         """Scans of the registers that the settings name."""

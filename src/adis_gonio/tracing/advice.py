@@ -10,7 +10,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES, catalogue
 from adis_gonio.model.effects.gyro_terms import WHOLE_TURNS
-from adis_gonio.model.effects.stage import BETWEEN
+from adis_gonio.model.effects.stage_terms import BETWEEN
 from adis_gonio.tracing.findings import cycles_alike
 from adis_gonio.tracing.proposals import LEAST_SEPARATION, propose
 from adis_gonio.tracing.selection import Selection

@@ -25,8 +25,8 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import AXES, Conditions
-from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
-from adis_gonio.model.effects.lag import lagged
+from adis_gonio.model.effects.base import lagged
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.tracing.named_candidates import choices_of_axes
 from adis_gonio.tracing.thresholds import limits
 

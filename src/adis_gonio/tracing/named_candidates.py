@@ -14,7 +14,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Effect, Enters, catalogue
 from adis_gonio.model.effects.base import Parameter
-from adis_gonio.model.effects.stage import LEAST_CYCLES, of_one_phase
+from adis_gonio.model.effects.stage_terms import LEAST_CYCLES, of_one_phase
 from adis_gonio.tracing.thresholds import limits
 
 

@@ -29,9 +29,8 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import attempt, check
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.levels import FOUND_IN_ONE_POSE
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Detectable, Value
+from adis_gonio.base.uncertainty import FOUND_IN_ONE_POSE, Detectable, Value
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session

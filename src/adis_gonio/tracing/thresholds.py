@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from adis_gonio.base.levels import CREDIBLE_SET, INADEQUATE
+from adis_gonio.base.uncertainty import CREDIBLE_SET, INADEQUATE
 
 Origin = Literal["level", "derived", "physical", "measured", "chosen", "effort"]
 """A level is a promise (1 %, 95 %). Derived: follows from mathematics. Physical: a limit of parts or

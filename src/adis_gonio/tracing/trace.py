@@ -25,7 +25,7 @@ from adis_gonio.base.arrays import solvable
 from adis_gonio.base.budget import attempt, current, spent, within
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Detectable
+from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.noise_estimation import state_noise

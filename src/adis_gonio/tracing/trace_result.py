@@ -18,12 +18,12 @@ from adis_gonio.base.jsonable import (
     json_object,
 )
 from adis_gonio.base.tables import Entries, ParameterTable, lines_of
-from adis_gonio.base.values import Detectable, Value
+from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, GYRO
 from adis_gonio.fitting.slips.position_diagnosis import PositionFinding, listed
 from adis_gonio.model.effects import catalogue
-from adis_gonio.model.effects.environment import REFERENCE_C
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C
 from adis_gonio.record.provenance import Provenance
 from adis_gonio.tracing.credible_sets import CredibleSet
 from adis_gonio.tracing.within.samples import WithinFinding

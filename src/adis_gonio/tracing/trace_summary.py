@@ -17,7 +17,7 @@ from adis_gonio.base.numbers import (
     join_words,
     with_unit,
 )
-from adis_gonio.base.values import Detectable
+from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.model.effects import catalogue, effect
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.records import Session

@@ -10,9 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import factor_over
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.fitting.answer import Answer, with_notes
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings

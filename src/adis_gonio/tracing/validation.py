@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, wrap_radians
-from adis_gonio.base.budget import check, told
+from adis_gonio.base.budget import check, with_progress
 from adis_gonio.fitting.estimation.fit import Fit, adequacy, predictable_dwells
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
@@ -208,7 +208,7 @@ def cross_validate(
         residual = np.full(data.mean.shape, np.nan)
         turned = np.full(len(data), np.nan)
         predicted = np.ones(len(data), dtype=bool)
-        for mask in told(masks, begun, folds_in_all):
+        for mask in with_progress(masks, begun, folds_in_all):
             check()
             answer = fit(data.rows(~mask))
             predicted[mask] = answer.by.can_predict(data.rows(mask), limits.predicted)

@@ -14,8 +14,7 @@ from adis_gonio.bench.bringup.bringup_step import (
     Row,
     Verdict,
 )
-from adis_gonio.page.parts import Figure, Section, Table
-from adis_gonio.page.render import render
+from adis_gonio.page.document import Figure, Section, Table, render
 from adis_gonio.page.svg import Series, plot
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.base.version import __version__
 from adis_gonio.bench.bringup.bringup_step import (
     QUESTIONS,
     AlarmBudget,
@@ -31,9 +31,8 @@ from adis_gonio.bench.bringup.noise_steps import FilterSteps, Noise
 from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
 from adis_gonio.bench.bringup.write_steps import FlashCount, Offset, SelfTests, StatusBits
 from adis_gonio.device.bus import SpiBus
-from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.device.sensor.frames import NORMAL
-from adis_gonio.device.sensor.undo import Undo
+from adis_gonio.device.sensor.driver import Adis16354, Undo
+from adis_gonio.device.sensor.registers import NORMAL
 from adis_gonio.device.sensor.variants import Variant
 
 STEPS: tuple[BringupStep, ...] = (

@@ -23,8 +23,7 @@ from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.device.bus import Capability, FrameStream, SpiBus, SpiTiming, Words
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.device.sensor.frames import IDLE
-from adis_gonio.device.sensor.registers import BY_NAME, EA, Register, register, registers
+from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, Register, register, registers
 from adis_gonio.device.sensor.scanning import PolledScans, ScanLayout, ScanStream
 from adis_gonio.device.sensor.variants import VARIANTS
 

@@ -20,20 +20,23 @@ from adis_gonio.bench.bringup.bringup_step import (
     at_most,
 )
 from adis_gonio.device.bus import SpiTiming, Words
-from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.driver import PLAUSIBLE
-from adis_gonio.device.sensor.frames import FAST, FAST_UP_TO, IDLE, NORMAL, read_frames
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
     ACCEL_OUT,
     BY_NAME,
+    FAST,
+    FAST_UP_TO,
+    IDLE,
+    NORMAL,
     REGISTERS,
     TEMP_OUT,
     Register,
+    read_frames,
     registers,
 )
-from adis_gonio.device.sensor.settings import Status
+from adis_gonio.device.sensor.settings import Status, white_noise_gain
 from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE, VARIANTS, Variant
 
 CLOCKS_HZ = (2e6, 1.5e6, 1e6, 750e3, 500e3, 250e3, 125e3, 62.5e3, 31.25e3)
@@ -423,4 +426,4 @@ def _tolerance(part: Variant, warm_c: float) -> float:
 
 def _gain(bench: BringupBench) -> float:
     """Rms gain of the present filter for white noise."""
-    return white_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))
+    return white_noise_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))

@@ -21,10 +21,15 @@ from adis_gonio.bench.bringup.bringup_step import (
     StepResult,
     not_measured,
 )
-from adis_gonio.device.sensor.bartlett import bartlett, response, rounding, white_gain
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, registers
-from adis_gonio.device.sensor.settings import sens_avg_word
+from adis_gonio.device.sensor.settings import (
+    filter_response,
+    filter_weights,
+    rounding_spectrum,
+    sens_avg_word,
+    white_noise_gain,
+)
 from adis_gonio.device.sensor.variants import Variant
 
 _SCANS = 4096
@@ -42,7 +47,7 @@ def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
     """Degrees of freedom of the variance of `count` filtered samples at a distance of `spacing` samples."""
     # Autocorrelation of the filter at the lags of the samples: each correlated lag costs degrees of
     # freedom.
-    weights = bartlett(m)
+    weights = filter_weights(m)
     shape = np.correlate(weights, weights, "full")
     shape = shape[len(weights) - 1 :] / shape[len(weights) - 1]
     lags = np.arange(1, len(shape) / spacing)
@@ -192,7 +197,7 @@ def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, e
     extra = 2 * floors(bench.sensor.variant, expected) ** 2
     variance = np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12 - extra, 1e-9)
     dof = degrees_of_freedom(len(numbers), m, spacing)
-    sigma = np.sqrt(variance) / white_gain(m)
+    sigma = np.sqrt(variance) / white_noise_gain(m)
     judged = _Judged(sigma, sigma / math.sqrt(2 * dof))
     for k in range(len(sigma)):
         low, high = bench.budget.variance_ratio(dof)
@@ -203,13 +208,13 @@ def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, e
 def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
     """Judge level, shape and tones at frequencies at which noise exceeds rounding and flicker."""
     cycles, power = spectrum(numbers)
-    gain = response(m, cycles)
+    gain = filter_response(m, cycles)
     part = bench.sensor.variant
     floor = floors(part, expected)
     # Frequency above which flicker adds at most `_MOST_FLICKER` to the white noise of every axis.
     lowest_hz = float(np.max(flicker(floor, np.ones(1), rate_hz)[0] / (_MOST_FLICKER * expected**2)))
     used = cycles * rate_hz >= max(lowest_hz, 4 * rate_hz / len(numbers))
-    rounded = np.stack([rounding(m, sigma, cycles) for sigma in expected], axis=1)
+    rounded = np.stack([rounding_spectrum(m, sigma, cycles) for sigma in expected], axis=1)
     used &= np.all(gain[:, None] * expected**2 >= rounded, axis=1)
     used[-1] = False  # the last bin is real and has another distribution
     rest = gain[used, None] * flicker(floor, cycles[used] * rate_hz, rate_hz) + rounded[used]
@@ -294,7 +299,7 @@ class FilterSteps(BringupStep):
             gain2 = (float(np.sum(variances[m])) - 3 * flicker) / unfiltered
             relative_u = math.sqrt(2 / (3 * dofs[m]) + 2 / reference_dof)
             gain = math.sqrt(max(gain2, 0.0))
-            expected = white_gain(m)
+            expected = white_noise_gain(m)
             found.measure(f"noise gain at M = {m}", gain, "1", gain * relative_u / 2, expected)
             low, high = bench.budget.variance_ratio(2 / relative_u**2)
             if not low <= gain2 / expected**2 <= high:

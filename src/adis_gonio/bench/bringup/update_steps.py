@@ -25,8 +25,7 @@ from adis_gonio.bench.bringup.bringup_step import (
     not_measured,
 )
 from adis_gonio.device.bus import Capability, Words
-from adis_gonio.device.sensor.frames import read_frames, timing_for, write_frames
-from adis_gonio.device.sensor.registers import BY_NAME, ND
+from adis_gonio.device.sensor.registers import BY_NAME, ND, read_frames, timing_for, write_frames
 from adis_gonio.device.sensor.settings import sample_period_s
 
 _CODES = [n for n in range(256) if n & 0x7F or n & 0x80]

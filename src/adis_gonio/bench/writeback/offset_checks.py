@@ -25,12 +25,11 @@ from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import NAMED_BY_UNIT, OPTIONAL, JsonRecord
 from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
-from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT, Kind
 from adis_gonio.device.sensor.scanning import ScanStream
-from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.device.sensor.variants import variant
 from adis_gonio.fitting import fit
 from adis_gonio.model.effects.base import AXES
@@ -125,7 +124,7 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool
 
 
 def _noise(sensor: Adis16354, stream: ScanStream, now: Configuration, patience_s: float) -> Floats:
-    expected = sensor.variant.performance.noise_mg * white_gain(now.filter_m)
+    expected = sensor.variant.performance.noise_mg * white_noise_gain(now.filter_m)
     meter = NoiseMeter(window_samples(now), expected)
     seen, begin_s = 0, sensor.bus.now_s()
     for scans in stream:
@@ -179,7 +178,7 @@ def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Float
     """Mean (3,) with its standard uncertainty, and the standard deviation of a sample."""
     deviation = values.std(axis=0, ddof=1)
     # The filter does not reduce noise at the lowest frequencies: use the noise of unfiltered samples.
-    spread = deviation / white_gain(now.filter_m)
+    spread = deviation / white_noise_gain(now.filter_m)
     rounding = lsb / np.sqrt(12) * np.where(deviation > lsb, 1 / np.sqrt(len(values)), 1.0)
     return values.mean(axis=0), np.hypot(spread / np.sqrt(len(values)), rounding), deviation
 

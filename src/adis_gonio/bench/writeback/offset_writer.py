@@ -30,9 +30,8 @@ from adis_gonio.bench.writeback.offset_checks import (
     part_of,
 )
 from adis_gonio.bench.writeback.offset_plan import UNITS, WritePlan, recorded_offsets
-from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354
+from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354, Undo
 from adis_gonio.device.sensor.registers import registers
-from adis_gonio.device.sensor.undo import Undo
 from adis_gonio.model.records import Session
 from adis_gonio.record.archive import Archive, ArchiveView
 from adis_gonio.record.blocks import SUPPLY_LIMITS_V

@@ -17,11 +17,14 @@ from scipy import fft, stats
 from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.intervals import NORMAL_95
-from adis_gonio.base.levels import INADEQUATE, SLOW_NOISE
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Value
-from adis_gonio.device.sensor.bartlett import bartlett, response, rounding_covariance, white_gain
+from adis_gonio.base.uncertainty import INADEQUATE, NORMAL_95, SLOW_NOISE, Value
+from adis_gonio.device.sensor.settings import (
+    filter_response,
+    filter_weights,
+    rounding_covariance,
+    white_noise_gain,
+)
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.allan.allan_result import AllanResult, AxisNoise, notes_of, parameters
 from adis_gonio.fitting.allan.noise_processes import KINDS, Kind, curve
@@ -308,12 +311,12 @@ def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool
     """Autocovariance of the rounding, and whether the converter is too coarse for one."""
     # What changes within the filter's window is white noise: slow noise does not count.
     lag = 1 << m
-    weights = bartlett(m)
+    weights = filter_weights(m)
     shape = np.correlate(weights, weights, "full")[len(weights) - 1 :]
     kept = float(shape[0] - (shape[lag] if lag < len(shape) else 0.0))
     change = float(np.median([np.mean((record[lag:] - record[:-lag]) ** 2) / 2 for record in flat]))
     sigma = math.sqrt(max(change - step**2 / 12, 0.0) / kept)
-    if step <= 0 or sigma * white_gain(m) < _FINE * step:
+    if step <= 0 or sigma * white_noise_gain(m) < _FINE * step:
         return np.zeros(1), step > 0
     return step**2 * rounding_covariance(m, sigma / step), False
 
@@ -323,7 +326,7 @@ def _highest(m: int) -> float:
     if m == 0:
         return 0.5
     grid = np.linspace(0.0, 0.5**m, 2049)
-    return float(grid[response(m, grid) >= _PASSED].max())
+    return float(grid[filter_response(m, grid) >= _PASSED].max())
 
 
 def _filter_seen(rests: Rests, chip: bool) -> int:

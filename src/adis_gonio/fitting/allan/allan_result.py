@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.levels import INADEQUATE, SLOW_NOISE
 from adis_gonio.base.numbers import counted, format_number, format_unit
-from adis_gonio.base.values import Value, finite_or_none
+from adis_gonio.base.uncertainty import INADEQUATE, SLOW_NOISE, Value, finite_or_none
 from adis_gonio.fitting.allan.noise_processes import FLOOR_OF_B, KINDS, AllanCurve, Kind
 from adis_gonio.fitting.allan.spectral_likelihood import Profile, SpectralLine
 

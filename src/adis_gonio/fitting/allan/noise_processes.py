@@ -38,7 +38,7 @@ from scipy import signal, special, stats
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.device.sensor.bartlett import bartlett, response
+from adis_gonio.device.sensor.settings import filter_response, filter_weights
 
 Kind = Literal["quantization", "white", "flicker", "walk"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -54,9 +54,9 @@ def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
     """Variances (len(k), 4) of the DCT-II ordinates k of n samples, per squared coefficient of `KINDS`."""
     angle = np.pi * k / n
     frequency = k / (2 * n)
-    passed = response(filter_m, frequency)
-    white = ordinate_variances(_autocovariance(bartlett(filter_m)), n, k)
-    angles = ordinate_variances(_autocovariance(np.convolve(bartlett(filter_m), [1.0, -1.0])), n, k)
+    passed = filter_response(filter_m, frequency)
+    white = ordinate_variances(_autocovariance(filter_weights(filter_m)), n, k)
+    angles = ordinate_variances(_autocovariance(np.convolve(filter_weights(filter_m), [1.0, -1.0])), n, k)
     flicker = passed * _edge(k) / frequency / _FLICKER_ALLAN
     walk = passed / (4 * np.sin(angle / 2) ** 2)
     return np.stack([angles / period_s**2, white / period_s, flicker, walk * period_s], axis=1)
@@ -85,12 +85,12 @@ def line(n: int, k: Floats) -> Floats:
 
 def variograms(filter_m: int, lags: int, period_s: float) -> Floats:
     """Half the mean squared difference (lags, 4) at lags 0, 1, …, per squared coefficient of `KINDS`."""
-    own = _autocovariance(bartlett(filter_m))
+    own = _autocovariance(filter_weights(filter_m))
     reach = len(own) - 1
     lag = np.arange(lags + reach + 1)
     both = np.concatenate([own[:0:-1], own])
     made = np.empty((lags, len(KINDS)))
-    angles = _autocovariance(np.convolve(bartlett(filter_m), [1.0, -1.0]))
+    angles = _autocovariance(np.convolve(filter_weights(filter_m), [1.0, -1.0]))
     made[:, 0] = angles[0] - _padded(angles, lags)
     made[:, 1] = own[0] - _padded(own, lags)
     for column, values in ((2, 2 * _cin(np.pi * lag) / _FLICKER_ALLAN), (3, lag / 2)):

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from scipy import fft, optimize, signal, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import NORMAL_95
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.levels import LINE_IN_NOISE, SLOW_NOISE
+from adis_gonio.base.uncertainty import LINE_IN_NOISE, NORMAL_95, SLOW_NOISE
 from adis_gonio.fitting.allan.noise_processes import KINDS, line, ordinate_variances, variances
 
 MOST = 12

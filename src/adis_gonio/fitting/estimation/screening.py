@@ -31,8 +31,8 @@ from scipy import stats
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
-from adis_gonio.base.levels import COMMON_DIVISOR
 from adis_gonio.base.numbers import counted, name_positions
+from adis_gonio.base.uncertainty import COMMON_DIVISOR
 from adis_gonio.model.records import Dwell, Session
 
 _LEAST_RUN = 32

@@ -9,7 +9,7 @@ angle), are those of the triad itself and do not depend on the frame.
 
 Method `gyro`: zero rates, g-sensitivity, gains and directions of the gyros, by weighted least squares.
 
-The model is the gyros' base model (`model.rates`) with the effects of a physical calibration:
+The model is the gyros' base model (`MeanRate`) with the effects of a physical calibration:
 `g_sensitivity` where poses show it, `gyro_scale` and `gyro_misalignment` where turns do. Each gyro is
 determined by itself, since no parameter belongs to two. What the intervals do not determine is held at that
 of a perfect gyro, and said. Of gains and misalignments a result states K and D of rate = K D ω, however
@@ -37,10 +37,9 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats, central_differences, solvable
 from adis_gonio.base.errors import AdisGonioError, FitError, SessionError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.levels import INADEQUATE
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import Entries, ParameterTable
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.coefficients import NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor.variants import VARIANTS

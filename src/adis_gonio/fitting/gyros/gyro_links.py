@@ -43,8 +43,7 @@ from adis_gonio.fitting.gyros.turn_integration import (
     smooth,
 )
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.model.records import Session
-from adis_gonio.model.turns import Turn
+from adis_gonio.model.records import Session, Turn
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration

@@ -54,9 +54,8 @@ from adis_gonio.fitting.gyros.turn_references import (
     whole_turns,
 )
 from adis_gonio.model.effects import AXES, Conditions
-from adis_gonio.model.rates import MeanRate
-from adis_gonio.model.records import Dwell, Session
-from adis_gonio.model.turns import Turn
+from adis_gonio.model.measurement import MeanRate
+from adis_gonio.model.records import Dwell, Session, Turn
 from adis_gonio.record.provenance import provenance_of
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.levels import CREDIBLE_SET
+from adis_gonio.base.uncertainty import CREDIBLE_SET
 from adis_gonio.fitting.slips.position_evidence import (
     Beside,
     Detectability,

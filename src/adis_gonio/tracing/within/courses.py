@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
 from adis_gonio.model.records import MG_PER_G
 from adis_gonio.tracing.within.samples import (
     Place,

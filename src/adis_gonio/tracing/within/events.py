@@ -20,8 +20,8 @@ import numpy as np
 from scipy import stats
 
 from adis_gonio.base.arrays import MAD_TO_SD, Floats
-from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
+from adis_gonio.base.uncertainty import FOUND_WITHIN
 from adis_gonio.tracing.within.samples import (
     Place,
     Samples,

@@ -31,9 +31,8 @@ from numpy.typing import NDArray
 from scipy import ndimage, optimize, special, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, quantization_variance
 from adis_gonio.model.records import Session

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import MAD_TO_SD, Floats
 from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import name_positions
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.screening import steps_of
 from adis_gonio.model.effects import AXES

@@ -36,8 +36,7 @@ import numpy as np
 from scipy import optimize, special, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
-from adis_gonio.base.values import Detectable
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Detectable
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session

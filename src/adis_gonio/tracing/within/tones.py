@@ -38,9 +38,8 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize, signal, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.within.samples import Samples, View, WithinFinding, corrected, positions_text
 

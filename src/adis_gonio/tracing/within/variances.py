@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN, INADEQUATE
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, INADEQUATE, Value
 from adis_gonio.tracing.within.samples import Place, Samples, View, WithinFinding, corrected, positions_text
 from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, without_line
 
