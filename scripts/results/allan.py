@@ -1,4 +1,4 @@
-"""The noise at rest: coverage, false claims, and the reading-off of slopes beside it."""
+"""Noise at rest: coverage, false findings, and the error of the usual reading of slopes."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _NAMES = {
 
 
 def run(effort: Effort) -> Section:
-    """Every case of the script; three axes a session."""
+    """Measure every case of the script with three axes per session."""
     rows = allan.run(effort.sessions(SESSIONS, 1), effort.seed, effort.jobs)
     return section_of(allan.summary(rows), limits(effort.seed))
 
 
 def limits(seed: int) -> Limits:
-    """What the boundary leaves of 95 % where records are long."""
+    """Coverage of long records, which the boundary at zero moves away from 95 %."""
     rng = np.random.default_rng(seed)
     return {name: allan_boundary.coverage(case, DRAWS, rng) for name, case in allan.CASES.items()}
 

@@ -19,7 +19,7 @@ TRACED_AT_DEG = 0.02
 
 
 def run(effort: Effort) -> Section:
-    """The section."""
+    """Measure all plans, methods and fixtures."""
     cases = [case for kind in CASES.values() for case in kind]
     fixtures: Sequence[float] = FIXTURES_DEG
     if effort.fast:

@@ -1,4 +1,4 @@
-"""Speed against named baselines, as ratios; how cost grows."""
+"""Speed against named baselines, as ratios, and the growth of cost."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import bench
 from results.section import Effort, Section
 
 SAMPLES = 10**8
-"""The full run streams so many samples through the segmentation: about five minutes."""
+"""Samples of the full run through the segmentation: about five minutes."""
 
 
 def run(effort: Effort) -> Section:
-    """All benchmarks whose baselines are installed; what is left out is said."""
+    """Measure all benchmarks with an installed baseline; `missing` lists the others."""
     names = [name for name in bench.BENCHMARKS if not bench.absent([name])]
     missing = bench.absent(list(bench.BENCHMARKS))
     samples = bench.SAMPLES_FAST if effort.fast else SAMPLES

@@ -1,4 +1,4 @@
-"""Sessions a second by the number of processes, and what a fleet's summary costs."""
+"""Sessions per second by the number of processes, and the cost of a summary."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def drawn(path: Path, number: int, rng: np.random.Generator) -> None:
 
 
 def seconds(files: list[str], options: Options, workers: int) -> tuple[float, FleetResult]:
-    """Time from the first session to the last, processes running already."""
+    """Seconds per session, measured from the end of the first session to the end of the last."""
     found = survey(files)
     marks: list[float] = []
     with LocalPool(workers) as pool, Store(IN_MEMORY) as store:
@@ -74,7 +74,7 @@ def rows(rng: np.random.Generator, count: int) -> list[dict[str, object]]:
 
 
 def measured(files: list[str], options: Options, most: int) -> dict[str, float | int | bool]:
-    """One worker against as many as there are cores (two at least)."""
+    """Compare one worker with one worker per core (two at least)."""
     one, calm = seconds(files, options, 1)
     many, other = seconds(files, options, most)
     same = calm.as_dict() == other.as_dict()
@@ -90,7 +90,7 @@ def measured(files: list[str], options: Options, most: int) -> dict[str, float |
 
 
 def run(effort: Effort) -> Section:
-    """The section."""
+    """Measure fits, traces and a summary."""
     count, traced, big = effort.sessions(1000, 4), effort.sessions(20, 2), effort.sessions(100_000, 1000)
     most = max(2, cores())
     with tempfile.TemporaryDirectory() as folder:

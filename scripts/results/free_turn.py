@@ -1,4 +1,4 @@
-"""The free turn: coverage of its uncertainties, and its angle against that of 24 dwells."""
+"""The free turn: coverage of its uncertainties, and its angle against 24 dwells."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 import free_turn_statistics as hands
 from results.section import Effort, Section
 
-HANDS, BESIDE = 500, 60
+HANDS, FEWER_HANDS = 500, 60
 
 
 def run(effort: Effort) -> Section:
-    """Simulated hands, two turns each; some of the parts turned forth and back, and once, beside them."""
-    beside = effort.sessions(BESIDE, 2)
+    """Measure two turns; for fewer parts also a turn forth and back, and one turn."""
+    fewer = effort.sessions(FEWER_HANDS, 2)
     return section_of(
         hands.run(effort.sessions(HANDS, 2), effort.seed, effort.jobs, 2),
-        hands.run(beside, effort.seed, effort.jobs, 2, returns=True),
-        hands.run(beside, effort.seed, effort.jobs, 1),
+        hands.run(fewer, effort.seed, effort.jobs, 2, returns=True),
+        hands.run(fewer, effort.seed, effort.jobs, 1),
     )
 
 
@@ -33,7 +33,7 @@ def section_of(
 
 
 def _figure(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Sorted errors of the angle by both ways."""
+    """Draw the sorted errors of the angle by both methods."""
     from adis_gonio.page.svg import Series, plot
 
     good = [row for row in rows if "refused" not in row]

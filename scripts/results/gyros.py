@@ -14,18 +14,18 @@ HANDS = 500
 
 
 def run(effort: Effort) -> Section:
-    """Simulated hands, five turns each way about each axis."""
+    """Measure simulated hands with five turns each way about each axis."""
     return section_of(hands.run(effort.sessions(HANDS, 2), effort.seed, effort.jobs))
 
 
 def section_of(rows: Sequence[Mapping[str, Any]]) -> Section:
-    """The section."""
+    """Make the section of the measured rows."""
     found = hands.summary(rows)
     return Section({"gyro_scale": found}, {"errors": _figure(rows)})
 
 
 def _figure(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Sorted sizes of error and of u, in units of each session's bound."""
+    """Draw the sorted errors and uncertainties in units of each session's bound."""
     from adis_gonio.page.svg import Series, plot
 
     good = [row for row in rows if "refused" not in row]

@@ -1,4 +1,4 @@
-"""Poses in space with the turns between them: coverage, what the turns gain, false gyros."""
+"""Poses in space with recorded turns: coverage, gain by the turns, wrong gyros."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ def run(effort: Effort) -> Section:
 
 
 def section_of(rows: Sequence[Mapping[str, Any]]) -> Section:
-    """The section."""
+    """Make the section of the measured rows."""
     found = links.summary([dict(row) for row in rows])
     return Section({"links": found}, {"ratio": _figure(found)})
 
 
-def _told(way: str) -> str:
+def _way_name(way: str) -> str:
     return {"alone": "gravity alone", "sheet": "data sheet", "calibrated": "calibrated"}[way]
 
 
 def _figure(found: Mapping[str, Any]) -> str:
-    """Skews' u with turns over that by gravity alone."""
+    """Draw the u of skews with turns over the u by gravity alone."""
     from adis_gonio.page.svg import Series, plot
 
     lines = []
@@ -43,5 +43,5 @@ def _figure(found: Mapping[str, Any]) -> str:
             if one[way]["ratio"][part]["skew"] is not None
         ]
         x, y = np.array(at).T if at else (np.zeros(0), np.zeros(0))
-        lines.append(Series(x, y, f"{part}, {_told(way)}", role=role))
+        lines.append(Series(x, y, f"{part}, {_way_name(way)}", role=role))
     return plot(lines, "poses", "u of skews over that by gravity alone", title="What turns gain")

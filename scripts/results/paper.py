@@ -1,4 +1,4 @@
-"""The seed paper reproduced: its table, its figure, and where its method overtakes MMPM."""
+"""The reproduced seed paper: its table, and the fixtures for which its method beats MMPM."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from results.section import Effort, Section
 
 
 def run(effort: Effort) -> Section:
-    """Make the section."""
+    """Reproduce the paper."""
     done = reproduce(
         effort.seed,
         effort.sessions(20, 2),

@@ -1,4 +1,4 @@
-"""Plans: predicted and simulated uncertainties, what the best plans gain, and names told apart by order."""
+"""Plans: predicted and simulated uncertainties, gain of the best plans, effects named by order."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ CASE, CHIP_FIXTURE_DEG = "best 12", 0.05
 
 
 def run(effort: Effort) -> Section:
-    """The section."""
+    """Measure all plans, the chip and the names."""
     sessions = effort.sessions(1000, 20)
     fixtures = (0.05,) if effort.fast else statistics.FIXTURES_DEG
     lines = statistics.run(sessions, effort.seed, effort.jobs, fixtures)
@@ -32,17 +32,17 @@ def section(
     names: dict[str, dict[str, list[int]]],
     traced: int,
 ) -> Section:
-    """The section of the findings."""
+    """Make the section of the measured lines."""
     document = {
         "sessions": sessions,
-        "lines": [_told(line) for line in lines],
-        "chip": {"sessions": chip_sessions, "lines": [_told(line) for line in chip]},
+        "lines": [_line_entry(line) for line in lines],
+        "chip": {"sessions": chip_sessions, "lines": [_line_entry(line) for line in chip]},
         "names": {"sessions": traced, "right_and_wrong": names},
     }
     return Section(document, {"ratios": _figure(lines)})
 
 
-def _told(line: Line) -> dict[str, Any]:
+def _line_entry(line: Line) -> dict[str, Any]:
     return {**vars(line), "ratio": line.ratio}
 
 

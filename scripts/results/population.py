@@ -1,4 +1,4 @@
-"""Section: what the population trace names, and what it names falsely."""
+"""Right and wrong names of the population trace."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ UNITS = 200
 
 
 def run(effort: Effort) -> Section:
-    """A hundred populations with an effect and a hundred without, and some that should mislead."""
+    """A hundred populations with an effect and a hundred without, and some that may mislead."""
     from population_statistics import outcomes
 
     units = effort.sessions(UNITS, 20)
@@ -21,7 +21,7 @@ def run(effort: Effort) -> Section:
 
 
 def section_of(every: Sequence[Any], units: int) -> Section:
-    """The section of outcomes."""
+    """Make the section of the outcomes."""
     document: dict[str, Any] = {"units": units, "kinds": {}, "outcomes": [asdict(one) for one in every]}
     for kind in dict.fromkeys(one.kind for one in every):
         some = [one for one in every if one.kind == kind]

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Effort:
-    """How much to do.
+    """Amount of work.
 
     Attributes
     ----------
     fast : bool
-        A few sessions only: shows that the section runs, not what it finds.
+        If true, a few sessions only: a test that the section runs.
     seed : int
         Everything that is drawn comes from here.
     jobs : int
@@ -32,11 +32,11 @@ class Effort:
     jobs: int = 1
 
     def generator(self) -> np.random.Generator:
-        """A fresh generator: the same draws every time."""
+        """Make a generator that repeats its draws for this seed."""
         return np.random.default_rng(self.seed)
 
     def sessions(self, full: int, fast: int) -> int:
-        """How many sessions to draw."""
+        """Number of sessions to draw."""
         return fast if self.fast else full
 
 

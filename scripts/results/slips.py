@@ -1,4 +1,4 @@
-"""Slips, swapped and mistyped positions: what is found, what is accused falsely, and from which size."""
+"""Slips, swapped and mistyped positions: found, wrongly found, and the smallest size."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import slip_statistics as sessions
 from results.section import Effort, Section, svg
 
 FAULTY, GOOD = 200, 500
-BESIDE_FAULTY, BESIDE_GOOD = 100, 100
+FAULTY_WITHOUT, GOOD_WITHOUT = 100, 100
 WANTED = 0.99
 Row = Mapping[str, Any]
 
 
 def run(effort: Effort) -> Section:
-    """Sessions with one fault and without, with gyros; fewer without gyros."""
+    """Measure sessions with one fault and without, with gyros, and fewer without gyros."""
     faulty, good = effort.sessions(FAULTY, 3), effort.sessions(GOOD, 1)
-    beside = effort.sessions(BESIDE_FAULTY, 3), effort.sessions(BESIDE_GOOD, 1)
+    without = effort.sessions(FAULTY_WITHOUT, 3), effort.sessions(GOOD_WITHOUT, 1)
     return section_of(
         sessions.run(faulty, good, effort.seed, effort.jobs),
-        sessions.run(*beside, effort.seed, effort.jobs, gyros=False),
+        sessions.run(*without, effort.seed, effort.jobs, gyros=False),
     )
 
 
@@ -47,18 +47,18 @@ def _size(row: Row, key: str) -> float:
 
 
 def _from(rows: Sequence[Row], key: str) -> float | None:
-    """Smallest size from which on the wanted share is told; None where there is none."""
+    """Smallest size above which the wanted share is found; None if there is none."""
     ordered = sorted(rows, key=lambda row: -_size(row, key))
-    told, smallest = 0, None
+    found, smallest = 0, None
     for count, row in enumerate(ordered, 1):
-        told += row["right"] or row["alike"]
-        if told >= WANTED * count:
+        found += row["right"] or row["alike"]
+        if found >= WANTED * count:
             smallest = _size(row, key)
     return smallest
 
 
 def _figure(slips: Sequence[Row]) -> str:
-    """Size against the fixture's uncertainty, found and not."""
+    """Draw sizes against the uncertainty of the fixture, found and not found."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 

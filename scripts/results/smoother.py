@@ -14,7 +14,7 @@ WAYS = ("gravity", *(f"{lag:g}" for lag in LAGS_S), "offline")
 
 
 def run(effort: Effort) -> Section:
-    """Simulated hands, each with gyros that nobody has calibrated and with a calibration."""
+    """Measure simulated hands with uncalibrated and with calibrated gyros."""
     count = effort.sessions(HANDS, 2)
     lags = LAGS_S[:2] if effort.fast else LAGS_S
     return section_of(
@@ -38,7 +38,7 @@ def section_of(
 
 
 def _figure(plain: Mapping[str, Any], known: Mapping[str, Any], ways: Sequence[str]) -> str:
-    """Rms error in motion against the lag."""
+    """Draw the rms error in motion against the lag."""
     from adis_gonio.page.svg import Series, plot
 
     lags = [float(way) for way in ways]

@@ -29,7 +29,7 @@ FIRST = {
     "c.csv.gz": b"\x1f\x8b",
     "c.parquet": b"PAR1",
     "c.xml": b'<?xml version="1.0" encoding="UTF-8"?>\n<dcc:digitalCalibrationCertificate',
-    "c.txt": b"# Offsets that take the bias out",
+    "c.txt": b"# Offsets that remove the bias",
 }
 
 
@@ -198,8 +198,8 @@ def test_a_session_that_lacks_what_a_format_needs_leaves_no_file(tmp_path, capsy
         (("-o", "a.doc"), "no format has this ending"),
         (("--format", "csv"), "needs -o FILE"),
         (("--format", "parquet"), "needs -o FILE"),
-        (("-o", "a.csv", "--method", "ml"), "holds the samples only"),
-        (("-o", "a.parquet", "--trace"), "holds the samples only"),
+        (("-o", "a.csv", "--method", "ml"), "samples only"),
+        (("-o", "a.parquet", "--trace"), "samples only"),
         (("-o", "a.h", "--samples"), "--samples goes with"),
         (("-o", "a.json", "--name", "x"), "--name goes with"),
         (("-o", "a.h", "--name", "2x"), "is no name for C"),
