@@ -89,10 +89,15 @@ def selftest_command(*, url: str, variant: str, no_check: bool, as_json: bool) -
 @option.command("serve")
 @option.url
 @option.with_default(
-    "--iio", "port", type=click.IntRange(0, 65535), default=30431, help="TCP port; 0: a free one."
+    "--iio",
+    "port",
+    type=click.IntRange(0, 65535),
+    default=30431,
+    metavar="PORT",
+    help="TCP port; 0: a free one.",
 )
 @option.with_default(
-    "--listen", "host", default="127.0.0.1",
+    "--listen", "host", default="127.0.0.1", metavar="ADDRESS",
     help="Address to listen on; 0.0.0.0 is every address of this machine.",
 )  # fmt: skip
 @option.flag("--allow-writes", help="Let clients write calibbias, rate and filter.")

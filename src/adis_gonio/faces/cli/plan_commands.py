@@ -167,7 +167,11 @@ def _search(
     return best_plan(bench, count, best, names, grid_deg=grid_deg, seed=seed)
 
 
-@option.command("template", "--output --plan --unit")
+@option.command(
+    "template",
+    "--output --plan --unit",
+    {"Plan": "--positions --check", "Keys of the file": "--gravity --fixture --sensor"},
+)
 @option.with_default(
     "--plan", "plan_name", default="two-position",
     help="two-position, four-position, mmpm, tumble, poses, or a plan file.",

@@ -26,7 +26,11 @@ if TYPE_CHECKING:
 @option.command("trace", "--max-effects --time-limit --json")
 @option.session
 @option.with_default(
-    "--max-effects", type=click.IntRange(0, 12), default=6, help="Most effects to add to the model."
+    "--max-effects",
+    type=click.IntRange(0, 12),
+    default=6,
+    metavar="N",
+    help="Most effects to add to the model.",
 )
 @option.time_limit(
     "End after this time with the best model so far; effects without validation are not called found."
