@@ -37,7 +37,7 @@ from adis_gonio.base.uncertainty import COVERED, NORMAL_95, Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Unit
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
-from adis_gonio.fitting.result import outputs_of
+from adis_gonio.fitting.fit_result import outputs_of
 from adis_gonio.model.effects import AXES, Conditions, catalogue, effect
 from adis_gonio.model.effects.stage_terms import StagePeriodic, alike
 from adis_gonio.tracing.averaging import Averaged, AveragedFit, AveragedTerm

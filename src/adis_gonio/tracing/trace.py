@@ -28,7 +28,7 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
-from adis_gonio.fitting.noise import state_noise
+from adis_gonio.fitting.noise_estimation import state_noise
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
 from adis_gonio.fitting.slips.session_positions import in_context, positions_of
 from adis_gonio.model.records import Session

@@ -19,16 +19,17 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError, SessionError, UsageError
 from adis_gonio.base.output import ends_in
 from adis_gonio.calibrate.calibration import Calibration, EffectTerm
-from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
-from adis_gonio.calibrate.document import (
+from adis_gonio.calibrate.calibration_document import (
     calibration_from,
     calibration_in,
     gyro_calibration_from,
     json_document,
 )
+from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
+from adis_gonio.fitting.fit_result import as_written, assumed_parameters, known_provenance
 from adis_gonio.fitting.gyros.gyro_fit import (
     GyroEstimates,
     estimates_of_gyro_fit,
@@ -37,7 +38,6 @@ from adis_gonio.fitting.gyros.gyro_fit import (
     make_gyro_calibration,
     stated_parameters,
 )
-from adis_gonio.fitting.result import as_written, assumed_parameters, known_provenance
 from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.measurement import BaseParameter
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session

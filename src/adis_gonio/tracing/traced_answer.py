@@ -15,6 +15,7 @@ from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.fitting.answer import Answer, with_notes
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.method_comparison import (
     DwellPrediction,
     Recommendation,
@@ -23,8 +24,7 @@ from adis_gonio.fitting.method_comparison import (
     predicts_worse,
     scores_of,
 )
-from adis_gonio.fitting.noise import NoiseAssumptions
-from adis_gonio.fitting.result import FitResult
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.fitting.uncertainty import MODEL, BudgetRow, ShownAngle, budget_of, response_of, sources_of
 from adis_gonio.tracing.trace_result import TraceResult
 
