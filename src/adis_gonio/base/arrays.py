@@ -69,7 +69,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def unsolvable(name: str, error: Exception) -> FitError:
-    """Return the `FitError` about a file or command whose numbers give a matrix without an inverse."""
+    """Return the `FitError` for a file or command with numbers that give a singular matrix."""
     return FitError(
         f"{name}: no fit is possible with these numbers ({error}): check the times, the units and the"
         " stated uncertainties"
@@ -98,5 +98,5 @@ MAD_TO_SD = 1.482602218505602
 
 
 def robust_sd(values: Floats) -> float:
-    """Standard deviation by the median absolute deviation, that of a normal distribution."""
+    """Standard deviation from the median absolute deviation, for a normal distribution."""
     return float(MAD_TO_SD * np.median(np.abs(values - np.median(values))))

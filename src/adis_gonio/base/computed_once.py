@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 class ComputedOnce:
-    """Base of frozen dataclasses whose reductions in other modules are expensive."""
+    """Base class of frozen dataclasses that keep expensive results of functions in other modules."""
 
     @cached_property
     def _results(self) -> dict[tuple[Hashable, ...], Any]:

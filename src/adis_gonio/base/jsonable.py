@@ -20,7 +20,7 @@ HIDDEN = {"hidden": True}
 OPTIONAL = {"optional": True}
 """Metadata of a field that is omitted if its value is its default, None or not finite."""
 INLINE = {"inline": True}
-"""Metadata of a record field whose entries become entries of the outer document."""
+"""Metadata of a record field: its entries become entries of the outer document."""
 NAMED_BY_UNIT = {"named_by_unit": True}
 """Metadata of a field with a key that ends in `_` and the `unit` of its record."""
 KEYED_BY_NAME = {"keyed_by_name": True}

@@ -126,7 +126,7 @@ def list_of(shape: Shape, least: int, most: int) -> Shape:
 
 
 def mapping_of(shape: Shape) -> Shape:
-    """Object with any names, whose values all have a shape."""
+    """Object with any names and values of one shape."""
 
     def check(value: Any) -> None:
         if not isinstance(value, dict):

@@ -162,7 +162,7 @@ class Measurement(ABC):
         return np.array([parameter.nominal for parameter in self.parameters])
 
     def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
-        """True for readings (n,) that can be predicted without another reading in the same pose."""
+        """True for readings (n,) that can be predicted without another reading in their pose."""
         return np.ones(len(conditions), dtype=bool)
 
     @abstractmethod

@@ -100,7 +100,7 @@ class Section:
     key: Sequence[KeyFigure] = ()
     """The answer, in large numerals."""
     folded: bool = False
-    """Closed on a screen until it is opened; on paper always open."""
+    """True if the section is closed on a screen until it is opened; on paper it is always open."""
 
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")

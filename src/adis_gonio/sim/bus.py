@@ -331,7 +331,7 @@ def open_from_url(url: BusUrl) -> SimBus:
 
 
 def _chip(world: World, path: str, seed: int) -> SimulatedChip:
-    """Make a part whose flash is kept in a file."""
+    """Make a part that keeps its flash in a file."""
     if not path:
         raise UsageError("flash: name a file, such as flash=part.flash")
     kept = FlashFile(Path(path), f"{world.variant.name}, seed {seed}")

@@ -43,7 +43,7 @@ _LINES = 12
 
 @dataclass(frozen=True)
 class Sines:
-    """Sines of random frequency and phase whose sum has a root mean square of 1."""
+    """Sines of random frequency and phase; their sum has a root mean square of 1."""
 
     omega: Floats
     phase: Floats

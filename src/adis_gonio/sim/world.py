@@ -177,8 +177,8 @@ class World:
         Parameters
         ----------
         time_s : (n,) float or None
-            Times (n,) whose mean temperature and supply apply to the biases and gains; the biases include
-            the mean flicker and walk at these times. None: 25 °C and 5 V, without flicker and walk.
+            Times (n,) for the mean temperature and supply of the biases and gains; the biases include the
+            mean flicker and walk at these times. None: 25 °C and 5 V, without flicker and walk.
         """
         result = dict(self._hidden)
         warm, wander = 0.0, np.zeros(6)

@@ -348,7 +348,7 @@ class HidDevice(Protocol):
 
 
 class TimedWrites:
-    """A `HidDevice` whose `write` raises `TimeoutError` if the device takes nothing.
+    """A `HidDevice` with a `write` that raises `TimeoutError` if the device takes nothing.
 
     Parameters
     ----------

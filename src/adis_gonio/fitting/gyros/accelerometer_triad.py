@@ -174,8 +174,8 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
         given.append((values, stated, calibration.covariance))
     try:
         from adis_gonio.fitting import fit
+        from adis_gonio.fitting.fit_result import calibration_as_recorded
         from adis_gonio.fitting.methods import fit_of
-        from adis_gonio.fitting.result import calibration_as_recorded
 
         readings = readings_of(session)
         # In space by gravity alone, because the turns will calibrate the gyros.

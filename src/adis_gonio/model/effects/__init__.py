@@ -137,8 +137,8 @@ def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, F
     """Effect and its values from a word of a command line.
 
     `quadratic` has all parameters at their typical size. `quadratic:k2_x=2.5` sets the named parameters;
-    other amplitudes are zero, shapes (such as time constants) stay typical. Choices belong to the same
-    list: `position_slip:dwell=3,slip=0.1`. A parameter of the z axis adds that axis.
+    other amplitudes are zero, shapes (such as time constants) stay typical. Choices belong to this list:
+    `position_slip:dwell=3,slip=0.1`. A parameter of the z axis adds that axis.
 
     Parameters
     ----------

@@ -285,7 +285,7 @@ class GyroDrift(LinearAxisEffect):
         "tell time from the number of the dwell."
     )
     remedy = _OTHER_ORDER
-    not_corrected = "follows the clock of the session; the zero rate is that of its start"
+    not_corrected = "follows the clock of the session; the zero rate applies to its start"
     covariates = ("time",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"steps": (0, 1)}
@@ -321,7 +321,7 @@ class GyroWarmUp(WarmUp):
         "`gyro_bias_temperature`: switch off and on within the session."
     )
     remedy = "switch the sensor off, let it cool, and repeat a few poses after switching on"
-    not_corrected = "follows the clock of the session; the zero rate is that of the warm part"
+    not_corrected = "follows the clock of the session; the zero rate applies to the warm part"
     covariates = ("time",)
     parts = GYRO
     amplitude = Parameter("gyro_warm_up", "dps", -10.0, 10.0, 0.2)

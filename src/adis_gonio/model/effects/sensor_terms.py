@@ -69,7 +69,7 @@ class Scale(LinearAxisEffect):
     formula = "a_i += scale_i · a_i"
     separated_by = (
         "It is a base parameter (the gain) in every model; `gravity` changes all gains alike and needs "
-        "another place or a known g to be told apart, `cubic` needs the third harmonic."
+        "another place or a known g to be separated, `cubic` needs the third harmonic."
     )
     remedy = "enter the local gravity, as from --latitude and --height"
     correctable = True
@@ -444,7 +444,7 @@ class ScaleDrift(LinearAxisEffect):
         "both ways. A gain that moves after the load has changed is `creep`."
     )
     remedy = "repeat +1 g and −1 g of an axis early and late, and once more after a break"
-    not_corrected = "follows the clock of the session; the gain is that of its start"
+    not_corrected = "follows the clock of the session; the gain applies to its start"
     covariates = ("time",)
     coefficients = (Parameter("scale_drift", "ppm/min", -50000.0, 50000.0, 50.0),)
 
@@ -464,7 +464,7 @@ class WarmUp(CourseEffect):
         "temperature recorded it competes with `bias_temperature`: switch off and on within the session."
     )
     remedy = "switch the sensor off, let it cool, and repeat a few positions after switching on"
-    not_corrected = "follows the clock of the session; the bias is that of the warm part"
+    not_corrected = "follows the clock of the session; the bias applies to the warm part"
     covariates = ("time",)
     amplitude = Parameter("warm_up", "mg", -200.0, 200.0, 2.0)
     shape = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)

@@ -35,7 +35,7 @@ from adis_gonio.model.effects.base import (
 )
 from adis_gonio.model.records import MG_PER_G
 
-BETWEEN = "measure at angles between those of this session"
+BETWEEN = "measure at angles between the angles of this session"
 _STAGE = "belongs to the stage, not to the sensor"
 LEAST_CYCLES = 3
 """Smallest number of cycles of `stage_periodic`; one and two cycles are other effects."""
@@ -46,7 +46,7 @@ _SAME_PHASE = 1e-6
 
 
 def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
-    """True if two numbers of cycles a turn give the same function at these angles, except for a phase.
+    """True if two numbers of cycles a turn give equal functions at these angles, except for a phase.
 
     If the phase of e^{i(m ∓ n)θ} is constant over the angles, m cycles are an alias of n cycles. A constant
     has 0 cycles.
@@ -55,7 +55,7 @@ def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
 
 
 def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool_]:
-    """True for numbers of cycles a turn (m,) with the same phase at all of these angles."""
+    """True for numbers of cycles a turn (m,) with one phase at all of these angles."""
     length = np.abs(np.exp(1j * cycles[:, None] * angle_rad).mean(axis=1))
     return np.asarray(length > 1 - _SAME_PHASE)
 
@@ -119,8 +119,8 @@ class StagePeriodic(StageEffect):
 
     Notes
     -----
-    At N equally spaced angles n cycles, N − n, N + n, … give the same column: a session shows n up to N/2,
-    and a number that is found may be any number that folds to it (`alike`).
+    At N equally spaced angles n cycles, N − n, N + n, … give one column: a session shows n up to N/2, and a
+    number that is found may be any number that folds to it (`alike`).
     """
 
     cycles: int = 3
@@ -131,7 +131,7 @@ class StagePeriodic(StageEffect):
     separated_by = (
         "Gives harmonics cycles ± 1 on both axes together: `cubic` shares cos 3t with two and four cycles; "
         "remount the part by half a cycle, the stage's term changes its sign. Numbers of cycles that fold "
-        "to the same at equally spaced angles: measure at angles between those of the session."
+        "together at equally spaced angles: measure at angles between them."
     )
     remedy = BETWEEN
     not_corrected = _STAGE
@@ -266,10 +266,10 @@ class AxisTilt(Effect):
 
         a_xy becomes (a_xy/ρ)(ρ cos ε − a_z sin ε),  a_z becomes a_z cos ε + ρ sin ε:
 
-    a rotation that keeps the modulus. The in-plane angle does not depend on ε: both axes lose the same
-    fraction ε²/2 of their gain (0.15 mg at 1°), which is `gravity` or a common `scale`; only z shows ε in
-    first order (17.5 mg at 1°). A part mounted with an axis tilted by λ out of the plane of rotation also
-    reads G sin ε · λ, a constant, which is `bias`. x and y alone therefore cannot identify it.
+    a rotation that keeps the modulus. The in-plane angle does not depend on ε: both axes lose the fraction
+    ε²/2 of their gain (0.15 mg at 1°), which is `gravity` or a common `scale`; only z shows ε in first
+    order (17.5 mg at 1°). A part mounted with an axis tilted by λ out of the plane of rotation also reads G
+    sin ε · λ, a constant, which is `bias`. x and y alone therefore cannot identify it.
     """
 
     name = "axis_tilt"
@@ -452,7 +452,7 @@ class NoiseChange(SampleEffect):
 
 
 class Settling(CourseEffect):
-    """Each dwell begins with the same exponential.
+    """Each dwell begins with an equal exponential.
 
     For readings of equally long dwells it is a constant, so it is searched within the dwells: rows of
     `Conditions` are then samples. The mean of exp(−t/τ) over a dwell is not exp(−mean t/τ).

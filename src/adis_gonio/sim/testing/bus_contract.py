@@ -109,7 +109,7 @@ class Rig:
 
 
 class BusContract(ABC):
-    """The contract of `adis_gonio.device.bus.contract`, for a subclass whose name begins with `Test`.
+    """The contract of `adis_gonio.device.bus.contract`, for a subclass with a name that begins with `Test`.
 
     Tests of a capability that the bus lacks, and of a clock limit that the rig does not name, pass without
     a check; another test proves that a missing capability is refused by name.

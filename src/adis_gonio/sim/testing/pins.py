@@ -52,7 +52,7 @@ class DeviceClock:
 
 
 class WorkClock(DeviceClock):
-    """Wall clock for a model whose answers carry the time at which they are ready.
+    """Wall clock for a model that marks its answers with the time at which they are ready.
 
     Work advances it at once, ahead of the wall clock; the sender of an answer waits for its time. A model
     that slept for every frame would be late by as many wake-ups of a busy machine.
