@@ -33,7 +33,7 @@ from adis_gonio.fitting.fit_result import (
 )
 from adis_gonio.fitting.linked import linked_readings
 from adis_gonio.fitting.maximum_likelihood import fit_ml, refit_ml
-from adis_gonio.fitting.slips.session_positions import in_context, positions_of
+from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 
@@ -90,7 +90,7 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
     try:
         result = fit_of(readings, method)
     except FitError as error:
-        raise type(error)(in_context(session, error)) from error
+        raise type(error)(failure_message(session, error)) from error
     positions = positions_of(session)
     notes = (*session.notes, *positions.sentences)
     return replace(
