@@ -350,7 +350,7 @@ def test_stream_says_once_and_in_the_file_that_rows_may_mix_updates(capsys, tmp_
     out = tmp_path / "slow.csv"
     assert main(["stream", f"{SIM}&stream=0", "--seconds", "0.5", "-o", str(out)]) == 0
     assert capsys.readouterr().err.count("two or more neighbouring updates") == 1
-    assert "# note: scans were polled, too slowly" in out.read_text()
+    assert "# note: scans were polled" in out.read_text()
 
 
 def test_selftest_and_devices(capsys):

@@ -126,7 +126,7 @@ def test_a_trace_tells_stages_and_the_share_of_the_longest(tmp_path):
     with within(budget):
         trace(load_session(turn(tmp_path / "turn.csv", 36)), time_limit=600)
     assert {"the search for effects", "what to measure next"} <= shares.keys()
-    left_out = shares["the error on left-out dwells, effects chosen anew"]
+    left_out = shares["the error on held-out dwells, effects chosen again"]
     assert len(left_out) > 5
     assert min(left_out) == 0.0
     assert max(left_out) == 1.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
-from adis_gonio.fitting.result import (
+from adis_gonio.fitting.fit_result import (
     Estimate,
     FitResult,
     estimates,

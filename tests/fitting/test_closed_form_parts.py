@@ -24,9 +24,9 @@ from adis_gonio.fitting.closed_form import (
 )
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
+from adis_gonio.fitting.fit_result import Origin
 from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_method, fit_readings
-from adis_gonio.fitting.noise import NoiseAssumptions
-from adis_gonio.fitting.result import Origin
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.fitting.uncertainty import ShownAngle, gradient_of_base
 from adis_gonio.model.effects import Conditions
 

@@ -18,7 +18,7 @@ from adis_gonio.fitting import uncertainty as module
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.linked import LinkReport
-from adis_gonio.fitting.noise import NoiseAssumptions, chi2_quantile
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions, chi2_quantile
 from adis_gonio.model.effects import Conditions
 
 RNG = np.random.default_rng(7)

@@ -22,7 +22,7 @@ from forging import DEEP, HUGE, exchanged_in, forge, put
 import adis_gonio
 from adis_gonio.base.errors import AdisGonioError, DataError
 from adis_gonio.base.output import write_utf8
-from adis_gonio.calibrate.document import calibration_from
+from adis_gonio.calibrate.calibration_document import calibration_from
 from adis_gonio.faces import cli
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
 from adis_gonio.plan.plan_file import document_of, read_plan

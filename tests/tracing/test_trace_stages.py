@@ -78,7 +78,7 @@ class Told:
             "named_terms": lambda _: (terms, {}),
             "nameless_terms": lambda _: [],
             "average": lambda _: averaged,
-            "guarding": lambda _, fits, fold: errors or [None for _ in fits],
+            "guard_errors": lambda _, fits, fold: errors or [None for _ in fits],
             "error_figures": figures,
             "undecided": lambda _: could,
         }.items():
@@ -352,7 +352,9 @@ class TestGuard:
 
         to_go = {(): ["wave"], ("wave",): ["line"], ("wave", "line"): []}
         monkeypatch.setattr(stages.TraceRun, "nest", nest)
-        monkeypatch.setattr(stages, "refuted", lambda selection, fits, errors: to_go[selection.gone])
+        monkeypatch.setattr(
+            stages, "refuted_functions", lambda selection, fits, errors: to_go[selection.gone]
+        )
         run = stages.TraceRun(biased(), 3, None)
         run.selection = model()
         with within(Budget(left_out=list(left_out))):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import abc
 import importlib
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, Self
 
@@ -32,10 +32,10 @@ def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     return get
 
 
-class Closing(ABC):
+class Closing(abc.ABC):
     """Context manager that closes itself at the end of the block, also after an exception."""
 
-    @abstractmethod
+    @abc.abstractmethod
     def close(self) -> None:
         """Release the resources; may be called twice."""
 

@@ -3,19 +3,23 @@
 Every message is one line: it names the file, row, register, option or port, and the action to take.
 `exit_code` is the exit status of the command line: 1 if the job failed, 2 if the call was wrong.
 
-=====================  =================================================================
+=====================  ================================================================
 error                  who acts
-=====================  =================================================================
+=====================  ================================================================
 `UsageError`           the caller: an option, a URL, an argument
-`DataError`            the author of the file `NotInstalledError`    the administrator: an extra of the
-package is missing `CannotOpenError`      the administrator: permissions, cables, a busy device
-`ProtocolError`        the bridge: corrupted or short answers `BusTimeoutError`      the bridge or the
-cable: no answer `BusClosedError`       the caller: use after close `CapabilityError`      the caller: this
-bus cannot do that `ChipError` and below  the sensor, its wiring or its supply `FitError` and below   the
-planner of the session: the data do not determine the result `SessionError`         the operator or the
-archive `OutputError`          the owner of the disk: a file cannot be written `FleetError`           the
-operator of the machine or cluster: no worker, no scheduler =====================
-=================================================================
+`DataError`            the author of the file
+`NotInstalledError`    the administrator: an extra of the package is missing
+`CannotOpenError`      the administrator: permissions, cables, a busy device
+`ProtocolError`        the bridge: corrupted or short answers
+`BusTimeoutError`      the bridge or the cable: no answer
+`BusClosedError`       the caller: use after close
+`CapabilityError`      the caller: this bus cannot do that
+`ChipError` and below  the sensor, its wiring or its supply
+`FitError` and below   the planner of the session: the data do not determine the result
+`SessionError`         the operator or the archive
+`OutputError`          the owner of the disk: a file cannot be written
+`FleetError`           the operator of the machine or cluster: no worker, no scheduler
+=====================  ================================================================
 """
 
 from __future__ import annotations

@@ -130,7 +130,7 @@ class Coefficients(ParameterTable):
         if cls.of_session is not None:
             made: Self = cls.of_session(path)
             return made
-        from adis_gonio.calibrate.document import calibration_in
+        from adis_gonio.calibrate.calibration_document import calibration_in
 
         found = calibration_in(path)
         for one in (found, None if found is None else found.gyro):

@@ -27,8 +27,8 @@ from adis_gonio.base.numbers import (
 )
 from adis_gonio.base.tables import align_columns, fold_text
 from adis_gonio.base.uncertainty import Value
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
-from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.uncertainty import BudgetRow
 
 _SPATIAL = ("scale", "skew", "bias")

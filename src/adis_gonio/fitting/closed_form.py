@@ -24,8 +24,7 @@ from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.noise import NoiseAssumptions, settle
-from adis_gonio.fitting.result import (
+from adis_gonio.fitting.fit_result import (
     FitResult,
     Origin,
     angle_errors,
@@ -34,6 +33,7 @@ from adis_gonio.fitting.result import (
     stage_warnings,
     variances,
 )
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions, settle
 from adis_gonio.fitting.uncertainty import Sources, Unseen, sources_of
 from adis_gonio.model.effects import effect
 

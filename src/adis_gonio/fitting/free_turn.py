@@ -16,6 +16,7 @@ from adis_gonio.base.errors import DataError, FitError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Value, effective_dof, factor_over
 from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.fit_result import Estimate, FitResult
 from adis_gonio.fitting.free_turn_estimate import (
     NAMES,
     LeastSquaresProblem,
@@ -25,7 +26,6 @@ from adis_gonio.fitting.free_turn_estimate import (
     solve,
 )
 from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
-from adis_gonio.fitting.result import Estimate, FitResult
 from adis_gonio.fitting.uncertainty import BudgetRow, gradient_of_base
 from adis_gonio.model.records import Session, Sweeps
 from adis_gonio.record.provenance import provenance_of

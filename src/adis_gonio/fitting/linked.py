@@ -30,7 +30,7 @@ from adis_gonio.fitting.determination import (
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.noise import chi2_quantile, settle
+from adis_gonio.fitting.noise_estimation import chi2_quantile, settle
 from adis_gonio.model.records import Session
 
 if TYPE_CHECKING:

@@ -20,8 +20,7 @@ from adis_gonio.fitting.determination import (
 )
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.noise import Settled, settle
-from adis_gonio.fitting.result import (
+from adis_gonio.fitting.fit_result import (
     FitResult,
     Origin,
     Output,
@@ -31,6 +30,7 @@ from adis_gonio.fitting.result import (
     stage_warnings,
     variances,
 )
+from adis_gonio.fitting.noise_estimation import Settled, settle
 from adis_gonio.fitting.uncertainty import Sources, Unseen, by_rotation_of, response_of, sources_of
 
 if TYPE_CHECKING:

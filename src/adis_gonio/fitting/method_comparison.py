@@ -21,8 +21,8 @@ from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_method, fit_of
-from adis_gonio.fitting.result import FitResult
 
 BEYOND = 3.0
 """Standard errors of the paired difference of squared errors above which one method predicts better."""

@@ -27,12 +27,12 @@ from adis_gonio.fitting.closed_form import (
 )
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.linked import linked_readings
-from adis_gonio.fitting.maximum_likelihood import fit_ml, refit_ml
-from adis_gonio.fitting.result import (
+from adis_gonio.fitting.fit_result import (
     FitResult,
     Origin,
 )
+from adis_gonio.fitting.linked import linked_readings
+from adis_gonio.fitting.maximum_likelihood import fit_ml, refit_ml
 from adis_gonio.fitting.slips.session_positions import in_context, positions_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of

@@ -20,8 +20,8 @@ from adis_gonio.base.jsonable import KEYED_BY_NAME, JsonRecord
 from adis_gonio.base.uncertainty import COVERED
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.fit_result import Estimate, FitResult, Origin, outputs_of
 from adis_gonio.fitting.methods import METHOD_TABLE
-from adis_gonio.fitting.result import Estimate, FitResult, Origin, outputs_of
 from adis_gonio.fitting.uncertainty import MODEL, TEMPERATURE, Source, repeatability_of
 
 WITHIN = 0.01

@@ -33,7 +33,7 @@ from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.noise import NoiseAssumptions
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.model.effects import AXES, Enters, catalogue
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 

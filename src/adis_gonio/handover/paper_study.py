@@ -29,7 +29,7 @@ from adis_gonio.base.jsonable import JsonRecord, json_object, key
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.result import FitResult
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.handover.paper_map import (
     AXES,
     DRAWS,

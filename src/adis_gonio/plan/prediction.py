@@ -32,8 +32,8 @@ from adis_gonio.device.sensor.variants import VARIANTS, Variant, variant
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, flicker_parts, from_means, quantized_means
 from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import fit_readings
-from adis_gonio.fitting.result import FitResult
 from adis_gonio.fitting.uncertainty import ShownAngle
 from adis_gonio.model.effects import Conditions, catalogue
 from adis_gonio.model.effects.base import did_you_mean

@@ -487,7 +487,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     DataError
         One line with file and row: not text, damaged gzip, empty, unknown value of a key, missing column,
         unknown unit, text in place of a number, ambiguous numbers, NaN or infinity, decreasing time, a
-        position whose rows are not contiguous, an angle, approach or use that changes within a dwell.
+        position with rows that are not contiguous, an angle, approach or use that changes within a dwell.
     UsageError
         `overrides` names a column that does not exist.
     """
@@ -524,7 +524,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     session = overrides.apply(session)
     if session.sensor == "generic" and session.accel_unit == "lsb":
         raise DataError(
-            f"{path.name}: accel_unit 'lsb' needs a sensor whose LSB is known; for a generic one add a "
+            f"{path.name}: accel_unit 'lsb' needs a sensor with a known LSB; for a generic one add a "
             "line '# accel_unit: mg' (or g, mps2, counts), or give --unit"
         )
     return session
@@ -603,7 +603,7 @@ class _Remarks:
     given : list of str
         Columns with a value in any row.
     taken : dict of str to int
-        Number of dwells whose value was noted before their first row, by column.
+        Number of dwells with a value noted before their first row, by column.
     filled, unused : list of str
         Columns with empty cells within a dwell, and columns without a value in any dwell.
     lost : list of str

@@ -56,7 +56,7 @@ def advise(
     lines += _not_recorded(selection.data)
     if not selection.adequate and not lines:
         lines.append(
-            "repeat each position at another time and from the other side: what is left is larger than "
+            "repeat each position at another time and from the other side: the residual is larger than "
             "the noise within the dwells, and no single cause explains it"
         )
     return tuple(lines), measurements
@@ -126,9 +126,9 @@ def _faint(group: Sequence[NextDwell]) -> str:
     names = _joined(list(dict.fromkeys(name for m in group for name in _varying(m))), ", ")
     strongest = max(m.separation for m in group)
     return (
-        f"no single position tells {names} apart; those that tell most: {where}, each several times in the "
-        f"course of the session (a dwell differs there by {strongest:.1f} standard uncertainties of what "
-        "is left)"
+        f"no single position distinguishes {names}; the best positions are {where}, each several times in "
+        f"the course of the session (a dwell differs there by {strongest:.1f} standard uncertainties of "
+        "the residual)"
     )
 
 
@@ -203,7 +203,7 @@ def _of_unnamed(model: Sequence[Term]) -> list[str]:
     """Advice that would show the form of the unnamed part, one line for each action."""
     covariates = dict.fromkeys(c for term in model if term.name is None for c in term.covariates)
     to_do = dict.fromkeys(_FORM_SHOWS[name] for name in covariates if name in _FORM_SHOWS)
-    return [f"to see the form of what has no name: {what}" for what in to_do]
+    return [f"to see the form of the unnamed part: {what}" for what in to_do]
 
 
 def _not_recorded(data: Readings) -> list[str]:

@@ -57,7 +57,7 @@ class AveragedTerm(NamelessTerm):
 
 @dataclass(frozen=True)
 class AveragedFit(Fit):
-    """A fit whose uncertainty includes the spread within and between the members of an average.
+    """A fit with the uncertainty within and between the members of an average.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class AveragedFit(Fit):
 
 @dataclass(frozen=True)
 class Averaged:
-    """A model whose unnamed part is an average.
+    """A model with an average as its unnamed part.
 
     Attributes
     ----------
@@ -113,8 +113,8 @@ def average(selection: Selection, candidates: Sequence[Process] | None = None) -
     """Average over unnamed functions to add to the named effects; None if no unnamed part is needed.
 
     If no formula is adequate, a process may be. All candidates are first weighed with the measured noise.
-    Only if their average is not adequate either, they are weighed with the noise that the best formula
-    leaves; with that noise a formula wrong by many uncertainties would outweigh the right process.
+    If their average is not adequate either, they are weighed again with the noise that the best formula
+    leaves. With that noise, a formula wrong by many uncertainties may outweigh the right process.
 
     Parameters
     ----------
@@ -149,15 +149,15 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
         pool += _formulas(selection, named, candidates)
     else:
         pool.append((0.0, ()))
-    # Posterior weights of all members, without those of negligible weight.
+    # Posterior weights of all members; negligible weights are dropped.
     weights = np.exp(np.array([score for score, _ in pool]) - max(score for score, _ in pool))
     weights = np.where(weights >= limits.counted * weights.sum(), weights, 0.0)
     weights /= weights.sum()
     # The last member of the pool may be "no unnamed part".
     if weights[-1] > 0.5 and not pool[-1][1]:
         return None
-    members, covariance, used = _fitted(selection, fixed, target, pool, weights)
-    averaged = _terms(members)
+    members, covariance, used = _fit_members(selection, fixed, target, pool, weights)
+    averaged = _averaged_terms(members)
     own = [
         (term, values)
         for term, values in zip(selection.fit.terms, selection.fit.values.terms, strict=True)
@@ -183,7 +183,7 @@ def _named_columns(fit: Fit) -> list[Floats]:
     ]
 
 
-def _by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
+def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
     """Whether a term is a polynomial approximation of a function that a process describes too.
 
     Both fit the readings equally well, but outside their range a polynomial diverges.
@@ -207,12 +207,12 @@ def _formulas(
     pool = []
     for model in sorted({*near, tuple(selection.verdict.best)}):
         rest = tuple(problem.terms[k] for k in model if k not in named)
-        if rest and all(isinstance(t, NamelessTerm) and not _by_process(t, covered) for t in rest):
+        if rest and all(isinstance(t, NamelessTerm) and not _covered_by_process(t, covered) for t in rest):
             pool.append((score(model) - alone, tuple(t for t in rest if isinstance(t, NamelessTerm))))
     return pool
 
 
-def _fitted(
+def _fit_members(
     selection: Selection,
     fixed: Floats,
     target: Floats,
@@ -226,7 +226,7 @@ def _fitted(
     members: list[Member] = []
     means, within, used = [], np.zeros((fixed.shape[1], fixed.shape[1])), 0.0
     likely = np.flatnonzero(weights).tolist()
-    solutions = {k: _ridge(selection, fixed, target, pool[k][1]) for k in likely}
+    solutions = {k: _solve_ridge(selection, fixed, target, pool[k][1]) for k in likely}
     # Members that base and names could imitate are dropped, unless all are such.
     seen = {k: solution[3] >= limits.visible for k, solution in solutions.items()}
     if any(seen.values()):
@@ -248,13 +248,13 @@ def _fitted(
     return members, within + between / selection.inflation, used
 
 
-def _ridge(
+def _solve_ridge(
     selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
 ) -> tuple[Floats, Floats, float, float]:
     """Return values of all parameters, covariance in units of the noise, degrees of freedom, visible part.
 
     The visible part is the share of the terms' contribution that the fixed columns could not reproduce. It
-    is 1 without terms and for processes, whose priors keep them small.
+    is 1 without terms and for processes, since their priors keep them small.
     """
     fit = selection.fit
     blocks = [fit.white(fit.candidate(term)) for term in terms]
@@ -281,7 +281,7 @@ def _ridge(
     return solved, half @ half.T, float(((columns @ half) ** 2).sum()), visible
 
 
-def _terms(members: Sequence[Member]) -> list[AveragedTerm]:
+def _averaged_terms(members: Sequence[Member]) -> list[AveragedTerm]:
     """Return one averaged term for the members at the readings and one for those at the angle."""
     made = []
     for angle in (False, True):

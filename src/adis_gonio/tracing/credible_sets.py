@@ -43,15 +43,15 @@ class Names:
 
     Attributes
     ----------
-    stand : tuple of str
+    accepted : tuple of str
         Names that are accepted.
-    open : mapping of str to str
+    rejected : mapping of str to str
         Names that are not accepted, with the reason.
     confounded : tuple of tuple of str
     """
 
-    stand: tuple[str, ...]
-    open: dict[str, str]
+    accepted: tuple[str, ...]
+    rejected: dict[str, str]
     confounded: tuple[tuple[str, ...], ...]
 
 
@@ -70,22 +70,22 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
     verdict, terms = selection.verdict, selection.problem.terms
     model = [terms[k] for k in verdict.best]
     unknown = unknown_of(selection, averaged)
-    stand: list[str] = []
-    pending: dict[str, str] = {}
+    accepted: list[str] = []
+    rejected: dict[str, str] = {}
     confounded: list[tuple[str, ...]] = []
     for name in dict.fromkeys(term.name for term in model if term.name is not None):
         mine = [term for term in model if term.name == name]
         beside = [u for u in unknown if any(related(term, u) for term in mine)]
         probability = verdict.names.get(name, 0.0)
         if probability < limits.certain:
-            pending[name] = f"models without it have {1 - probability:.0%} of the posterior"
+            rejected[name] = f"models without it have {1 - probability:.0%} of the posterior"
         elif beside:
-            pending[name] = "may be a piece of the same unnamed cause"
+            rejected[name] = "may be a piece of the same unnamed cause"
             confounded.append((name, *(u.shown_as for u in beside)))
         else:
-            stand.append(name)
+            accepted.append(name)
     confounded += _replacements(selection)
-    return Names(tuple(stand), pending, tuple(dict.fromkeys(confounded)))
+    return Names(tuple(accepted), rejected, tuple(dict.fromkeys(confounded)))
 
 
 def unknown_of(selection: Selection, averaged: Averaged | None) -> list[NamelessTerm]:
@@ -171,11 +171,11 @@ class CredibleSet(JsonRecord):
 
 def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tuple[CredibleSet, ...]:
     """Return a set for each cause of the chosen model, in the order of its terms."""
-    causes = dict.fromkeys(map(_word, selection.terms))
+    causes = dict.fromkeys(map(_cause_name, selection.terms))
     return tuple(set_of(selection, cause, averaged) for cause in causes)
 
 
-def one_a_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
+def merge_by_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
     """Return one set for all causes that are more probably pieces of one unnamed function.
 
     Parameters
@@ -222,10 +222,10 @@ def votes(
     total = sum(weight.values())
     if not total > 0:
         return {cause: 1.0}, 0.0
-    if averaged is not None and _piece(selection, cause, averaged):
+    if averaged is not None and _may_be_piece(selection, cause, averaged):
         piece = weight[cause] * averaged.weight
         weight[cause] -= piece
-        weight[_word(averaged.smooth)] += piece
+        weight[_cause_name(averaged.smooth)] += piece
     return {word: w / total for word, w in weight.items()}, total / (total + none)
 
 
@@ -244,9 +244,10 @@ class _Place:
     @classmethod
     def of(cls, selection: Selection, cause: str) -> _Place:
         problem, best = selection.problem, selection.verdict.best
-        rest = [k for k in best if _word(problem.terms[k]) != cause]
+        rest = [k for k in best if _cause_name(problem.terms[k]) != cause]
+        # The residual without the cause minus the residual with it is its contribution.
         added = span(problem, rest)[1] - span(problem, best)[1]
-        ours = frozenset(_word(problem.terms[k]) for k in best)
+        ours = frozenset(_cause_name(problem.terms[k]) for k in best)
         return cls(problem, cause, ours, added / max(float(np.linalg.norm(added)), 1e-300))
 
     def choice(self, model: Model) -> dict[str, float]:
@@ -256,21 +257,22 @@ class _Place:
         cause's contribution that they reproduce.
         """
         terms = [self.problem.terms[k] for k in model]
-        mine = [term for term in terms if _word(term) == self.cause]
+        mine = [term for term in terms if _cause_name(term) == self.cause]
         if mine:
             unknown = [u for u in terms if u.name is None and any(t.name and related(t, u) for t in mine)]
-            words = set(map(_word, unknown)) or {self.cause}
+            words = set(map(_cause_name, unknown)) or {self.cause}
             return dict.fromkeys(words, 1 / len(words))
-        fresh = [k for k in model if _word(self.problem.terms[k]) not in self.ours]
+        fresh = [k for k in model if _cause_name(self.problem.terms[k]) not in self.ours]
         kept = [k for k in model if k not in fresh]
-        words = {_word(self.problem.terms[k]) for k in fresh}
-        lost = self.ours - set(map(_word, terms))
+        words = {_cause_name(self.problem.terms[k]) for k in fresh}
+        lost = self.ours - set(map(_cause_name, terms))
+        # Without several causes at once, the additional terms vote only for the part that they reproduce.
         whole = self._explained(fresh, kept) if fresh and len(lost) > 1 else 1.0
         if len(words) <= 1:
             return dict.fromkeys(words, whole)
         part: dict[str, float] = defaultdict(float)
         for k in fresh:
-            part[_word(self.problem.terms[k])] += self._explained([k], kept) + 1e-12
+            part[_cause_name(self.problem.terms[k])] += self._explained([k], kept) + 1e-12
         return {word: whole * share / sum(part.values()) for word, share in part.items()}
 
     def _explained(self, fresh: Sequence[int], kept: Sequence[int]) -> float:
@@ -279,7 +281,7 @@ class _Place:
         return float(((basis.T @ self.added) ** 2).sum())
 
 
-def _piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
+def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
     """Whether a cause may be a piece of the averaged function; a function of the model votes by itself."""
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     return any(
@@ -290,7 +292,7 @@ def _piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
     )
 
 
-def _word(term: Term) -> str:
+def _cause_name(term: Term) -> str:
     return term.name or f"unnamed: {join_words(term.covariates)}"
 
 
@@ -316,9 +318,11 @@ def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
         width = int(problem.width[k])
         if term.name is None or term.name in inside or term.dwell is not None or dof - width < 1:
             continue
+        # F statistic of the added columns; the noise is the remaining residual.
         left = max(chi2 - float(gains[k]), 1e-12 * chi2)
         p = float(stats.f.sf(float(gains[k]) / width / (left / (dof - width)), width, dof - width))
         least_p = min(least_p, p)
+        # Likelihood with the noise fitted, times the prior: (χ² after / χ² before)^(−dof/2) · exp(−price).
         price = float(problem.cost[k] + problem.column_price[k])
         likely[term.name] += math.exp(-0.5 * dof * math.log(left / chi2) - price)
     if least_p >= limits.open_level:

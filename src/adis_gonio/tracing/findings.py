@@ -25,8 +25,10 @@ Cycles of the stage that a session cannot distinguish
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -35,7 +37,7 @@ from adis_gonio.base.uncertainty import COVERED, NORMAL_95, Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Unit
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
-from adis_gonio.fitting.result import outputs_of
+from adis_gonio.fitting.fit_result import outputs_of
 from adis_gonio.model.effects import AXES, Conditions, catalogue, effect
 from adis_gonio.model.effects.stage_terms import StagePeriodic, alike
 from adis_gonio.tracing.averaging import Averaged, AveragedFit, AveragedTerm
@@ -63,11 +65,11 @@ def finding_of(selection: Selection, name: str, averaged: Averaged | None = None
 
     problem = selection.problem
     members = [k for k in selection.verdict.best if problem.terms[k].name == name]
-    gain, width = _gain(selection, members)
+    gain, width = _explained_chi2(selection, members)
     parameters: dict[str, Value] = {}
     axes: list[str] = []
     cause = ""
-    amplitude_of, mixture = effects(selection, name)
+    amplitude_of, mixture = effect_mixture(selection, name)
     voted, present = votes(selection, name, averaged)
     dof = dof_of(selection)
     fit = selection.fit
@@ -108,10 +110,11 @@ def finding_of(selection: Selection, name: str, averaged: Averaged | None = None
     )
 
 
-def told_from_zero(finding: Finding) -> bool:
+def differs_from_zero(finding: Finding) -> bool:
     """Whether at least one value differs from zero by more than its uncertainty allows."""
-    halves = [(abs(v.value), v.U) for v in finding.parameters.values() if v.u]
-    return not halves or any(size > limits.told * (half or 0.0) / NORMAL_95 for size, half in halves)
+    least = limits.significance / NORMAL_95
+    halves = [(abs(v.value), v.U or 0.0) for v in finding.parameters.values() if v.u]
+    return not halves or any(size > least * half for size, half in halves)
 
 
 def scatter_finding(scatter: Scatter, explains: float) -> Finding:
@@ -127,7 +130,7 @@ def scatter_finding(scatter: Scatter, explains: float) -> Finding:
     )
 
 
-def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
+def _explained_chi2(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
     """Return the χ² that some terms explain in addition to the other terms, and their number of columns."""
     best = selection.verdict.best
     with_all = float((span(selection.problem, best)[1] ** 2).sum())
@@ -144,7 +147,7 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
     members = [k for k in verdict.best if isinstance(problem.terms[k], NamelessTerm)]
     if members:
         terms = [problem.terms[k] for k in members]
-        gain, width = _gain(selection, members)
+        gain, width = _explained_chi2(selection, members)
         share = float(np.exp(-sum(problem.cost[k] for k in members)))
         covariates = tuple(dict.fromkeys(c for term in terms for c in term.covariates))
         forms = [term.form for term in terms if isinstance(term, NamelessTerm)]
@@ -188,7 +191,7 @@ def base_of(selection: Selection) -> dict[str, Value]:
     p = len(base)
     covariance = fit.covariance[:p, :p] * selection.inflation
     dof = dof_of(selection)
-    mixture = bases(selection)
+    mixture = base_mixture(selection)
     # The function that `fit` uses, so that each name has one unit in both results.
     outputs = outputs_of(data, np.concatenate([base, np.zeros(data.axes)]))
     hidden = {q.name for q, seen in zip(data.model.parameters, data.visible, strict=True) if not seen}
@@ -262,14 +265,14 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
         )
     if not data.noise_known:
         notes.append(
-            "the noise of a reading is not known; it was estimated from the residual, so that adequacy "
-            "cannot be tested"
+            "the noise of a reading is unknown; it was estimated from the residual, so adequacy cannot be "
+            "tested"
         )
     if scatter is not None:
         what = "stated of the fixture" if scatter.kind == "fixture_scatter" else "shown within the dwells"
         unit = "°" if scatter.unit == "deg" else f" {scatter.unit}"
         notes.append(
-            f"dwells scatter by {scatter.value:.2g}{unit} where {scatter.declared:.2g}{unit} was {what}; "
+            f"dwells scatter by {scatter.value:.2g}{unit}, but {scatter.declared:.2g}{unit} was {what}; "
             "no covariate explains it"
         )
     elif data.noise_known and selection.inflation > 1 and not selection.adequate:
@@ -340,7 +343,7 @@ class Mixture:
         return float(brentq(missing, 0.0, float(np.abs(away).max()) + 3 * within)) / NORMAL_95
 
 
-def bases(selection: Selection) -> Mixture:
+def base_mixture(selection: Selection) -> Mixture:
     """Return the base parameters of the probable models.
 
     If an average replaces the unnamed functions, its covariance contains their spread. Models with the
@@ -361,12 +364,13 @@ def bases(selection: Selection) -> Mixture:
             if k not in columns:
                 columns[k] = fit.white(fit.candidate(problem.terms[k]))
             added = added + columns[k] @ own
+        # Residual of the linear problem after the terms of this model.
         left[:, row] = target - added
     stated = fit.base_step(fit.residual.reshape(-1, 1))
     return Mixture((fit.base_step(left) - stated).T, np.array(list(each.values())))
 
 
-def effects(selection: Selection, name: str) -> tuple[list[str], Mixture]:
+def effect_mixture(selection: Selection, name: str) -> tuple[list[str], Mixture]:
     """Return the amplitudes of an effect, by parameter, in the probable models that contain it.
 
     Models with other shapes or dwells are excluded: shapes are fitted, and the covariance contains their
@@ -413,7 +417,7 @@ def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> d
 
 def follows_clock(term: Term) -> bool:
     """Whether a term depends on the time since the start of the session and on nothing else."""
-    if isinstance(term, AveragedTerm):  # `covariates` are those of its most probable member only
+    if isinstance(term, AveragedTerm):  # it lists only the covariates of its most probable member
         return all(follows_clock(member) for _, member, _ in term.members)
     needs = term.effect.needs if isinstance(term, NamedTerm) else ()
     return term.covariates == ("time",) and not needs
@@ -517,39 +521,40 @@ def detectable(
     the median of several shapes or dwells.
     """
     problem = found.problem
-    out = {name: Detectable(None, "", "", reason) for name, reason in missing.items()}
     inside = {problem.terms[k].name for k in model}
-    basis_of: dict[str | None, np.ndarray] = {}
-    figures: dict[str, dict[str, list[float]]] = {}
-    units: dict[str, dict[str, str]] = {}
+
+    @cache
+    def basis_without(name: str | None) -> Floats:
+        """Basis of the model without the terms of an effect."""
+        return span(problem, [m for m in model if name is None or problem.terms[m].name != name])[0]
+
+    figures: dict[tuple[str, str, str], list[float]] = defaultdict(list)
     for k, term in enumerate(problem.terms):
         if not isinstance(term, NamedTerm) or len(term.effect.axes) > 1:
             continue
         name = term.effect.name
-        key = name if name in inside else None
-        if key not in basis_of:
-            others = [m for m in model if key is None or problem.terms[m].name != key]
-            basis_of[key] = span(problem, others)[0]
-        basis = basis_of[key]
-        lengths = _lengths(problem, k, basis)
-        reach = np.sqrt(2 * max(float(found.prices[k]), 0.5) * found.inflation) + _POWER_90 * np.sqrt(
-            found.inflation
-        )
-        parameters = [term.effect.parameters[i] for i in term.amplitudes]
-        for parameter, length in zip(parameters, lengths, strict=True):
-            figure = reach / length if length > 0 else np.inf
-            figures.setdefault(name, {}).setdefault(parameter.name, []).append(float(figure))
-            units.setdefault(name, {})[parameter.name] = parameter.unit
-    for name, by_parameter in figures.items():
-        median = {p: float(np.median(values)) for p, values in by_parameter.items()}
-        worst = max(median, key=lambda p: median[p])
-        if np.isfinite(median[worst]):
-            out[name] = Detectable(median[worst], units[name][worst], worst)
-        else:
-            out[name] = Detectable(None, units[name][worst], worst, "lies in what is fitted already")
+        lengths = _lengths(problem, k, basis_without(name if name in inside else None))
+        # Threshold of the score, plus the quantile for 90 % power.
+        reach = (np.sqrt(2 * max(float(found.prices[k]), 0.5)) + _POWER_90) * np.sqrt(found.inflation)
+        for index, length in zip(term.amplitudes, lengths, strict=True):
+            parameter = term.effect.parameters[index]
+            figures[name, parameter.name, parameter.unit].append(
+                float(reach / length) if length > 0 else np.inf
+            )
+    worst: dict[str, tuple[float, str, str]] = {}
+    for (name, symbol, unit), values in figures.items():
+        median = float(np.median(values))
+        if name not in worst or median > worst[name][0]:
+            worst[name] = median, unit, symbol
+    out = {name: Detectable(None, "", "", reason) for name, reason in missing.items()}
+    for name, (figure, unit, symbol) in worst.items():
+        seen = bool(np.isfinite(figure))
+        reason = "" if seen else "lies in what is fitted already"
+        out[name] = Detectable(figure if seen else None, unit, symbol, reason)
     for name in catalogue(part):
-        if name not in out:
-            out[name] = Detectable(None, "", "", "lies in the base model: this session cannot show it")
+        out.setdefault(
+            name, Detectable(None, "", "", "lies in the base model: this session cannot show it")
+        )
     return out
 
 

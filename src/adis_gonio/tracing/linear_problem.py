@@ -80,9 +80,9 @@ class LinearProblem:
 
     def gains(self, basis: Floats, residual: Floats) -> Floats:
         """χ² that each term (M,) explains of a residual (rows,), given an orthonormal model (rows, k)."""
-        return self.taken(residual @ self.columns, basis.T @ self.columns)
+        return self.gains_from_products(residual @ self.columns, basis.T @ self.columns)
 
-    def taken(self, z: Floats, inside: Floats) -> Floats:
+    def gains_from_products(self, z: Floats, inside: Floats) -> Floats:
         """Like `gains`, from the products of the columns with the residual (P,) and the model (k, P)."""
         first, k = self.first, len(inside)
         if not len(first):
@@ -98,13 +98,13 @@ class LinearProblem:
         along = np.add.reduceat(inside * z, first, axis=1)
         gram = np.add.reduceat((inside[:, None] * inside).reshape(k * k, -1), first, axis=1)
         least = 1 + limits.independent
-        solved = _solved(least * np.eye(k)[:, :, None] - gram.reshape(k, k, -1), along)
+        solved = _solve_small_systems(least * np.eye(k)[:, :, None] - gram.reshape(k, k, -1), along)
         both = square + (along * solved).sum(axis=0)
         twice = (both + least * (solved**2).sum(axis=0)) / least**2
         gain: Floats = both / least + limits.independent * twice
         return gain
 
-    def only(self, chosen: NDArray[np.intp]) -> LinearProblem:
+    def subset(self, chosen: NDArray[np.intp]) -> LinearProblem:
         """Return the problem with some of the terms (ascending numbers)."""
         index = np.concatenate(
             [np.arange(self.first[k], self.first[k] + self.width[k]) for k in chosen]
@@ -122,14 +122,14 @@ class LinearProblem:
             prior=tuple(self.prior[k] for k in chosen),
         )
 
-    def under(self, inflation: float) -> LinearProblem:
+    def with_inflation(self, inflation: float) -> LinearProblem:
         """Return the problem for another noise variance, which changes the relative weight of the prior."""
         if inflation == self.inflation:
             return self
         factor = inflation / self.inflation
-        return self._holding([factor * own for own in self.prior], inflation)
+        return self._with_prior([factor * own for own in self.prior], inflation)
 
-    def _holding(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
+    def _with_prior(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
         """Return the problem with other Gram matrices (M,) of the prior rows."""
         columns = np.empty_like(self.columns)
         back: list[Floats] = []
@@ -157,11 +157,11 @@ class LinearProblem:
         """χ² that a model explains of the target, minus the cost of its amplitudes under the prior."""
         if not len(model):
             return 0.0
-        columns, gram = self.together(model)
-        along = self.target @ columns @ _half(gram)
+        columns, gram = self.columns_and_gram(model)
+        along = self.target @ columns @ _orthonormal_combinations(gram)
         return float(along @ along)
 
-    def together(self, model: Sequence[int]) -> tuple[Floats, Floats]:
+    def columns_and_gram(self, model: Sequence[int]) -> tuple[Floats, Floats]:
         """Return the columns (rows, p) of a model and their Gram matrix (p, p), prior rows included."""
         columns = np.concatenate([self.block(k) for k in model], axis=1)
         gram = columns.T @ columns
@@ -174,7 +174,7 @@ class LinearProblem:
         return columns, gram
 
 
-def _solved(gram: Floats, right: Floats) -> Floats:
+def _solve_small_systems(gram: Floats, right: Floats) -> Floats:
     """Solve M small systems by elimination: gram (k, k, M) positive definite, right (k, M) → (k, M).
 
     Each elimination step is vectorised over all systems; factorising each system alone would be slower.
@@ -201,7 +201,7 @@ class Products:
         self._target = problem.target @ joining.columns
         self._of: dict[int, Floats] = {}
 
-    def beside(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
+    def of_model(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
         """Return the residual's χ², and products (P,), (k, P) of the columns with residual and basis."""
         problem = self._problem
         if not len(model):
@@ -211,8 +211,8 @@ class Products:
                 self._of[k] = problem.block(k).T @ self._joining.columns
         inside = np.concatenate([self._of[k] for k in model])
         if len(model) > 1:  # a single block is already orthonormal
-            columns, gram = problem.together(model)
-            half = _half(gram)
+            columns, gram = problem.columns_and_gram(model)
+            half = _orthonormal_combinations(gram)
             along, inside = problem.target @ columns @ half, half.T @ inside
         else:
             along = problem.target @ problem.block(model[0])
@@ -220,7 +220,7 @@ class Products:
 
 
 def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
-    """Build the linear problem about a fit, whose model may contain some of the terms."""
+    """Build the linear problem about a fit; its model may contain some of the terms."""
     # The target contains the contributions of the fit's own terms, which are candidates like all others.
     left = fit.declared_misfit
     for k in range(len(fit.terms)):
@@ -231,7 +231,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     y = y - base @ (base.T @ y)
 
     raw, widths = fit.candidates(terms)
-    columns, length = _beside(base, fit.white(raw), widths)
+    columns, length = _project_off_base(base, fit.white(raw), widths)
     spread = amplitude_spreads(fit.data.model, terms, widths)
     chosen, width, together, back, prior = _orthonormal_blocks(columns, length, spread, widths)
     first = (np.cumsum(width) - width).astype(np.intp)
@@ -249,10 +249,10 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         column_price=_column_prices(together, first),
         prior=tuple(np.zeros((size, size)) for size in width.tolist()),
     )
-    return free._holding(prior, 1.0)
+    return free._with_prior(prior, 1.0)
 
 
-def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
+def _project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
     """Project columns off the base model; return them with unit length, and their original lengths."""
     before = np.linalg.norm(columns, axis=0)
     # A column of rounding errors (the sixth harmonic's sine on a grid of 30°) is set to zero.
@@ -288,14 +288,18 @@ def _orthonormal_blocks(
         root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
         whole = np.all(np.diagonal(root, axis1=1, axis2=2) ** 2 > _RANK, axis=1)
         halves = np.linalg.inv(root[whole]).transpose(0, 2, 1)
-        own = members[whole].tolist(), stack[whole] @ halves, *_back(halves, index[whole], length, spread)
+        own = (
+            members[whole].tolist(),
+            stack[whole] @ halves,
+            *_back_maps(halves, index[whole], length, spread),
+        )
         found.setdefault(size, []).extend(zip(*own, strict=True))
         for k in np.flatnonzero(~whole).tolist():
             values, vectors = np.linalg.eigh(gram[k])
             seen = values > _RANK
             if seen.any():
                 half = vectors[:, seen] / np.sqrt(values[seen])
-                rest = int(members[k]), stack[k] @ half, *_back(half, index[k], length, spread)
+                rest = int(members[k]), stack[k] @ half, *_back_maps(half, index[k], length, spread)
                 found.setdefault(half.shape[1], []).append(rest)
     blocks = [block for size in sorted(found) for block in sorted(found[size], key=lambda own: own[0])]
     return (
@@ -307,7 +311,9 @@ def _orthonormal_blocks(
     )
 
 
-def _back(half: Floats, index: NDArray[np.intp], length: Floats, spread: Floats) -> tuple[Floats, Floats]:
+def _back_maps(
+    half: Floats, index: NDArray[np.intp], length: Floats, spread: Floats
+) -> tuple[Floats, Floats]:
     """Return back maps (…, d, width) for combinations of the columns `index` (…, d), and prior Grams."""
     back = half / length[index][..., None]
     away = back / spread[index][..., None]
@@ -343,7 +349,7 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
     return basis, problem.target - basis @ (basis.T @ problem.target)
 
 
-def _half(gram: Floats) -> Floats:
+def _orthonormal_combinations(gram: Floats) -> Floats:
     """Return combinations (p, k) that make columns with this Gram matrix orthonormal."""
     values, vectors = np.linalg.eigh(gram)
     seen = values > limits.independent
@@ -357,7 +363,7 @@ def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
         return []
     if len(model) == 1:
         return [problem.back[model[0]] @ (problem.target @ problem.block(model[0]))]
-    columns, gram = problem.together(model)
+    columns, gram = problem.columns_and_gram(model)
     solved = np.linalg.lstsq(gram, columns.T @ problem.target, rcond=1e-12)[0]
     cuts = np.cumsum([0] + [int(problem.width[k]) for k in model])
     return [problem.back[k] @ solved[cuts[i] : cuts[i + 1]] for i, k in enumerate(model)]

@@ -111,14 +111,14 @@ def search(
     beam : int
         Number of models opened at each size; pairs are opened from twice as many single terms.
     spare : int
-        Degrees of freedom that must remain; by default half of those of the base model's residual, since a
+        Degrees of freedom that must remain; by default half of the base model's degrees of freedom, since a
         model with more columns than remaining readings could not fail. A single named effect with at most
         as many columns as a bias may use all of them: the six faces of a cube show a bias, or an effect
         that looks like one, and nothing else.
     """
     if spare is None:
         spare = max(problem.dof // 2, 1)
-    problem = problem.under(inflation)
+    problem = problem.with_inflation(inflation)
     found = Search(problem, price(problem), inflation)
     found.scores[()] = 0.0
     found.promise = np.full(len(problem.terms), -np.inf)
@@ -174,10 +174,10 @@ class _Beam:
         found, problem = self.found, self.found.problem
         if model in found.opened:
             return {}
-        chi2, z, inside = joining.products.beside(model)
+        chi2, z, inside = joining.products.of_model(model)
         found.opened[model] = chi2
         number, width = joining.number, joining.problem.width
-        gains = joining.problem.taken(z, inside)
+        gains = joining.problem.gains_from_products(z, inside)
         gained = 0.5 * gains / found.inflation - found.prices[number]
         here = 0.5 * (problem.chi2 - chi2) / found.inflation - sum(float(found.prices[k]) for k in model)
         room = problem.dof - len(inside) - width >= self.spare
@@ -215,7 +215,7 @@ class _Beam:
         wide = self._widest(fresh, 2 * self.width if size == 1 else self.width)
         level = [m for m in wide if fresh[m] + self.found.hope(m) > self.top - limits.behind]
         if size > 2 and max(fresh.values()) < self.top - limits.behind:
-            # One unnamed surface may score above two names that need a third one beside them.
+            # One unnamed surface may score above two names that need a third one.
             level = [m for m in level if self._all_named(m)]
         return level
 
@@ -223,7 +223,7 @@ class _Beam:
         """Return the terms that extend all models of the beam."""
         found = self.found
         number = np.union1d(np.flatnonzero(self.named), np.argsort(-found.promise)[: limits.active])
-        problem = found.problem.only(number)
+        problem = found.problem.subset(number)
         return _Joining(problem, number, Products(found.problem, problem))
 
     def _widest(self, fresh: dict[Model, float], count: int) -> list[Model]:

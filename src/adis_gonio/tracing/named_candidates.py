@@ -95,7 +95,7 @@ def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
     choices = kind.choices()
     options: list[dict[str, int]] = [{}]
     if "dwell" in choices and data.conditions.order is not None:
-        # No check dwells, whose columns would be empty.
+        # No check dwells: their columns would be empty.
         order = data.conditions.order[~data.check]  # a turn is numbered halfway between two dwells
         options = [{"dwell": int(k)} for k in order if float(k).is_integer()]
     elif "degree" in choices:

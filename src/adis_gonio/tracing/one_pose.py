@@ -24,16 +24,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import attempt, check
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import FOUND_IN_ONE_POSE, Detectable, Value
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
+from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Step, TraceResult
 
 BLOCKS = 10
@@ -86,8 +85,6 @@ class _Problem:
     design : (n, P) float
         Constant first; each column is divided by its largest modulus `size`.
     size : (P,) float
-    blocks : (n,) int
-        Block of time of each sample.
     gram : (BLOCKS, P, P) float
     cross : (BLOCKS, P, axes) float
     square : (BLOCKS, axes) float
@@ -97,7 +94,6 @@ class _Problem:
     readings: Floats
     design: Floats
     size: Floats
-    blocks: NDArray[np.intp]
     gram: Floats
     cross: Floats
     square: Floats
@@ -124,10 +120,10 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     if dwell.temperature_c is None:
         raise FitError(
             f"{where}one position only and no temperature: nothing that the readings could follow; record"
-            " the temperature beside the samples (temp_c), or measure at least two positions"
+            " the temperature with the samples (temp_c), or measure at least two positions"
         )
     conditions = series_conditions(dwell)
-    problem, candidates = _problem(dwell.accel * mg_per_unit(session, dwell), conditions)
+    problem, candidates = _problem(series_readings(session, dwell), conditions)
     model: Model = ()
     losses = _held_out(problem, model)
     squares = [float(losses.sum())]
@@ -180,13 +176,12 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     )
 
 
-def mg_per_unit(session: Session, dwell: Dwell) -> float:
-    """Milli-g per unit of the file; for counts from the length of the mean, assuming their zero is at 0."""
-    if session.accel_unit == "lsb":
-        return VARIANTS[session.sensor].accel_mg_per_lsb
+def series_readings(session: Session, dwell: Dwell) -> Floats:
+    """Samples (n, axes) of a dwell in mg; for counts the length of their mean counts as gravity."""
+    scale = mg_per_unit(session)
     if session.accel_unit == "counts":
-        return session.gravity_mg / max(float(np.linalg.norm(dwell.accel.mean(axis=0))), 1e-12)
-    return {"mg": 1.0, "g": 1000.0, "mps2": 1000.0 / STANDARD_GRAVITY_MPS2}[session.accel_unit]
+        scale = session.gravity_mg / max(float(np.linalg.norm(dwell.accel.mean(axis=0))), 1e-12)
+    return np.asarray(dwell.accel * scale)
 
 
 def series_conditions(dwell: Dwell) -> Conditions:
@@ -240,6 +235,7 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
     design = np.column_stack(columns)
     size = np.maximum(np.abs(design).max(axis=0), 1e-300)
     design = design / size
+    # Blocks of equal length in time.
     blocks = np.arange(n) * BLOCKS // n
     centred = readings - readings.mean(axis=0)
     parts = [(design[blocks == b], centred[blocks == b]) for b in range(BLOCKS)]
@@ -247,7 +243,6 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
         readings=centred,
         design=design,
         size=size,
-        blocks=blocks,
         gram=np.array([x.T @ x for x, _ in parts]),
         cross=np.array([x.T @ y for x, y in parts]),
         square=np.array([(y**2).sum(axis=0) for _, y in parts]),
@@ -311,7 +306,7 @@ def _columns(model: Model, choice: tuple[int, ...]) -> list[int]:
     return [0, *(c for one, k in zip(model, choice, strict=True) for c in one.variants[k].columns)]
 
 
-def _solved(gram: Floats, cross: Floats) -> Floats:
+def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
     """Solve normal equations (…, p, axes) with a ridge that matters only for equal columns."""
     p = gram.shape[-1]
     ridge = _RIDGE * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] * np.eye(p)
@@ -336,9 +331,10 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
     inside = np.zeros((len(choices), *problem.square.shape))
     for j, choice in enumerate(choices):
         columns = _columns(model, choice)
+        # Normal equations of all blocks but one, restricted to the columns of this choice.
         gram = (total - problem.gram)[:, columns][:, :, columns]
         cross = (total_cross - problem.cross)[:, columns]
-        solution = _solved(gram, cross)
+        solution = _solve_with_ridge(gram, cross)
         coefficients[j][:, columns] = solution
         inside[j] = _squares(square, cross, gram, solution)
     return choices, coefficients, inside
@@ -346,6 +342,7 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
 
 def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> Floats:
     """Return the residual's sums of squares (BLOCKS, axes) for a solution (BLOCKS, p, axes)."""
+    # |y − Xb|² = yᵀy − 2 bᵀXᵀy + bᵀXᵀX b, from the sums of each block.
     quadratic = np.einsum("bia,bij,bja->ba", solution, gram, solution)
     left: Floats = np.maximum(square - 2 * (cross * solution).sum(axis=1) + quadratic, 0.0)
     return left
@@ -354,6 +351,7 @@ def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> F
 def _held_out(problem: _Problem, model: Model) -> Floats:
     """Return held-out sums of squares (BLOCKS, axes), with variants averaged for each axis."""
     _, coefficients, inside = _fits(problem, model)
+    # The noise is fitted: −n/2 ln(sum of squares), with one independent value per block.
     likelihood = -BLOCKS / 2 * np.log(np.maximum(inside, 1e-300))
     weight = np.exp(likelihood - likelihood.max(axis=0))
     weight /= weight.sum(axis=0)
@@ -361,7 +359,7 @@ def _held_out(problem: _Problem, model: Model) -> Floats:
     return _squares(problem.square, problem.cross, problem.gram, mean)
 
 
-def _picked(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
+def _best_variants(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
     """Return the most likely variants of each axis."""
     choices, _, inside = _fits(problem, model)
     return [choices[k] for k in inside.sum(axis=1).argmin(axis=0)]
@@ -433,7 +431,7 @@ def _confounded(
 
 def _figures(problem: _Problem, model: Model) -> ErrorFigures:
     left = np.empty_like(problem.readings)
-    for axis, choice in enumerate(_picked(problem, model)):
+    for axis, choice in enumerate(_best_variants(problem, model)):
         coefficients = _coefficients(problem, _columns(model, choice), axis)
         left[:, axis] = problem.readings[:, axis] - problem.design @ coefficients
     by_axis = np.sqrt(_held_out(problem, model).sum(axis=0) / len(left))
@@ -451,14 +449,14 @@ def _coefficients(problem: _Problem, columns: list[int], axis: int, without: int
     kept = np.arange(BLOCKS) != (-1 if without is None else without)
     gram = problem.gram[kept].sum(axis=0)[np.ix_(columns, columns)]
     out = np.zeros(problem.design.shape[1])
-    out[columns] = _solved(gram, problem.cross[kept].sum(axis=0)[columns, axis : axis + 1])[:, 0]
+    out[columns] = _solve_with_ridge(gram, problem.cross[kept].sum(axis=0)[columns, axis : axis + 1])[:, 0]
     return out
 
 
 def _finding(problem: _Problem, model: Model, which: int, tried: int, explains: float) -> Finding:
     made = model[which].effect
     parameters: dict[str, Value] = {}
-    for axis, choice in enumerate(_picked(problem, model)):
+    for axis, choice in enumerate(_best_variants(problem, model)):
         variant = model[which].variants[choice[which]]
         columns = _columns(model, choice)
         values = _coefficients(problem, columns, axis) / problem.size
@@ -484,6 +482,7 @@ def _finding(problem: _Problem, model: Model, which: int, tried: int, explains: 
 
 def _spread(problem: _Problem, columns: list[int], axis: int) -> Floats:
     """Standard uncertainties (P,) by the jackknife over blocks."""
+    # Estimates without each block in turn.
     values = np.array([_coefficients(problem, columns, axis, b) for b in range(BLOCKS)])
     spread: Floats = np.sqrt((BLOCKS - 1) * values.var(axis=0)) / problem.size
     return spread
@@ -494,7 +493,7 @@ def _detectable(problem: _Problem, model: Model) -> dict[str, Detectable]:
     out = {}
     for which, candidate in enumerate(model):
         worst = 0.0
-        for axis, choice in enumerate(_picked(problem, model)):
+        for axis, choice in enumerate(_best_variants(problem, model)):
             first = candidate.variants[choice[which]].columns[0]
             worst = max(worst, float(_spread(problem, _columns(model, choice), axis)[first]))
         parameter = candidate.effect.parameters[0]

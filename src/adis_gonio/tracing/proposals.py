@@ -117,7 +117,7 @@ class Hypothesis:
     shift, root : (p,), (p, p) float
         Posterior mean minus the fitted parameters, and a root of the posterior covariance.
     chi2 : float
-        χ² of the residual plus that of the departure from the prior.
+        χ² of the residual plus χ² of the departure from the prior.
     """
 
     labels: tuple[str, ...]
@@ -390,15 +390,15 @@ def _greedy(
         # Another temperature or supply adds its own effects: use it only if no position decides.
         conditions = np.array([place.conditions for place in options])
         ranked = np.argsort(-gain / effort)
-        apart_before = _apart(set_of)
+        apart_before = _separations(set_of)
         places_first = ranked[~conditions[ranked]][:20].tolist()
         for k in (*places_first, *(ranked[conditions[ranked]][:20].tolist() if heating else ())):
             # Skip gains near zero, whose ranking depends on the grid's order and on rounding.
             if gain[k] < LEAST_INFORMATION[purpose] * min(least / LEAST_SEPARATION, 1.0) ** 2:
                 continue
             with_it = predicted.of(k).after(set_of)
-            apart = _apart(with_it) - apart_before
-            worth = _worth(weights, apart, options[k].conditions, least)
+            apart = _separations(with_it) - apart_before
+            worth = _separated_pair(weights, apart, options[k].conditions, least)
             if worth is not None:
                 break
         else:
@@ -416,7 +416,9 @@ def _greedy(
     return places, out
 
 
-def _worth(weights: Floats, apart: Floats, conditions: bool, least: float) -> tuple[int, int] | None:
+def _separated_pair(
+    weights: Floats, apart: Floats, conditions: bool, least: float
+) -> tuple[int, int] | None:
     """Return the pair of hypotheses that a dwell separates, the more probable first; None without any."""
     both = np.maximum(apart, apart.T)
     likely = np.sqrt(np.outer(weights, weights)) * (both >= least**2)
@@ -453,13 +455,14 @@ def _information(weights: Floats, given: _Predicted, options: _Predicted | None)
         middle = (covariances[i] + covariances[j]) / 2
         difference = means[i] - means[j]
         solved = np.linalg.solve(middle, difference[:, :, None])[:, :, 0]
+        # Bhattacharyya distance: ⅛ Δᵀ M⁻¹ Δ + ½ ln |M| − ¼ ln |Cᵢ| |Cⱼ|, M the mean covariance.
         d = (difference * solved).sum(axis=1) / 8 + 0.5 * (np.linalg.slogdet(middle)[1] - half[i] - half[j])
         distance[i, j] = distance[j, i] = np.maximum(d, 0.0)
     mixed = np.einsum("j,ijn->in", weights, np.exp(-distance))
     return np.asarray(-(weights[:, None] * np.log(np.maximum(mixed, 1e-300))).sum(axis=0))
 
 
-def _apart(dwells: _Predicted) -> Floats:
+def _separations(dwells: _Predicted) -> Floats:
     """Return the expected excess of χ² (K, K) of hypothesis j if i is true."""
     count = len(dwells.mean)
     out = np.zeros((count, count))
@@ -471,6 +474,7 @@ def _apart(dwells: _Predicted) -> Floats:
     for j in range(count):
         inverse = np.linalg.inv(covariance[j])
         difference = mean - mean[j]
+        # Expectation of χ² under j if i is true: trace(Cⱼ⁻¹ Cᵢ) + Δᵀ Cⱼ⁻¹ Δ, minus its own n.
         out[:, j] = ((difference @ inverse) * difference).sum(axis=1) - mean.shape[1]
         out[:, j] += [(inverse * own).sum() for own in covariance]  # trace of the product
     np.fill_diagonal(out, 0.0)
@@ -541,6 +545,7 @@ def _predict(
     groups: dict[float | None, list[int]] = {}
     for k, place in enumerate(options):
         groups.setdefault(place.temperature_c, []).append(k)
+    # Options of one temperature are predicted together; `back` restores their order.
     order = np.concatenate([np.array(members, dtype=np.intp) for members in groups.values()])
     back = np.argsort(order)
     pieces = []

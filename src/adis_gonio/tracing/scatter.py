@@ -64,7 +64,7 @@ class Scatter:
     def applied(self, data: Readings) -> Readings:
         """Add the component to the noise of readings."""
         own = self.kind == "reading_scatter"
-        return _with(data, self.kind, self.value if own else math.radians(self.value))
+        return _add_component(data, self.kind, self.value if own else math.radians(self.value))
 
 
 def with_scatter(
@@ -84,7 +84,7 @@ def with_scatter(
     at_most = _evidence(selection)
     best: tuple[float, Selection, Kind, float] | None = None
     for kind in _kinds(data):
-        size, again = _settled(data, kind, selection, promising, max_effects)
+        size, again = _fit_component(data, kind, selection, promising, max_effects)
         if again is None:
             continue
         score = _evidence(again) - _price(data)
@@ -95,8 +95,8 @@ def with_scatter(
     if best is None or best[0] <= at_most:
         return selection, None
     score, _, kind, size = best
-    chosen = _under(data, kind, size, terms, max_effects)
-    return chosen, _stated(data, kind, size, chosen, score - at_most)
+    chosen = _select_with(data, kind, size, terms, max_effects)
+    return chosen, _make_scatter(data, kind, size, chosen, score - at_most)
 
 
 def _kinds(data: Readings) -> Iterator[Kind]:
@@ -142,7 +142,7 @@ def _evidence_of_processes(selection: Selection) -> float:
     return best
 
 
-def _settled(
+def _fit_component(
     data: Readings, kind: Kind, selection: Selection, terms: Sequence[Term], max_effects: int
 ) -> tuple[float, Selection | None]:
     """Return the size of a component and the selection with it, found by turns."""
@@ -152,44 +152,46 @@ def _settled(
     again: Selection | None = None
     for _ in range(2):
         check()
-        fresh = _most_likely(kept, data, kind)
-        if fresh <= limits.scatter_ratio * _measured(data, kind):
+        fresh = _likeliest_size(kept, data, kind)
+        if fresh <= limits.scatter_ratio * _measured_u(data, kind):
             return 0.0, None
         if again is not None and abs(math.log(fresh / size)) < 0.1:
             break
         size = fresh
-        again = _under(data, kind, size, terms, max_effects)
+        again = _select_with(data, kind, size, terms, max_effects)
         kept = again.fit
     return size, again
 
 
-def _under(data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int) -> Selection:
+def _select_with(
+    data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int
+) -> Selection:
     """Return the selection with a component of this size."""
     beam, rounds = limits.scatter_beam, limits.fold_rounds
-    found = select(_with(data, kind, size), terms, max_effects, beam=beam, rounds=rounds)
+    found = select(_add_component(data, kind, size), terms, max_effects, beam=beam, rounds=rounds)
     check()
     return found
 
 
-def _most_likely(fit: Fit, data: Readings, kind: Kind) -> float:
+def _likeliest_size(fit: Fit, data: Readings, kind: Kind) -> float:
     """Return the size of greatest restricted likelihood for a model, in units of readings or rad, or 0."""
     from scipy.optimize import minimize_scalar
 
-    scale = _measured(data, kind)
+    scale = _measured_u(data, kind)
 
     def loss(log_size: float) -> float:
-        return -_restricted(_fit_under(fit, _with(data, kind, scale * math.exp(log_size))))
+        return -_restricted(_fit_with(fit, _add_component(data, kind, scale * math.exp(log_size))))
 
     found = minimize_scalar(loss, bounds=(-2.0, 7.0), method="bounded", options={"xatol": 0.05})
     return scale * math.exp(float(found.x)) if float(found.fun) < loss(-6.0) else 0.0
 
 
-def _fit_under(fit: Fit, data: Readings) -> Fit:
+def _fit_with(fit: Fit, data: Readings) -> Fit:
     """Refit the model with other noise by one step, which is enough near the best values."""
     return replace(fit, data=data).refit(1)
 
 
-def _measured(data: Readings, kind: Kind) -> float:
+def _measured_u(data: Readings, kind: Kind) -> float:
     """Uncertainty of a reading or, with the fixture's, of the angle by a reading (rad)."""
     reading = float(np.sqrt(np.median(data.variance_of_mean)))
     if kind == "reading_scatter":
@@ -197,7 +199,7 @@ def _measured(data: Readings, kind: Kind) -> float:
     return math.hypot(reading / data.model.size, data.fixture_rad)
 
 
-def _with(data: Readings, kind: Kind, size: float) -> Readings:
+def _add_component(data: Readings, kind: Kind, size: float) -> Readings:
     if kind == "reading_scatter":
         return replace(data, own_covariance=data.own_covariance + size**2 * np.eye(data.axes))
     return replace(data, fixture_rad=math.hypot(data.fixture_rad, size))
@@ -213,6 +215,7 @@ def _restricted(fit: Fit, *, base_only: bool = False) -> float:
     if fit.data.planar and not data.free:
         tangent = fit.tangent
         fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
+        # The fixture moves a reading along its tangent.
         covariance = covariance + (fixture**2)[:, None, None] * (tangent @ tangent.transpose(0, 2, 1))
     if data.free:
         # Only one direction remains: use the variance of the whitened row.
@@ -221,28 +224,30 @@ def _restricted(fit: Fit, *, base_only: bool = False) -> float:
     else:
         size = float(np.linalg.slogdet(covariance)[1].sum())
     rows = fit.jacobian[:, : len(fit.values.base)] if base_only else fit.jacobian
+    # ½ ln |XᵀX| from the singular values, without columns that are zero.
     rows = rows[:, np.abs(rows).max(axis=0) > 0]
     scaled = np.linalg.svd(rows, compute_uv=False)
     freedom = 2 * float(np.log(np.maximum(scaled, 1e-12)).sum())
     return -0.5 * (fit.loss + size + freedom)
 
 
-def _stated(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds: float) -> Scatter:
+def _make_scatter(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds: float) -> Scatter:
     """Return the component with its uncertainty from the curvature of the restricted likelihood."""
     from scipy.stats import chi2
 
     step = 0.1
 
     def height(log_size: float) -> float:
-        return _restricted(_fit_under(chosen.fit, _with(data, kind, size * math.exp(log_size))))
+        return _restricted(_fit_with(chosen.fit, _add_component(data, kind, size * math.exp(log_size))))
 
-    none = _restricted(_fit_under(chosen.fit, data))
+    none = _restricted(_fit_with(chosen.fit, data))
     ratio = 2 * max(height(0.0) - none, 0.0)
     # A variance is at the edge of its range under the null hypothesis: half of the distribution is zero.
     p_value = min(1.0, 0.5 * float(chi2.sf(ratio, 1)) / limits.effect_share)
+    # Second derivative of the restricted likelihood by the logarithm of the size.
     curvature = -(height(step) - 2 * height(0.0) + height(-step)) / step**2
     relative = 1 / math.sqrt(curvature) if curvature > 0 else 1.0
     factor: Callable[[float], float] = math.degrees if kind == "fixture_scatter" else float
-    declared = data.fixture_rad if kind == "fixture_scatter" else _measured(data, kind)
+    declared = data.fixture_rad if kind == "fixture_scatter" else _measured_u(data, kind)
     unit = "deg" if kind == "fixture_scatter" else data.model.unit
     return Scatter(kind, factor(size), factor(size) * relative, factor(declared), log_odds, p_value, unit)

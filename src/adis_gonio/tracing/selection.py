@@ -109,12 +109,12 @@ def select(
 ) -> Selection:
     """Choose terms for these readings, which must not contain `check` dwells."""
     base = Fit.begin(data).refit()
-    about = _begun(base, terms) if max_terms else base
+    about = _start_with_slips(base, terms) if max_terms else base
     inflation = 1.0 if data.noise_known else max(base.chi2 / max(base.dof, 1), 1e-12)
     before: tuple[str, ...] | None = None
     for _ in range(rounds):
         problem = linearise(about, terms)
-        apart = _bias_apart(problem, base, about)
+        apart = _separate_bias(problem, base, about)
         if apart is not None:
             # A constant far larger than the rest of the residual must not become part of a function's form.
             terms = [t for t in terms if not (isinstance(t, NamelessTerm) and t.basis.with_constant)]
@@ -124,9 +124,9 @@ def select(
                 # linearisation error.
                 about = apart()
             problem = linearise(about, terms)
-        found, inflation = _inflated(data, problem, max_terms, beam, inflation)
+        found, inflation = _search_with_noise(data, problem, max_terms, beam, inflation)
         problem = found.problem
-        verdict, fit = _fitted(problem, weigh(found), about, base.chi2)
+        verdict, fit = _refit_best(problem, weigh(found), about, base.chi2)
         labels = tuple(sorted(term.label for term in fit.terms))
         linear = problem.chi2 - 2 * inflation * found.explained(verdict.best)
         settled = abs(linear - fit.chi2) < 1.0 * inflation or labels == before
@@ -146,7 +146,7 @@ def select(
     return Selection(problem, found, verdict, base, fit, inflation, p >= limits.adequate)
 
 
-def _begun(base: Fit, terms: Sequence[Term]) -> Fit:
+def _start_with_slips(base: Fit, terms: Sequence[Term]) -> Fit:
     """Refit the base model with roughly known slips and a bias; without such slips return `base`.
 
     A slip beyond the reach of the linear problem would appear there as an outlier of both axes. About a
@@ -166,10 +166,10 @@ def _begun(base: Fit, terms: Sequence[Term]) -> Fit:
     ).refit()
 
 
-def _fitted(
+def _refit_best(
     problem: LinearProblem, verdict: ModelPosterior, about: Fit, most: float
 ) -> tuple[ModelPosterior, Fit]:
-    """Refit the best model; if its χ² exceeds that of the base model, try the next best models.
+    """Refit the best model; if its χ² exceeds the base model's, try the next best models.
 
     A model that contains the base model cannot have a larger χ². Such a refit has diverged from
     amplitudes that are possible only in the linear problem.
@@ -182,7 +182,7 @@ def _fitted(
     return verdict, fit_model(problem, verdict.best, about)
 
 
-def _inflated(
+def _search_with_noise(
     data: Readings, problem: LinearProblem, max_terms: int, beam: int, inflation: float
 ) -> tuple[Search, float]:
     """Search; if even the best model is not adequate, search again with more noise.
@@ -209,7 +209,7 @@ def _inflated(
     return found, inflation
 
 
-def _bias_apart(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
+def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
     """Return a function that makes a fit with a bias, or None if no bias explains nearly all."""
     constants = _mostly_bias(problem)
     if constants is not None:

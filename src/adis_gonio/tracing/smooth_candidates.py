@@ -100,7 +100,7 @@ def evidence(
     fit : Fit
         Fit about which the processes are linear.
     beside : (rows, k) float
-        Orthonormal whitened columns of the other terms, whose amplitudes have flat priors.
+        Orthonormal whitened columns of the other terms; their amplitudes have flat priors.
     target : (rows,) float
         Whitened readings minus their projection on `beside`.
     inflation : float
@@ -177,6 +177,7 @@ def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floa
     def kernel(u: Floats) -> Floats:
         return np.asarray(np.exp(-0.5 * ((u[:, None] - points) / length) ** 2))
 
+    # Features K(u, points) L⁻ᵀ with K(points, points) = L Lᵀ reproduce the kernel.
     root = np.linalg.cholesky(kernel(points) + 1e-6 * np.eye(len(points)))
     return lambda u: np.asarray(np.linalg.solve(root, kernel(u).T).T)
 

@@ -30,51 +30,31 @@ class Limits:
     """Every number of the trace that is not arithmetic; see the table's columns in docs/thresholds.md."""
 
     # Prior
-    effect_share: float = number(
-        0.0175, "measured", "prior share of an effect, or of scatter (scripts/trace_level.py)"
-    )
+    effect_share: float = number(0.0175, "measured", "prior share of an effect (scripts/trace_level.py)")
     nameless_share: float = number(0.3, "chosen", "prior share of all unnamed functions together")
-    bias_weight: float = number(
-        6.0, "chosen", "prior weight of a bias against another effect: every sensor has one"
-    )
-    quadratic_weight: float = number(
-        1.5, "chosen", "prior weight of a curvature, the more common of two equivalent names"
-    )
-    g_weight: float = number(
-        4.0, "chosen", "prior weight of a g-sensitivity, equal to a drift if force follows time"
-    )
+    bias_weight: float = number(6.0, "chosen", "prior weight of a bias: every sensor has one")
+    quadratic_weight: float = number(1.5, "chosen", "prior weight of a curvature, a common effect")
+    g_weight: float = number(4.0, "chosen", "prior weight of a g-sensitivity, as common as a drift")
     family_weight: float = number(0.7, "chosen", "prior weight of supply, approach, memory and products")
     smooth_weight: float = number(0.25, "chosen", "polynomials' part of a covariate's prior")
     pair_weight: float = number(0.3, "chosen", "prior weight of a process in two covariates")
     prior_snr: float = number(4.0, "chosen", "prior standard deviation of an effect, in u of a reading")
 
     # Visibility
-    independent: float = number(
-        1e-4, "derived", "least squared part of a column outside a model; second order below"
-    )
+    independent: float = number(1e-4, "derived", "least squared part of a column outside a model")
     same_prediction: float = number(
-        0.3, "derived", "difference in χ², half a u in total, below which models are equivalent", off=0.0
+        0.3, "derived", "difference in χ² below which models are equivalent", off=0.0
     )
-    least_range_c: float = number(
-        0.5, "physical", "least temperature range in a product: below it is noise", off=0.0
-    )
+    least_range_c: float = number(0.5, "physical", "least temperature range in a product", off=0.0)
     least_range_v: float = number(0.01, "physical", "least supply range in a product", off=0.0)
     most_cycles: int = number(72, "physical", "most cycles a turn of a candidate: a worm gear of 72 teeth")
 
     # Choice
     adequate: float = number(INADEQUATE, "level", "level of the test of adequacy")
-    certain: float = number(
-        0.55, "chosen", "posterior above which a cause, or its name, is accepted", off=0.0
-    )
-    told: float = number(
-        2.0, "level", "standard uncertainties by which a value differs from zero (95 %)", off=0.0
-    )
-    mostly_bias: float = number(
-        0.97, "chosen", "share of the excess above which a bias is removed first", off=1.0
-    )
-    scatter_checks: float = number(
-        6, "derived", "least degrees of freedom: a standard deviation known to a third", off=1
-    )
+    certain: float = number(0.55, "chosen", "posterior above which a cause is accepted", off=0.0)
+    significance: float = number(2.0, "level", "u by which a value differs from zero (95 %)", off=0.0)
+    mostly_bias: float = number(0.97, "chosen", "share of the excess for which a bias goes first", off=1.0)
+    scatter_checks: float = number(6, "derived", "least dof: a standard deviation known to a third", off=1)
 
     # Held-out dwells
     folds: int = number(5, "chosen", "folds of whole dwells")
@@ -82,7 +62,7 @@ class Limits:
     alone: int = number(16, "chosen", "dwells up to which each is held out alone")
     repeated_deg: float = number(2.0, "physical", "dwells nearer than this share one position")
     predicted: float = number(
-        4.0, "chosen", "largest variance of a valid prediction, in units of the noise", off=INFINITE
+        4.0, "chosen", "largest variance of a valid prediction, in noise", off=INFINITE
     )
     least_choice: int = number(9, "chosen", "least dwells for a new choice without some of them", off=0)
     least_checks: int = number(2, "chosen", "least degrees of freedom for any name but bias", off=0)
@@ -90,15 +70,13 @@ class Limits:
 
     # Report
     near: float = number(
-        0.15, "chosen", "share of the best model's posterior above which a rival is listed", off=INFINITE
+        0.15, "chosen", "share of the best posterior from which a rival is listed", off=INFINITE
     )
     sure: float = number(0.9, "chosen", "posterior of a name above which rivals without it are not listed")
     set_level: float = number(CREDIBLE_SET, "level", "probability of a credible set")
     open_level: float = number(0.1, "level", "level of the F-test on an inadequate model's residual")
     open_alike: float = number(10.0, "chosen", "likelihood ratio below which other names are listed too")
-    visible: float = number(
-        0.05, "chosen", "least part of a formula outside base and names for averaging", off=0.0
-    )
+    visible: float = number(0.05, "chosen", "least part of a formula outside base and names", off=0.0)
 
     # Effort
     scatter_ratio: float = number(0.5, "effort", "least scatter in u of a reading: less changes no weight")

@@ -28,17 +28,18 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
-from adis_gonio.fitting.noise import state_noise
+from adis_gonio.fitting.noise_estimation import state_noise
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
 from adis_gonio.fitting.slips.session_positions import in_context, positions_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.averaging import average
-from adis_gonio.tracing.credible_sets import CredibleSet, credible_sets, judge, one_a_function, undecided
+from adis_gonio.tracing.credible_sets import CredibleSet, credible_sets, judge, merge_by_function, undecided
 from adis_gonio.tracing.findings import (
     base_of,
     bias_at_middle,
     detectable,
+    differs_from_zero,
     excesses,
     finding_of,
     in_units_of_file,
@@ -46,7 +47,6 @@ from adis_gonio.tracing.findings import (
     rivals_of,
     scatter_finding,
     shares,
-    told_from_zero,
     unnamed_of,
     unnamed_with_share,
     with_shares,
@@ -60,14 +60,14 @@ from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, NextDwell, Step, Stopped, TraceResult
 from adis_gonio.tracing.validation import (
     Fold,
-    checkable,
+    disagreement_p_value,
     error_figures,
-    guarding,
-    in_order,
+    guard_errors,
+    nest_fits,
     never_worse,
-    refuted,
-    unexpected,
-    without,
+    refuted_functions,
+    reject_names,
+    reject_unchecked,
     without_folds,
 )
 
@@ -134,7 +134,7 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
     from adis_gonio.tracing.within.second_pass import with_second_pass
 
     positions = positions_of(session) if own else Diagnosis()
-    data = as_the_part_stood(readings_of_part(session, part), positions)
+    data = correct_slips(readings_of_part(session, part), positions)
     try:
         data = state_noise(data) if own else data
         result = trace_readings(data, max_effects, positions)
@@ -202,7 +202,7 @@ class TraceRun:
         refuse_too_few(self.measured)
         named, self.missing = named_terms(self.measured)
         if positions is not None:
-            named = as_the_angles_leave(named, self.measured, positions)
+            named = restrict_candidates(named, self.measured, positions)
         self.terms: list[Term] = [*named, *nameless_terms(self.measured)]
 
     @property
@@ -223,7 +223,7 @@ class TraceRun:
         A refuted function leaves the posterior, so the names that it competed with are judged again.
         """
         self.nest(self.selection)
-        while gone := refuted(self.selection, self.fits, self.errors):
+        while gone := refuted_functions(self.selection, self.fits, self.errors):
             if current().left_out:
                 break
             self.nest(self.selection.without_functions(gone))
@@ -233,17 +233,17 @@ class TraceRun:
         self.selection = selection
         self.averaged = attempt("the average of functions without a name", lambda: average(selection), None)
         self.fold = Fold.of(selection, self.terms, self.averaged, self.max_effects)
-        self.fits, self.steps = in_order(selection, self.averaged)
+        self.fits, self.steps = nest_fits(selection, self.averaged)
         unguarded: list[float | None] = [None for _ in self.fits]
         self.errors = attempt(
             "the choice of the longest model that is never worse",
-            lambda: guarding(selection, self.fits, self.fold),
+            lambda: guard_errors(selection, self.fits, self.fold),
             unguarded,
         )
 
     def judge_names(self) -> None:
         """Judge each name of the model by evidence; list the names that could explain the rest."""
-        self.names = checkable(judge(self.selection, self.averaged), self.selection)
+        self.names = reject_unchecked(judge(self.selection, self.averaged), self.selection)
         if self.scatter is not None or not self.selection.adequate:
             could = undecided(self.selection)
             if len(could) > 1:
@@ -252,7 +252,7 @@ class TraceRun:
     def measure_errors(self) -> None:
         """Measure the errors of the nested models, with effects chosen in each fold."""
         self.figures, self.design = attempt(
-            "the error on left-out dwells, effects chosen anew",
+            "the error on held-out dwells, effects chosen again",
             lambda: error_figures(self.selection, self.measured, self.checking, self.fits, self.fold),
             without_folds(self.fits, self.measured, self.checking),
         )
@@ -263,7 +263,7 @@ class TraceRun:
         unit = self.measured.model.unit
         count, self.names, cut = never_worse(self.names, self.steps, self.errors, reported, unit)
         if count < len(self.steps):
-            # The longer models already have their figures; those of the shorter model remain valid.
+            # All nested models already have their figures, so the longer ones are only dropped.
             self.fits, self.figures = self.fits[: count + 1], self.figures[: count + 1]
             self.steps = self.steps[:count]
             terms, inside = self.selection.problem.terms, self.fits[-1].terms
@@ -276,14 +276,14 @@ class TraceRun:
     def judge_findings(self) -> None:
         """Reject weak names, and test the model on the check dwells."""
         final, noise_known = self.final, self.measured.noise_known
-        findings = [finding_of(final, name, self.averaged) for name in self.names.stand]
+        findings = [finding_of(final, name, self.averaged) for name in self.names.accepted]
         places = credible_sets(self.selection, self.averaged)
         self.sets = tuple(one for one in places if one.present >= limits.certain)
         self.likelier = likelier_functions(self.sets, self.terms)
         at_middle = [bias_at_middle(final, finding) for finding in findings]
         weak = weak_names(at_middle, self.figures[-1], self.likelier, places)
-        self.names = without(replace(self.names, open={**self.names.open, **weak}), weak)
-        self.reasons = {**self.names.open, **self.reasons}
+        self.names = reject_names(replace(self.names, rejected={**self.names.rejected, **weak}), weak)
+        self.reasons = {**self.names.rejected, **self.reasons}
         self.findings = [finding for finding in findings if finding.effect not in weak]
         self.notes = list(notes_of(self.selection, self.scatter))
         self.adequate = final.adequate and self.scatter is None and (final.fit.dof > 0 or not noise_known)
@@ -311,7 +311,7 @@ class TraceRun:
         return self._result(
             adequate=self.adequate and self.measured.noise_known,
             found=seen,
-            sets=one_a_function(self.sets, self.likelier),
+            sets=merge_by_function(self.sets, self.likelier),
             confounded=self.names.confounded,
             unnamed=unnamed_with_share(unnamed_of(selection, self.averaged), of_step),
             detectable={
@@ -402,26 +402,26 @@ def weak_names(
     empty = {one.cause: 1 - one.present for one in places if one.present < limits.certain}
     for finding in findings:
         if finding.effect in likelier:
-            weak[finding.effect] = f"in its place is likelier: {likelier[finding.effect]}"
+            weak[finding.effect] = f"more probable in its place: {likelier[finding.effect]}"
         elif finding.effect in empty:
             # Models with equal predictions count as one model. If that model lacks the cause, the cause
             # is absent.
             weak[finding.effect] = f"models with nothing in its place have {empty[finding.effect]:.0%}"
         elif final.heldout_rms is None and finding.effect != "bias":
-            weak[finding.effect] = "no dwell could be left out to check it by"
-        elif not told_from_zero(finding):
+            weak[finding.effect] = "no dwell could be held out to check it"
+        elif not differs_from_zero(finding):
             weak[finding.effect] = "its values are no larger than their own uncertainty"
     return weak
 
 
 def disagreement_of(final: Selection, checking: Readings) -> list[str]:
     """Return a note if the check dwells contradict the model fitted to the other dwells."""
-    p = unexpected(final.fit, checking, final.inflation)
+    p = disagreement_p_value(final.fit, checking, final.inflation)
     if p >= limits.adequate:
         return []
     return [
         f"the {len(checking)} check dwells do not agree with the model that explains the others "
-        f"(p = {p:.2g}): something is in them that the others do not show"
+        f"(p = {p:.2g}): they show an effect that the others do not"
     ]
 
 
@@ -441,18 +441,18 @@ def refuse_too_few(data: Readings) -> None:
 _MOVED = frozenset({"mistyped", "misset", "swapped"})
 
 
-def as_the_part_stood(data: Readings, positions: Diagnosis) -> Readings:
+def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
     """Return readings with large lasting slips corrected, or the same readings if there are none.
 
     The stage's dial and its errors are unaffected by a slip, so `Conditions.angle_rad` does not change.
     """
     moved_deg = np.zeros(len(data))
-    for found in _gross(data, positions):
+    for found in _large_slips(data, positions):
         moved_deg[np.isin(data.position, [found.position, *found.others])] += found.error_deg[0]
     return replace(data, angle_rad=data.angle_rad + np.radians(moved_deg)) if moved_deg.any() else data
 
 
-def _gross(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
+def _large_slips(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
     """Return the lasting slips that are too large for the linear problem."""
     return [f for f in positions.findings if f.finding == "slipped" and _out_of_reach(data, f)]
 
@@ -468,7 +468,7 @@ def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
     return shorter > math.sqrt(float(np.median(data.variance_of_mean)))
 
 
-def as_the_angles_leave(
+def restrict_candidates(
     terms: Sequence[NamedTerm], data: Readings, positions: Diagnosis
 ) -> list[NamedTerm]:
     """Drop candidates of single dwells that the angles rule out, and set the start of large slips.
@@ -480,23 +480,24 @@ def as_the_angles_leave(
     if order is None:
         return list(terms)
     of_position = dict(zip(data.position.tolist(), order.tolist(), strict=True))
-    gone: set[tuple[str | None, int | None]] = set()
-    begins: dict[tuple[str | None, int | None], float] = {}
+    # By whether the effect turns the part (a slip) or changes the reading (an outlier), and by its dwell.
+    excluded: set[tuple[bool, int | None]] = set()
+    begins: dict[tuple[bool, int | None], float] = {}
     for found in positions.findings:
         if found.position not in of_position:
             continue  # a check dwell
         names = {named.name for named in found.names}
         number = int(of_position[found.position])
         if found.finding in _MOVED and "gravity_wrong" not in names:
-            gone.add(("outlier_dwell", number))
+            excluded.add((False, number))
         if names == {"gravity_wrong"}:
-            gone.add(("position_slip", number))
+            excluded.add((True, number))
         if found.finding in _MOVED and _out_of_reach(data, found):
             # ψ = α − θ: a part turned further by e has a slip of −e.
-            begins["position_slip", number] = -found.error_deg[0]
-    kept = [term for term in terms if (term.name, term.dwell) not in gone]
+            begins[True, number] = -found.error_deg[0]
+    kept = [term for term in terms if (term.enters_angle, term.dwell) not in excluded]
     return [
-        replace(term, begins=begins[key]) if (key := (term.name, term.dwell)) in begins else term
+        replace(term, begins=begins[key]) if (key := (term.enters_angle, term.dwell)) in begins else term
         for term in kept
     ]
 
@@ -508,17 +509,17 @@ def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) ->
     corrected = [
         f"traced as the part stood: {found.error_deg[0]:+.2f}° from position {found.position} on, whose"
         " uncertainty is not in these figures"
-        for found in _gross(data, positions)
+        for found in _large_slips(data, positions)
     ]
     return replace(
         result,
         position_findings=positions.findings,
         notes=(*result.notes, *positions.sentences, *corrected),
-        advice=(*_first(positions), *result.advice),
+        advice=(*_position_advice(positions), *result.advice),
     )
 
 
-def _first(positions: Diagnosis) -> tuple[str, ...]:
+def _position_advice(positions: Diagnosis) -> tuple[str, ...]:
     mended = [found.correction for found in positions.findings if found.correction is not None]
     repeated = [str(found.position) for found in positions.findings if found.correction is None]
     said = []

@@ -19,16 +19,17 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError, SessionError, UsageError
 from adis_gonio.base.output import ends_in
 from adis_gonio.calibrate.calibration import Calibration, EffectTerm
-from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
-from adis_gonio.calibrate.document import (
+from adis_gonio.calibrate.calibration_document import (
     calibration_from,
     calibration_in,
     gyro_calibration_from,
     json_document,
 )
+from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
+from adis_gonio.fitting.fit_result import as_written, assumed_parameters, known_provenance
 from adis_gonio.fitting.gyros.gyro_fit import (
     GyroEstimates,
     estimates_of_gyro_fit,
@@ -37,7 +38,6 @@ from adis_gonio.fitting.gyros.gyro_fit import (
     make_gyro_calibration,
     stated_parameters,
 )
-from adis_gonio.fitting.result import as_written, assumed_parameters, known_provenance
 from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.measurement import BaseParameter
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
@@ -47,8 +47,8 @@ from adis_gonio.tracing.trace_result import TraceResult
 
 _CLOCK = "follows the clock of the session, which no later reading shares"
 _UNKNOWN = "is not known to be a function of the reading, the temperature or the supply"
-_NAMELESS = "has no name, so that nobody knows whether it belongs to the sensor"
-_GYRO_NAMELESS = "has no name, so that nobody knows whether it belongs to the gyros"
+_NAMELESS = "has no name, so it may not belong to the sensor"
+_GYRO_NAMELESS = "has no name, so it may not belong to the gyros"
 _GYRO_UNKNOWN = "is not known to be a function of the rate, the force, the temperature or the supply"
 
 
@@ -58,7 +58,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     Terms that depend only on the session's clock are evaluated at the middle of the session. Bias, gain and
     start angle refer to that time, which `not_corrected` states.
 
-    Covariance and u are those of the final model. Equivalent models may divide a bias differently among
+    Covariance and u come from the final model. Equivalent models may divide a bias differently among
     parameters, so the trace states a larger u for single parameters, but the angles are equal. Terms that
     cannot be corrected are left out. If one is a function of the reading, it may have absorbed a part of
     the bias, so the other terms are fitted again with a bias. This is done if an unnamed function of the
@@ -80,13 +80,13 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     standing = [
         term
         for term in final.terms
-        if isinstance(term, NamedTerm) and term.effect.correctable and _stands(term, result)
+        if isinstance(term, NamedTerm) and term.effect.correctable and _is_corrected(term, result)
     ]
     others = [term for term in final.terms if term not in standing and not term.constant]
-    left = [_left_out(term, result, middle_s(final)) for term in others]
+    left = [_reason_not_corrected(term, result, middle_s(final)) for term in others]
     if result.unnamed is not None and all(term.name is not None for term in final.terms):
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
-    fit, inflation = _without(final, others, result.inflation)
+    fit, inflation = _refit_without(final, others, result.inflation)
     named = [term for term in fit.terms if isinstance(term, NamedTerm)]
     corrected = [term for term in named if term in standing]
     columns = _Columns(fit)
@@ -112,20 +112,20 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     )
 
 
-def _of_reading(term: Term) -> bool:
-    """Whether a term depends on the reading only."""
-    return not term.enters_angle and term.covariates == ("reading",)
+def _may_hold_bias(term: Term, *, biased: bool) -> bool:
+    """Whether a term may contain a part of the bias, in a model with a bias or without.
+
+    A function of the reading may, and in a model without a bias also an unnamed function whose value at the
+    middle of the session is unknown.
+    """
+    unnamed = not biased and term.name is None and not follows_clock(term)
+    return not term.enters_angle and (term.covariates == ("reading",) or unnamed)
 
 
-def _holds_bias(term: Term) -> bool:
-    """Whether an unnamed function replaces a bias whose value at a given time is unknown."""
-    return term.name is None and not term.enters_angle and not follows_clock(term)
-
-
-def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
+def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
     """Fit the remaining terms again with a bias; return the fit and the factor on its variance."""
     biased = any(term.constant for term in fit.terms)
-    terms = [term for term in terms if _of_reading(term) or (not biased and _holds_bias(term))]
+    terms = [term for term in terms if _may_hold_bias(term, biased=biased)]
     if not terms or (biased and all(term.name is not None for term in terms)):
         return fit, inflation
     pairs = zip(fit.terms, fit.values.terms, strict=True)
@@ -152,16 +152,8 @@ class _Columns:
         self.offset, self.offset_slope = clock_at_middle(fit, np.zeros(axes))
         self.turn_rad, self.turn_slope = clock_at_middle(fit, np.zeros(axes), turned=True)
         self.unit = fit.data.unit
-        self.names: list[str] = []
-        self.values: list[float] = []
-        self.units: list[str] = []
-        self.rows: list[Floats] = []
-
-    def _add(self, name: str, value: float, unit: str, gradient: Floats) -> None:
-        self.names.append(name)
-        self.values.append(value)
-        self.units.append(unit)
-        self.rows.append(gradient)
+        self.rows: list[tuple[str, float, str, Floats]] = []
+        """Name, value, unit and gradient (p,) of each parameter."""
 
     def _gain(self, axis: int) -> tuple[float, Floats]:
         """Factor on the gain of an axis at the middle of the session, and its gradient (p,)."""
@@ -196,7 +188,7 @@ class _Columns:
             gradient = gain * gradient + value * factor * slope
             value *= gain
         stated = parameter.stated(value) if unit == "deg" else value * factor
-        self._add(parameter.name, stated, unit, gradient)
+        self.rows.append((parameter.name, stated, unit, gradient))
 
     def biases(self, terms: Sequence[NamedTerm]) -> list[str]:
         """Add the bias of every axis, zero without a term; return the names that have a term."""
@@ -210,7 +202,7 @@ class _Columns:
             value = 0.0 if place is None else float(self.fit.values.parameters[place])
             stated = float(self.unit.zero[axis]) + (value + float(self.offset[axis])) * factor
             gradient = self._gradient(place, factor) + factor * self.offset_slope[axis]
-            self._add(f"bias_{letter}", stated, self.unit.name, gradient)
+            self.rows.append((f"bias_{letter}", stated, self.unit.name, gradient))
         return list(at)
 
     def effect(self, term: NamedTerm) -> EffectTerm:
@@ -220,25 +212,26 @@ class _Columns:
         names = []
         for k, parameter in enumerate(term.effect.parameters):
             name = parameter.name
-            while name in self.names:
+            while name in [row[0] for row in self.rows]:
                 name += "_also"
             value = float(self.fit.values.terms[index][k])
-            self._add(name, value, parameter.unit, self._gradient(start + k))
+            self.rows.append((name, value, parameter.unit, self._gradient(start + k)))
             names.append(name)
         return EffectTerm(term.effect, tuple(names))
 
     def stated(self, inflation: float) -> tuple[tuple[Coefficient, ...], Floats]:
         """Return the parameters and their covariance (p, p)."""
-        rows = np.stack(self.rows)
+        rows = np.stack([gradient for _, _, _, gradient in self.rows])
+        # Covariance of functions of the parameters by their gradients.
         matrix = rows @ self.fit.covariance @ rows.T * inflation
         sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
         return tuple(
             Coefficient(name, value, float(size) if size > 0 else None, unit)
-            for name, value, size, unit in zip(self.names, self.values, sizes, self.units, strict=True)
+            for (name, value, unit, _), size in zip(self.rows, sizes, strict=True)
         ), matrix
 
 
-def _stands(term: NamedTerm, result: TraceResult) -> bool:
+def _is_corrected(term: NamedTerm, result: TraceResult) -> bool:
     """Whether an effect is a finding, or confounded only with other effects that are corrected."""
     if term.name in {finding.effect for finding in result.found}:
         return True
@@ -248,7 +241,7 @@ def _stands(term: NamedTerm, result: TraceResult) -> bool:
     return bool(rivals) and rivals <= correctable
 
 
-def _left_out(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
+def _reason_not_corrected(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
     if follows_clock(term):
         why = _CLOCK if term.name is not None else _NAMELESS
         of = "the start angle is that" if term.enters_angle else "bias and gain are those"
@@ -339,7 +332,7 @@ def gyros_alone(session: Session) -> str:
     except AdisGonioError:
         return ""
     return (
-        "; its gyros are calibrated: put them beside the accelerometers of another session of the part, "
+        "; its gyros are calibrated: combine them with the accelerometers of another session of the part, "
         f"export OTHER --gyros {PurePath(session.source).name} -o both.json"
     )
 

@@ -17,9 +17,9 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import AXES, Conditions, catalogue
 from adis_gonio.model.records import Session
-from adis_gonio.tracing.one_pose import mg_per_unit, series_columns, series_conditions
+from adis_gonio.tracing.one_pose import series_columns, series_conditions, series_readings
 from adis_gonio.tracing.trace_result import TraceResult
-from adis_gonio.tracing.validation import leave
+from adis_gonio.tracing.validation import residuals_on
 
 _LEFT = ("angle", "time", "temperature", "supply")
 _LEAST_SPAN = {"temperature": 0.145, "supply": 0.0018}
@@ -146,37 +146,28 @@ def _covariate(data: Readings, term: Term, axis: int) -> str:
 
 def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
     """Return a covariate (n,) in the unit of figures; None if it was not recorded."""
+    c = conditions
     if name.startswith("reading_"):
-        axis = AXES.index(name[-1])
-        return data.mean[:, axis] / data.model.full
+        return data.mean[:, AXES.index(name[-1])] / data.model.full
     if name in ("force", "rotation"):
-        rows = conditions.force_g if name == "force" else conditions.rate_dps
+        rows = c.force_g if name == "force" else c.rate_dps
         return None if rows is None else rows[:, int(np.ptp(rows, axis=0).argmax())]
-    if name == "time":
-        return conditions.time_s / 60.0
     if name in ("angle", "previous_angle"):
-        rad = conditions.angle_rad if name == "angle" else conditions.previous_angle_rad
+        rad = c.angle_rad if name == "angle" else c.previous_angle_rad
         return None if rad is None else np.degrees(rad)
     if name == "temperature_rate":
-        history = conditions.temperature_history
+        history = c.temperature_history
         if history is None or len(history[0]) < 2:
             return None
-        return np.interp(conditions.time_s, history[0], np.gradient(history[1], history[0])) * 60.0
+        return np.interp(c.time_s, history[0], np.gradient(history[1], history[0])) * 60.0
     if name == "variance":
-        rows = conditions.variance_mg2
-        return None if rows is None else rows.mean(axis=1)
-    fields = {
-        "temperature": "temperature_c",
-        "supply": "supply_v",
-        "order": "order",
-        "approach": "approach",
-    }
-    found: Floats | None = getattr(conditions, fields[name]) if name in fields else None
-    return found
+        return None if c.variance_mg2 is None else c.variance_mg2.mean(axis=1)
+    plain = {"temperature": c.temperature_c, "supply": c.supply_v, "order": c.order, "approach": c.approach}
+    return c.time_s / 60.0 if name == "time" else plain.get(name)
 
 
 def _lag(data: Readings, after: Fit) -> Floats:
-    """Temperature of the fitted lagging element minus that of the die (n,) in °C."""
+    """Temperature of the fitted lagging element minus the die's (n,) in °C."""
     for term, values in zip(after.terms, after.values.terms, strict=True):
         if isinstance(term, NamedTerm) and term.effect.shown_over == "temperature_lag":
             axis = AXES.index(term.effect.axes[0])
@@ -219,7 +210,7 @@ def _left_over(fit: Fit, quantity: str, others: Readings | None = None) -> Float
         turned = fit.angle_error_rad(data)
         assert turned is not None
         return np.degrees(wrap_radians(turned))
-    left = fit.misfit if others is None else leave(fit, others).residual
+    left = fit.misfit if others is None else residuals_on(fit, others).residual
     if quantity == "norm":
         return np.asarray((left * _along(data)).sum(axis=1))
     return np.asarray(left[:, AXES.index(quantity[-1])])
@@ -235,6 +226,7 @@ def _uncertainty(fit: Fit, quantity: str) -> Floats:
     """Standard uncertainty (n,) of a quantity for the fitted dwells."""
     data = fit.data
     if quantity == "angle":
+        # A reading changes by `slope` standard uncertainties per rad.
         slope = np.linalg.norm(data.root @ fit.tangent, axis=1)[:, 0]
         fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
         return np.asarray(np.degrees(np.hypot(1 / slope, fixture)))
@@ -246,7 +238,7 @@ def _uncertainty(fit: Fit, quantity: str) -> Floats:
 
 
 def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
-    """Plot the final residual over each covariate that varied, first those of the unnamed part."""
+    """Plot the final residual over each covariate that varied, starting with the unnamed part's."""
     base, last = result.fits[0], result.fits[-1]
     data = last.data
     unnamed = result.unnamed.covariates if result.unnamed is not None else ()
@@ -265,7 +257,7 @@ def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
 def series_views(session: Session, result: TraceResult) -> Views:
     """Return the residuals of the samples of a traced pose before and after each step."""
     dwell = next(dwell for dwell in session.dwells if len(dwell))
-    readings = dwell.accel * mg_per_unit(session, dwell)
+    readings = series_readings(session, dwell)
     conditions = series_conditions(dwell)
     axes = readings.shape[1]
     blocks = {finding.effect: series_columns(finding, conditions, axes) for finding in result.found}

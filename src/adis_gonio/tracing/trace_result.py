@@ -15,7 +15,7 @@ from adis_gonio.base.jsonable import (
     OPTIONAL,
     JsonRecord,
     finite,
-    json_object,
+    key,
 )
 from adis_gonio.base.tables import Entries, ParameterTable, lines_of
 from adis_gonio.base.uncertainty import Detectable, Value
@@ -49,8 +49,8 @@ class ErrorFigures(JsonRecord):
     chi2_per_dof : float or None
         None if the noise of a reading is unknown or no degree of freedom remains.
     heldout_by_axis : mapping of str to float or None
-        Held-out error of each axis, for a single pose traced sample by sample and for gyros, whose axes
-        share no attitude.
+        Held-out error of each axis, for a single pose traced sample by sample and for gyros (no common
+        attitude of their axes).
     heldout_kept : float or None
         Held-out error of the final model if its effects are kept in each fold and only their values are
         fitted again. `heldout_rms` then refers to effects that were chosen again in each fold.
@@ -282,10 +282,16 @@ class TraceResult(ParameterTable):
     provenance : Provenance or None
         Origin of the readings; None if no session was given.
     overrides : mapping
-        Metadata that replaced that of the session's file, old and new (`session.overrides`).
+        Metadata that replaced values of the session's file, old and new (`session.overrides`).
     position_findings : tuple of PositionFinding
         Positions that differ from their declaration (`adis_gonio.fitting.slips`).
     """
+
+    document_keys = (
+        *("adequate", "adequacy", "found", "steps", "sets", "confounded", "unnamed", "error", "detectable"),
+        *("advice", "measurements", "rivals", "base", "reasons", "notes", "within", "heldout_design"),
+        *("reference_temperature_c", "stopped", "overrides"),
+    )
 
     adequate: bool
     found: tuple[Finding, ...]
@@ -295,7 +301,7 @@ class TraceResult(ParameterTable):
     before: ErrorFigures
     after: ErrorFigures
     detectable: dict[str, Detectable]
-    advice: tuple[str, ...]
+    advice: tuple[str, ...] = field(metadata=key("next"))
     rivals: tuple[Rival, ...] = ()
     base: dict[str, Value] = field(default_factory=dict)
     reasons: dict[str, str] = field(default_factory=dict)
@@ -397,30 +403,12 @@ class TraceResult(ParameterTable):
         """Return the summary, and the parameters of the base model and the effects."""
         return self.summary(), [*finite(self.base).items(), *self._of_effects]
 
+    @property
+    def error(self) -> dict[str, ErrorFigures]:
+        """Errors before and after."""
+        return {"before": self.before, "after": self.after}
+
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
         other = {} if self.part == ACCELEROMETER else {"part": self.part}
-        return json_object(
-            **other,
-            adequate=self.adequate,
-            adequacy=self.adequacy,
-            found=self.found,
-            steps=self.steps,
-            sets=self.sets,
-            confounded=self.confounded,
-            unnamed=self.unnamed,
-            error={"before": self.before, "after": self.after},
-            detectable=self.detectable,
-            next=self.advice,
-            measurements=self.measurements,
-            rivals=self.rivals,
-            base=self.base,
-            reasons=self.reasons,
-            notes=self.notes,
-            within=self.within,
-            heldout_design=self.heldout_design,
-            reference_temperature_c=self.reference_temperature_c,
-            stopped=self.stopped,
-            overrides=self.overrides,
-            **listed(self.position_findings),
-        )
+        return {**other, **super().as_dict(), **listed(self.position_findings)}

@@ -203,41 +203,41 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
     if rest is not None:
         begin = f"{what} Besides, the" if names else "The"
         end = "" if result.adequate else " Not all of the residual is explained."
-        return (
-            f"{begin} residual follows {join_words(list(rest.covariates))} in a way that has no name.{end}"
-        )
+        covariates = join_words(list(rest.covariates))
+        return f"{begin} residual follows {covariates} in a way that no named effect explains.{end}"
     if result.adequate:
         if not names and not result.steps:
             return (
-                "The base model explains this session: what is left is the noise that was measured within "
-                "the dwells. Nothing had to be added."
+                "The base model explains this session: the residual is the noise that was measured within "
+                "the dwells. No effect had to be added."
             )
         unsure = uncertain_steps(result)
         if unsure:
-            beside = f"{join_words(names)} brings" if len(names) == 1 else f"{join_words(names)} bring"
-            beside = f"{beside} it down together with" if names else "what brings it down is"
-            end = "which is not certain" if len(unsure) == 1 else "which are not certain"
-            return f"The residual is the measured noise: {beside} {join_words(unsure)}, {end}."
+            verb = "is" if len(unsure) == 1 else "are"
+            return (
+                f"The residual falls to the measured noise with {join_words([*names, *unsure])}; "
+                f"{join_words(unsure)} {verb} not certain."
+            )
         count = _COUNTS[len(names)] if len(names) < len(_COUNTS) else str(len(names))
         word = "effect brings" if len(names) == 1 else "effects bring"
         return f"{count} {word} the residual down to the measured noise: {join_words(names)}."
     if exact(result):
         return (
-            f"{what} The model has as many parameters as there are readings: nothing is left to test it "
-            "by. Measure more positions."
+            f"{what} The model has as many parameters as there are readings: no reading remains to "
+            "test it. Measure more positions."
         )
     if result.before.heldout_by_axis is not None and not result.fits:
         return (
-            f"{what or 'Nothing was found that the readings follow.'} One pose shows what they follow, not"
-            " whether zero or gain does. Whether anything is left cannot be tested: the noise of"
-            " neighbouring samples is not independent."
+            f"{what or 'No condition was found that the readings follow.'} One pose does not show whether"
+            " zero or gain changes. Adequacy cannot be tested, since the noise of neighbouring samples is"
+            " correlated."
         )
     if not result.tested:
         noise_known = bool(result.fits) and result.fits[-1].data.noise_known
-        ending = "Whether anything is left cannot be tested: " + (
+        ending = "Adequacy cannot be tested: " + (
             "the model has as many parameters as there are readings. Measure more positions."
             if noise_known
-            else "the noise of a reading is not known by itself."
+            else "the noise of a reading is unknown."
         )
         return f"{what or 'Nothing was found beyond the base model.'} {ending}"
     if result.confounded or result.reasons:
@@ -245,7 +245,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
             "The residual stays larger than the noise, and this session cannot decide what causes the rest."
         )
     else:
-        ending = "The residual stays larger than the noise, and nothing could be named for the rest."
+        ending = "The residual stays larger than the noise, and no named effect explains the rest."
     return f"{what or 'Nothing was found for certain.'} {ending}"
 
 
@@ -268,17 +268,15 @@ def gains(result: TraceResult) -> str:
     if before.heldout_rms is not None and after.heldout_rms is not None:
         left, kept = format_number(after.heldout_rms), format_number(after.heldout_kept)
         parts.append(
-            f"on data that took no part from {format_number(before.heldout_rms)} to {left} {unit}"
+            f"on held-out data from {format_number(before.heldout_rms)} to {left} {unit}"
             f"{format_reduction(before.heldout_rms, after.heldout_rms)}"
         )
         if after.heldout_kept is not None and kept != left:
             parts[-1] += (
-                f", effects chosen anew each time, or to {kept} {unit} with those of this model kept"
+                f", effects chosen again each time, or to {kept} {unit} with the effects of this model kept"
             )
     else:
-        parts.append(
-            "there was too little data to leave any out, so that nothing proves this on other data"
-        )
+        parts.append("there were too few data to hold any out, so this is not verified on other data")
     if before.angle_rms_deg is not None and after.angle_rms_deg is not None:
         parts.append(
             f"the error of the angle from {format_number(before.angle_rms_deg)}° to "
@@ -303,11 +301,11 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
         text = first
         named = [name for name in others if name in known]
         nameless = [name for name in others if name not in named]
-        told = named[:most] + nameless[:1]
-        if told:
+        listed = named[:most] + nameless[:1]
+        if listed:
             more = len(named[most:]) + len(nameless[1:])
             kind = "more" if named[most:] else f"other form{'s' * (more > 1)} without a name"
-            text = f"{first} — or {', or '.join(told)}" + (f" (or {more} {kind})" if more else "")
+            text = f"{first} — or {', or '.join(listed)}" + (f" (or {more} {kind})" if more else "")
         reason = result.reasons.get(first)
         lines.append(f"{text}: {reason}" if reason else text)
     return lines
@@ -333,9 +331,7 @@ def sight(result: TraceResult) -> SightWords:
     found = {finding.effect for finding in result.found}
     undecided = {name for names in result.confounded for name in names} | set(result.reasons)
     undecided |= {step.effect for step in result.steps}
-    visible: list[tuple[str, str]] = []
-    still_open: list[tuple[str, str]] = []
-    weak: list[tuple[str, str]] = []
+    shown: dict[str, list[tuple[str, str]]] = {"visible": [], "weak": [], "open": []}
     blind: dict[str, list[str]] = {}
     for name in catalogue():
         if name in found or name not in result.detectable:
@@ -343,25 +339,19 @@ def sight(result: TraceResult) -> SightWords:
         entry = result.detectable[name]
         prototype = _parameter(name, entry)
         if name in undecided:
-            still_open.append((name, amplitude(entry)))
+            shown["open"].append((name, amplitude(entry)))
         elif entry.amplitude is None:
-            blind.setdefault(entry.reason or "its trace lies in what is fitted", []).append(name)
+            blind.setdefault(_reason(entry.reason or "its trace lies in what is fitted"), []).append(name)
         elif prototype is not None and entry.amplitude > prototype.high:
-            blind.setdefault("too little of what drives it; no physical amplitude would show", []).append(
-                name
-            )
+            reason = "too little of what drives it; no physical amplitude would show"
+            blind.setdefault(reason, []).append(name)
         elif prototype is not None and entry.amplitude > abs(prototype.typical):
-            weak.append((name, amplitude(entry)))
+            shown["weak"].append((name, amplitude(entry)))
         else:
-            visible.append((name, amplitude(entry)))
-    worded: dict[str, list[str]] = {}
-    for reason, names in blind.items():
-        worded.setdefault(_reason(reason), []).extend(names)
+            shown["visible"].append((name, amplitude(entry)))
     return SightWords(
-        tuple(visible),
-        tuple(weak),
-        tuple((tuple(names), reason) for reason, names in worded.items()),
-        tuple(still_open),
+        blind=tuple((tuple(names), reason) for reason, names in blind.items()),
+        **{group: tuple(rows) for group, rows in shown.items()},
     )
 
 

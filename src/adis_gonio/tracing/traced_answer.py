@@ -15,6 +15,7 @@ from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.fitting.answer import Answer, with_notes
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.method_comparison import (
     DwellPrediction,
     Recommendation,
@@ -23,8 +24,7 @@ from adis_gonio.fitting.method_comparison import (
     predicts_worse,
     scores_of,
 )
-from adis_gonio.fitting.noise import NoiseAssumptions
-from adis_gonio.fitting.result import FitResult
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.fitting.uncertainty import MODEL, BudgetRow, ShownAngle, budget_of, response_of, sources_of
 from adis_gonio.tracing.trace_result import TraceResult
 
@@ -39,7 +39,7 @@ class TracedAnswer(Answer):
     Attributes
     ----------
     traced : TraceResult
-        The trace, whose model is recommended.
+        The trace with the recommended model.
     """
 
     traced: TraceResult
@@ -51,7 +51,7 @@ class TracedAnswer(Answer):
 
     @property
     def parameters(self) -> dict[str, Value]:
-        """All parameters of the traced model by name, those of its effects included."""
+        """All parameters of the traced model by name, including its effects."""
         found = dict(self.traced.base)
         for finding in self.traced.found:
             found |= finding.parameters

@@ -1,6 +1,6 @@
 """Validation of a trace: errors on held-out dwells, and the names and steps that survive them.
 
-Held-out dwells are the `check` dwells or, without any, those of folds with the selection repeated inside
+Held-out dwells are the `check` dwells or, without any, folds of dwells with the selection repeated inside
 each fold. A fold consists of whole dwells: every fifth dwell (shuffled); blocks of time, if positions
 repeat so that no block leaves a gap of angles; all dwells about one body axis. Plain leave-one-out is too
 optimistic if poses repeat, because another dwell of the same pose replaces the dwell that was left out.
@@ -32,7 +32,7 @@ BLOCKS_OF_TIME = "blocks of time"
 
 
 @dataclass(frozen=True)
-class Left:
+class HeldOut:
     """Residuals of a model on held-out dwells.
 
     Attributes
@@ -49,12 +49,12 @@ class Left:
     angle_rad: Floats | None
     predicted: NDArray[np.bool_]
 
-    def rows(self, index: NDArray[np.bool_]) -> Left:
+    def rows(self, index: NDArray[np.bool_]) -> HeldOut:
         """Return some of the dwells."""
         turned = None if self.angle_rad is None else self.angle_rad[index]
         if turned is not None and np.isnan(turned).any():
             turned = None
-        return Left(self.residual[index], turned, self.predicted[index])
+        return HeldOut(self.residual[index], turned, self.predicted[index])
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,11 @@ class Chosen:
     by: Fit
 
 
-def leave(fit: Fit, data: Readings) -> Left:
+def residuals_on(fit: Fit, data: Readings) -> HeldOut:
     """Return the residuals of a fitted model on other dwells."""
     there = fit.on(data)
     turned = fit.angle_error_rad(data)
-    return Left(there.misfit, turned, np.ones(len(data), dtype=bool))
+    return HeldOut(there.misfit, turned, np.ones(len(data), dtype=bool))
 
 
 def rms(residual: Floats, by_axis: bool) -> float:
@@ -114,6 +114,7 @@ def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
         theta = data.conditions.angle_rad
         if theta is None:
             return []
+        # Distances of all pairs of angles; less than half of the dwells with a neighbour: no repetition.
         apart = np.abs(wrap_radians(theta[:, None] - theta[None, :]))
         if 2 * int(((apart < np.deg2rad(limits.repeated_deg)).sum(axis=1) > 1).sum()) < len(data):
             return []
@@ -122,11 +123,12 @@ def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
         return []
     nearest = np.abs(pose).argmax(axis=1)
     up = np.take_along_axis(pose, nearest[:, None], axis=1)[:, 0] > 0
+    # Six groups in space: axis nearest to gravity, and its direction.
     groups = 2 * nearest + up
     return [groups == group for group in np.unique(groups)]
 
 
-def counting(
+def predicted_dwells(
     data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], model: Sequence[Term]
 ) -> dict[str, NDArray[np.bool_]]:
     """Return the dwells (n,) that count as predicted under each design, for a model of all dwells.
@@ -165,6 +167,7 @@ def determined(
         Terms whose columns have to be determined too.
     """
     begun = Fit.begin(data)
+    # A bias on each axis, in units of the full reading.
     zero = np.tile(data.model.size * np.eye(data.axes), (len(data), 1, 1))
     more = [begun.candidate(term) for term in beside]
     columns = begun.white_by_dwell(np.concatenate([begun.base_columns, zero, *more], axis=2))
@@ -200,7 +203,7 @@ def cross_validate(
     data: Readings,
     designs: dict[str, list[NDArray[np.bool_]]],
     fit: Callable[[Readings], Chosen],
-) -> dict[str, Left]:
+) -> dict[str, HeldOut]:
     """Return held-out residuals of all dwells by design; `fit` selects and fits on the other dwells."""
     out = {}
     folds_in_all, begun = sum(map(len, designs.values())), 0
@@ -212,22 +215,22 @@ def cross_validate(
             check()
             answer = fit(data.rows(~mask))
             predicted[mask] = answer.by.can_predict(data.rows(mask), limits.predicted)
-            left = leave(answer.fit, data.rows(mask))
+            left = residuals_on(answer.fit, data.rows(mask))
             residual[mask] = left.residual
             if left.angle_rad is not None:
                 turned[mask] = left.angle_rad
         begun += len(masks)
-        out[name] = Left(residual, turned, predicted)
+        out[name] = HeldOut(residual, turned, predicted)
     return out
 
 
-def counted(left: Mapping[str, Left], counts: Mapping[str, NDArray[np.bool_]]) -> list[Left]:
+def select_counted(left: Mapping[str, HeldOut], counts: Mapping[str, NDArray[np.bool_]]) -> list[HeldOut]:
     """Return the held-out residuals of the dwells that count, design by design."""
     return [left[name].rows(own) for name, own in counts.items()]
 
 
-def less_unknown(
-    counts: Mapping[str, NDArray[np.bool_]], anew: Mapping[str, Left]
+def drop_unpredicted(
+    counts: Mapping[str, NDArray[np.bool_]], anew: Mapping[str, HeldOut]
 ) -> dict[str, NDArray[np.bool_]]:
     """Remove dwells that a model chosen without them does not determine.
 
@@ -259,7 +262,7 @@ class Fold:
     terms: Sequence[Term]
     averaged: Averaged | None
     max_effects: int
-    _made: dict[tuple[int, str], tuple[Fit | None, Left]] = field(
+    _made: dict[tuple[int, str], tuple[Fit | None, HeldOut]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -272,7 +275,7 @@ class Fold:
 
     def left_out(
         self, data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], fit: Fit | None = None
-    ) -> dict[str, Left]:
+    ) -> dict[str, HeldOut]:
         """Return held-out residuals under each design; computed once for the guard and the figures.
 
         Parameters
@@ -281,7 +284,7 @@ class Fold:
             Fit whose effects are kept in every fold; by default effects are chosen again.
         """
         fresh = {name: masks for name, masks in designs.items() if (id(fit), name) not in self._made}
-        made = cross_validate(data, fresh, self.chosen_anew if fit is None else _keeping(fit))
+        made = cross_validate(data, fresh, self.chosen_anew if fit is None else _keep_effects(fit))
         self._made.update({(id(fit), name): (fit, left) for name, left in made.items()})
         return {name: self._made[id(fit), name][1] for name in designs}
 
@@ -297,7 +300,7 @@ class Fold:
         return Chosen(chosen.fit, by=chosen.fit)
 
 
-def in_order(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
+def nest_fits(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
     """Return fits of nested models, the term of largest gain first, and the name of each step."""
     left = list(selection.verdict.best)
     model: list[int] = []
@@ -342,18 +345,18 @@ def error_figures(
         lefts, design = leave_each_out(fits)
     else:
         designs = folds(data)
-        counts = counting(data, designs, selection.terms)
+        counts = predicted_dwells(data, designs, selection.terms)
         anew = fold.left_out(data, designs) if len(fits) > 1 else {}
-        counts = less_unknown(counts, anew) if anew else counts
+        counts = drop_unpredicted(counts, anew) if anew else counts
         designs = {name: designs[name] for name in counts}
         design = "; ".join(f"{name} ({len(masks)} folds)" for name, masks in designs.items())
         kept = fits[:-1] if len(fits) > 1 else fits
-        lefts = [counted(fold.left_out(data, designs, fit), counts) for fit in kept]
+        lefts = [select_counted(fold.left_out(data, designs, fit), counts) for fit in kept]
         if len(fits) > 1:
-            lefts.append(counted(anew, counts))
-            design += "; effects chosen anew in each fold"
+            lefts.append(select_counted(anew, counts))
+            design += "; effects chosen again in each fold"
             if fold.averaged is None:
-                again = _heldout(counted(fold.left_out(data, designs, fits[-1]), counts), data)
+                again = _heldout(select_counted(fold.left_out(data, designs, fits[-1]), counts), data)
                 design += f", {again:.3g} {data.model.unit} with those found kept"
     figures = [figures_of_fit(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)]
     return [*figures[:-1], replace(figures[-1], heldout_kept=again)], design
@@ -363,15 +366,15 @@ def without_folds(
     fits: Sequence[Fit], measured: Readings, checking: Readings | None
 ) -> tuple[list[ErrorFigures], str]:
     """Return error figures by the check dwells alone; without check dwells nothing is held out."""
-    lefts: list[list[Left]] = [[] for _ in fits]
+    lefts: list[list[HeldOut]] = [[] for _ in fits]
     design = "no dwell"
     if checking is not None:
-        lefts = [[leave(fit, checking)] for fit in fits]
+        lefts = [[residuals_on(fit, checking)] for fit in fits]
         design = f"{len(checking)} check dwells"
     return [figures_of_fit(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)], design
 
 
-def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[Left]) -> ErrorFigures:
+def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[HeldOut]) -> ErrorFigures:
     """Return the error figures of a fit, given its residuals on held-out dwells."""
     residual = [part.residual for part in left]
     turned = [part.angle_rad for part in left if part.angle_rad is not None]
@@ -395,7 +398,7 @@ def _by_axis(data: Readings, residual: Sequence[Floats]) -> dict[str, float] | N
     return {AXES[k]: float(value) for k, value in enumerate(each)}
 
 
-def _keeping(fit: Fit) -> Callable[[Readings], Chosen]:
+def _keep_effects(fit: Fit) -> Callable[[Readings], Chosen]:
     def kept(rows: Readings) -> Chosen:
         again = fit.again(rows)
         return Chosen(again, by=again)
@@ -413,7 +416,7 @@ def leaves_too_few(fit: Fit) -> bool:
     return len(fit.data) < limits.least_choice or rows < _parameters(fit)
 
 
-def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[Left]], str]:
+def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
     """Hold out each dwell alone with the effects kept, if the others determine the final model.
 
     The other dwells are too few to choose effects, so only the values are fitted again.
@@ -424,15 +427,17 @@ def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[Left]], str]:
     if any(last.again(data.rows(~mask)).used < columns for mask in singles):
         return [[] for _ in fits], (
             f"the model has {columns} parameters: {len(data) - 1} dwells do not determine it, so that none "
-            "could be left out"
+            "could be held out"
         )
     design = f"each of {len(data)} dwells in turn, effects kept: the others are too few to choose any from"
     designs = {design: singles}
     every = {design: np.ones(len(data), dtype=bool)}
-    return [counted(cross_validate(data, designs, _keeping(fit)), every) for fit in fits], design
+    return [
+        select_counted(cross_validate(data, designs, _keep_effects(fit)), every) for fit in fits
+    ], design
 
 
-def guarding(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[float | None]:
+def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[float | None]:
     """Return held-out errors of nested models that choose the final model; effects are kept in each fold.
 
     `check` dwells are excluded, since they must not influence the choice.
@@ -441,15 +446,15 @@ def guarding(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[floa
         return [None for _ in fits]
     data = selection.data
     designs = folds(data)
-    counts = counting(data, designs, selection.terms)
+    counts = predicted_dwells(data, designs, selection.terms)
     # A formula found on all dwells already knows the held-out dwells; an average even more so.
     final = fits[-1] if fold.averaged is None else None
     lefts = [fold.left_out(data, designs, fit) for fit in (*fits[:-1], final)]
-    counts = less_unknown(counts, lefts[-1])
-    return [_heldout(counted(left, counts), data) for left in lefts]
+    counts = drop_unpredicted(counts, lefts[-1])
+    return [_heldout(select_counted(left, counts), data) for left in lefts]
 
 
-def _heldout(parts: Sequence[Left], data: Readings) -> float | None:
+def _heldout(parts: Sequence[HeldOut], data: Readings) -> float | None:
     """Root mean square of held-out residuals; None without any."""
     return rms(np.concatenate([part.residual for part in parts]), data.by_axis) if parts else None
 
@@ -461,7 +466,7 @@ def rms_deg(turned: list[Floats]) -> float | None:
     return float(np.degrees(np.sqrt((wrap_radians(np.concatenate(turned)) ** 2).mean())))
 
 
-def checkable(names: Names, selection: Selection) -> Names:
+def reject_unchecked(names: Names, selection: Selection) -> Names:
     """Reject the names of a model that leaves too few readings, since it would fit any data.
 
     A bias is accepted: every sensor has one, so it needs no proof.
@@ -469,19 +474,19 @@ def checkable(names: Names, selection: Selection) -> Names:
     dof = selection.fit.dof
     if dof >= limits.least_checks:
         return names
-    open_ = [name for name in names.stand if name != "bias"]
+    open_ = [name for name in names.accepted if name != "bias"]
     reasons = dict.fromkeys(open_, f"the model leaves {dof} readings to check it by: too few")
-    return without(replace(names, open={**names.open, **reasons}), reasons)
+    return reject_names(replace(names, rejected={**names.rejected, **reasons}), reasons)
 
 
-def without(names: Names, reasons: dict[str, str]) -> Names:
+def reject_names(names: Names, reasons: dict[str, str]) -> Names:
     """Remove rejected names, and list each of them under `confounded`."""
-    more = tuple((name,) for name in reasons if name in names.stand)
-    stand = tuple(name for name in names.stand if name not in reasons)
-    return Names(stand, names.open, tuple(dict.fromkeys((*names.confounded, *more))))
+    more = tuple((name,) for name in reasons if name in names.accepted)
+    accepted = tuple(name for name in names.accepted if name not in reasons)
+    return Names(accepted, names.rejected, tuple(dict.fromkeys((*names.confounded, *more))))
 
 
-def longest(errors: Sequence[float | None], most: int) -> int:
+def longest_acceptable(errors: Sequence[float | None], most: int) -> int:
     """Return the steps, up to `most`, of the longest model with hardly more error than any shorter one."""
     known = [error for error in errors if error is not None]
     if len(known) < len(errors):
@@ -492,9 +497,11 @@ def longest(errors: Sequence[float | None], most: int) -> int:
     return count
 
 
-def refuted(selection: Selection, fits: Sequence[Fit], errors: Sequence[float | None]) -> list[Term]:
+def refuted_functions(
+    selection: Selection, fits: Sequence[Fit], errors: Sequence[float | None]
+) -> list[Term]:
     """Return the unnamed functions that the held-out dwells contradict."""
-    stay = fits[longest(errors, len(fits) - 1)]
+    stay = fits[longest_acceptable(errors, len(fits) - 1)]
     if stay is fits[-1]:
         return []
     return [term for term in selection.terms if term.name is None and term not in stay.terms]
@@ -527,7 +534,7 @@ def never_worse(
     if len(known) < len(errors):
         return last, names, {}
     stated_worse = reported is not None and reported[1] > limits.worse * reported[0]
-    count = longest(known, last - 1 if last > 0 and stated_worse else last)
+    count = longest_acceptable(known, last - 1 if last > 0 and stated_worse else last)
     cut = set(steps) - set(steps[:count])
     before, after = min(known[: count + 1]), known[last]
     if reported is not None and after <= limits.worse * before:
@@ -535,10 +542,10 @@ def never_worse(
     reasons = dict.fromkeys(
         sorted(cut), f"the held-out error would go from {before:.3g} to {after:.3g} {unit} with it"
     )
-    return count, without(names, reasons), reasons
+    return count, reject_names(names, reasons), reasons
 
 
-def unexpected(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
+def disagreement_p_value(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
     """p-value of the residuals of held-out dwells.
 
     The predicted reading has the covariance 1 + X C Xᵀ, from its noise and from the parameters (Cook and
@@ -550,6 +557,7 @@ def unexpected(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
     residual = there.residual.ravel() / np.sqrt(inflation)
     rows = there.jacobian
     size = min(rows.shape[1], len(fit.covariance))
+    # Columns of X C^½, so that carried · carriedᵀ = X C Xᵀ.
     carried = rows[:, :size] @ _root(fit.covariance[:size, :size])
     spread = np.eye(len(rows)) + carried @ carried.T
     distance = float(residual @ np.linalg.solve(spread, residual))

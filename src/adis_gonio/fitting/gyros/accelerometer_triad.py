@@ -200,8 +200,8 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
         return _as_read(session, *given)
     try:
         from adis_gonio.fitting import fit
+        from adis_gonio.fitting.fit_result import calibration_as_recorded
         from adis_gonio.fitting.methods import fit_of
-        from adis_gonio.fitting.result import calibration_as_recorded
 
         # In space by gravity alone: the turns are what these gyros are to be calibrated by.
         result = fit(session, method="ml") if readings.planar else fit_of(readings, "ml")

@@ -6,7 +6,7 @@ within a dwell is independent between dwells, so no model of the noise is needed
 in all dwells, or proportional to the change of the axis's reading in the preceding move. Time starts at
 the first sample of the dwell, since the file does not contain the end of the move.
 
-The time constant is then fitted. Standard uncertainties are those of least squares with residuals that are
+The time constant is then fitted. Standard uncertainties follow from least squares with residuals that are
 correlated within dwells (sandwich estimator, one cluster per dwell).
 """
 
@@ -69,7 +69,7 @@ def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Sampl
         best = _best(samples, usable)
         if best is None:
             break
-        finding, samples = _fitted(samples, usable, best)
+        finding, samples = _fit_course(samples, usable, best)
         found.append(finding)
     return found, samples
 
@@ -117,6 +117,7 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
     for tau in taus:
         z, norm = projections(samples, usable, tau)
         for by_move in (False, True):
+            # Regression of the projections z on the regressor, without a constant.
             g = norm[:, None] * kinds[int(by_move)]
             energy = (g**2).sum(axis=0)
             alive = energy > 1e-12 * float((norm**2).sum())
@@ -143,12 +144,12 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
     return best
 
 
-def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinFinding, Samples]:
+def _fit_course(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinFinding, Samples]:
     weight = _regressors(samples)[int(best.by_move)]
     dwells = np.flatnonzero(usable).tolist()
     times = {k: samples.elapsed_s(k) for k in dwells}
     centred = {k: samples.values[k] - samples.values[k].mean(axis=0) for k in dwells}
-    axes = _axes_with(samples, usable, best)
+    axes = _significant_axes(samples, usable, best)
 
     def amplitudes(tau: float | None) -> tuple[Floats, float]:
         z, norm = projections(samples, usable, tau)
@@ -181,9 +182,11 @@ def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinF
         for j, axis in enumerate(axes):
             jacobian[:, j, j] = offset * weight[k, axis]
             if tau is not None:
+                # Derivative of exp(−t/τ) by τ.
                 bend = course * times[k] / tau**2
                 jacobian[:, j, -1] = slope[axis] * weight[k, axis] * (bend - bend.mean())
         residual = centred[k][:, axes] - offset[:, None] * (slope * weight[k])[axes]
+        # One score per dwell: its outer products sum to the middle of the sandwich.
         score = np.einsum("naj,na->j", jacobian, residual)
         normal += np.einsum("naj,nai->ji", jacobian, jacobian)
         meat += np.outer(score, score)
@@ -198,7 +201,7 @@ def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinF
     return finding, samples.with_values(values)
 
 
-def _axes_with(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
+def _significant_axes(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
     """Return the axes that share the course: the first, and those on which it is significant alone."""
     z, norm = projections(samples, usable, best.tau)
     g = norm[:, None] * _regressors(samples)[int(best.by_move)]
@@ -247,7 +250,7 @@ def _finding(
         parameters["tau"] = Value(tau, float(u[-1]), "s")
         largest = float(np.abs(slope[axes] * weight[dwells][:, axes]).max())
         shift = float(np.abs(shifts[:, axes]).max())
-        needed = _wait(samples, largest, tau)
+        needed = _waiting_time(samples, largest, tau)
         sentence = (
             f"each dwell settles: {sizes} at its first sample, time constant "
             f"{parameters['tau']}{by}; it moves the means by up to {format_number(shift, 2)} mg"
@@ -275,7 +278,7 @@ def _finding(
     )
 
 
-def _wait(samples: Samples, amplitude: float, tau: float) -> float:
+def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
     """Time in s until settling moves a mean by less than a third of its noise (white, n samples)."""
     sizes = []
     for k in range(len(samples)):
@@ -293,6 +296,7 @@ def _view(
     """Weighted mean course of the dwells, as at most `_POINTS` means of neighbours."""
     length = min(len(samples.values[k]) for k in dwells)
     norm = float((weight[dwells] ** 2).sum())
+    # Least-squares course: each dwell weighted by its regressor.
     mean = sum(
         weight[k] * (samples.values[k][:length, best.axis] - samples.values[k][:, best.axis].mean())
         for k in dwells

@@ -90,7 +90,7 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     samples : Samples
         Samples without the courses that all dwells share.
     unlike : list of int
-        Axes whose scatter differs between dwells; there each dwell is scaled by its own scatter.
+        Axes with different scatter in the dwells; there each dwell is scaled by its own scatter.
     reach : int
         Samples over which neighbours are correlated.
     """
@@ -147,6 +147,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
                 differences.append(np.zeros((0, samples.axes)))
                 places.append(np.zeros(0))
                 continue
+            # Adjacent stretches of `own` samples at every quarter of a stretch; sums from cumulative sums.
             middle = np.arange(own, n - own + 1, max(1, own // 4))
             before = total[middle] - total[middle - own]
             after = total[middle + own] - total[middle]
@@ -159,7 +160,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
 
 
 def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Lower the p-values (d, axes) where those of this scale are smaller."""
+    """Lower the p-values (d, axes) to the values of this scale if these are smaller."""
     noise = np.zeros_like(p)
     look.noise.append((np.array([float(own[0]) if len(own) else 0.0 for own in scale.places]), noise))
     every = np.concatenate(scale.differences)
@@ -179,6 +180,7 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
         else:
             known, weight = _without_outliers(np.nan_to_num(squares), weight)
             total = float(weight.sum())
+            # Variance from all other dwells, weighted by their independent places.
             others = (weight @ known - weight * known) / np.maximum(total - weight, 1e-12)
             spreads = np.sqrt(np.maximum(others, 1e-24))
             own_p = np.asarray(stats.t.sf(largest / spreads, np.maximum(total - weight, 1e-12)))
@@ -190,6 +192,7 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
                 at = int(np.abs(scale.differences[k][:, axis]).argmax())
                 look.place[k, axis] = scale.places[k][at]
                 look.stretch[k, axis] = stretch[k]
+                # Back to the difference of two means in mg.
                 height = scale.differences[k][at, axis] * np.sqrt(2 / stretch[k])
                 look.difference_mg[k, axis] = height * look.unit[k, axis]
 
@@ -239,6 +242,7 @@ def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, 
     # Step: the sum of squares falls by n1 n2/n times the squared difference of the means.
     total = np.cumsum(rows)[:-1]
     first = np.arange(1, n)
+    # `total` is the sum of the first part; the sum of all rows is zero.
     gain = total**2 * n / (first * (n - first))
     inner = slice(2, max(n - 3, 3))
     cut = int(np.argmax(gain[inner])) + inner.start

@@ -192,6 +192,7 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
                 excess = max(excess, float(np.mean(kept[k][kept[k] > start] - start)))
             excess = _SAFETY * excess + 0.5
             chances = max(1.0, (own > start).sum())
+            # Tail probability of the longest of `chances` runs.
             p = float(chances * np.exp(-(longest - start) / excess))
             # Slow noise stays within one step for a few of its correlation times.
             stays = float(special.erf(samples.quantum[axis] / (2 * np.sqrt(2) * scatter[k, axis])))
@@ -223,6 +224,7 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
 
 
 def _run_lengths(column: Floats) -> NDArray[np.intp]:
+    # Distances between the positions at which the value changes.
     change = np.flatnonzero(np.diff(column))
     return np.diff(np.concatenate([[-1], change, [len(column) - 1]])).astype(np.intp)
 

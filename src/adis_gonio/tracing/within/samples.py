@@ -228,7 +228,7 @@ class WithinFinding(JsonRecord):
     kind : str
         drift, settling, step, disturbance, tone, spikes, stuck, noise_change, limit or coarse.
     effect : str or None
-        Name in the catalogue if the form is that of a named effect.
+        Name in the catalogue, if the finding has the form of a named effect.
     axes : tuple of str
     positions : tuple of int
         Numbers of the affected dwells.

@@ -8,7 +8,7 @@ Order of the searches
     a dwell: none for one sample, drift from 6 samples, spikes and lines from 32 samples.
 
 Rule for `found`
-    A finding counts among `TraceResult.found` if its form is that of a named effect (`tone`, `settling`,
+    A finding counts among `TraceResult.found` if it has the form of a named effect (`tone`, `settling`,
     `noise_change`, `saturation`, `quantization`), if its probability reaches the threshold of any cause
     (`certain`), if it occurs in at least `_CLAIMED_DWELLS` dwells (a limit in one), and if the dwells were
     recorded as such. If dwells were cut out of a continuous recording, a finding may be a hand that places
@@ -18,7 +18,7 @@ Rule for `found`
 Probability
     The tests need no model of an effect, so there is a p-value but no likelihood. If an effect is
     present, p has the density ξ p^(ξ−1) with an unknown ξ below 1 (Sellke, Bayarri and Berger, The
-    American Statistician 55:62, 2001). The prior share is that of any effect.
+    American Statistician 55:62, 2001). The prior share is equal for all effects.
 
 Sensitivity
     The smallest `tone`, `noise_change` and `settling` that these samples would have shown: the amplitude
@@ -81,9 +81,9 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
         within = (*(finding for finding in codes if finding is not None), *within)
     claimed = {finding.effect for finding in result.found}
     more = tuple(
-        _claim(finding)
+        _finding_of(finding)
         for finding in _first_of_each(within)
-        if stands(finding) and finding.effect not in claimed and not session.cut_by_stillness
+        if counts_as_found(finding) and finding.effect not in claimed and not session.cut_by_stillness
     )
     single, notes = _deviating_dwells(data, result)
     advice = (*_of_single_dwells(data, result), *single, *(f.advice for f in within if f.advice))
@@ -97,7 +97,7 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
     )
 
 
-def stands(finding: WithinFinding) -> bool:
+def counts_as_found(finding: WithinFinding) -> bool:
     """Whether a finding inside separately recorded dwells counts among `found`; see the module."""
     return (
         finding.effect is not None
@@ -124,7 +124,7 @@ def _first_of_each(within: tuple[WithinFinding, ...]) -> list[WithinFinding]:
     return [finding for effect, finding in best.items() if effect is not None]
 
 
-def _claim(finding: WithinFinding) -> Finding:
+def _finding_of(finding: WithinFinding) -> Finding:
     assert finding.effect is not None
     return Finding(
         effect=finding.effect,
@@ -142,13 +142,13 @@ def _of_single_dwells(data: Readings, result: TraceResult) -> list[str]:
     lines = []
     training = data.rows(~data.check)
     orders = training.conditions.order
-    told = {found.position for found in result.position_findings}
+    reported = {found.position for found in result.position_findings}
     for term in result.fits[-1].terms if result.fits else ():
         if term.dwell is None or orders is None:
             continue
         at = [k for k, order in enumerate(orders) if round(float(order)) == term.dwell]
-        if at and training.position[at[0]] not in told:
-            word = "slipped" if term.name == "position_slip" else "is off"
+        if at and training.position[at[0]] not in reported:
+            word = "slipped" if term.enters_angle else "is off"
             lines.append(
                 f"repeat position {training.position[at[0]]}: it {word} against all others; its reading "
                 f"was not dropped, {term.name} accounts for it"

@@ -118,7 +118,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     about = density.frequency[peak.at] / period
 
     every = list(zip(times, rows, weight, strict=True))
-    showing = [every[k] for k in _showing(density, peak)]
+    showing = [every[k] for k in _dwells_with(density, peak)]
 
     def power(frequency: float) -> float:
         total = 0.0
@@ -176,7 +176,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         p_value=peak.p_value,
         sentence=(
             f"a spectral line at {parameters['frequency']} (amplitude {sizes}) in "
-            f"{positions_text(positions, len(samples))}{_or_alias(folding)}"
+            f"{positions_text(positions, len(samples))}{_alias_text(folding)}"
         ),
         advice=(
             "find what shakes the table at the line's frequency, or at one that folds to it: record again "
@@ -188,7 +188,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     return finding, samples.with_values(values)
 
 
-def _showing(density: Density, peak: _Peak) -> list[int]:
+def _dwells_with(density: Density, peak: _Peak) -> list[int]:
     """Return the numbers of the dwells with the peak: all, if it was found in all of them together."""
     if peak.dwell is None:
         return list(range(len(density.dwells)))
@@ -206,7 +206,7 @@ def aliases_hz(frequency_hz: float, rate_hz: float) -> tuple[float, ...]:
     return tuple(np.sort(folding[folding <= HIGHEST_HZ]).tolist())
 
 
-def _or_alias(folding: tuple[float, ...]) -> str:
+def _alias_text(folding: tuple[float, ...]) -> str:
     """Text about the aliases of a line."""
     if not folding:
         return ""
@@ -322,7 +322,7 @@ class Density:
     base : (k, axes) float
         Pooled density for a level of 1.
     bound : (k, axes) float
-        Threshold density for a line: `base` or, if larger, the density beside the point.
+        Threshold density for a line: `base` or, if larger, the density on either side.
     width : (k,) float
         Independent ordinates of the running median.
     """

@@ -177,7 +177,7 @@ def _best_cut(levels: list[Levels]) -> int | None:
 
 
 def _explained(own: Levels, cut: int) -> bool:
-    """Whether the dwells are equal on both sides of one change at `cut`, or within a dwell beside it."""
+    """Whether one change, at `cut` or within an adjacent dwell, leaves equal variances on each side."""
     at = np.arange(len(own.variance))
     parts = [own.rows(at < cut - 1), own.rows(at > cut)]
     p = [part.alike() for part in parts if len(part.variance) > 1]
@@ -245,6 +245,7 @@ def _joined(
 
     white = 1 / base
     if left(white) < left(np.ones_like(base)):
+        # Amount of white noise in each dwell by projection on its shape.
         amounts = power @ white / (white @ white)
         parts = [amounts[quiet], amounts[loud]]
         square = float(parts[1].mean() - parts[0].mean())
@@ -333,6 +334,7 @@ def _start(
     time = np.concatenate([samples.time_s[before], samples.time_s[after]])
     loss = np.zeros(len(time) + 1)
     for axis, own in zip(axes, levels, strict=True):
+        # Log likelihood of a change before each sample: quiet variance before it, loud variance after it.
         low, high = own.rows(quiet).common, own.rows(loud).common
         rows = np.concatenate([without_line(samples.values[k])[:, axis] for k in (before, after)])
         worth = float(np.median(own.dof / samples.counts[dwells]))

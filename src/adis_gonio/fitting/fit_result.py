@@ -22,7 +22,7 @@ from adis_gonio.fitting.determination import LIMIT, Determination, is_determined
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.linked import LinkReport
-from adis_gonio.fitting.noise import NoiseAssumptions
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.position_diagnosis import listed
 from adis_gonio.fitting.uncertainty import BudgetRow, ShownAngle, Sources, budget_of
