@@ -20,8 +20,8 @@ import sys
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import NORMAL_95
-from adis_gonio.device.sensor.bartlett import response
+from adis_gonio.base.uncertainty import NORMAL_95
+from adis_gonio.device.sensor.settings import filter_response
 from adis_gonio.fitting.allan.noise_processes import KINDS
 from adis_gonio.fitting.allan.spectral_likelihood import Likelihood, ordinates
 from allan_statistics import CASES, Case
@@ -37,7 +37,7 @@ def information(case: Case) -> tuple[Floats, Floats, list[str]]:
     grid = np.linspace(0.0, 0.5**case.filter_m if case.filter_m else 0.5, 2049)
     data = ordinates(
         np.zeros(case.samples), case.filter_m, case.period_s, np.zeros(1), np.zeros(0, np.intp)
-    ).below(float(grid[response(case.filter_m, grid) >= PASSED].max()))
+    ).below(float(grid[filter_response(case.filter_m, grid) >= PASSED].max()))
     likelihood = Likelihood(data, [k for k in range(len(KINDS)) if k not in has])
     return likelihood.slope_and_information(truth)[1][np.ix_(has, has)], truth[has], kinds
 

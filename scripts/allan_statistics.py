@@ -29,7 +29,7 @@ import numpy as np
 from scipy import fft
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import wilson
+from adis_gonio.base.uncertainty import wilson
 from adis_gonio.fitting.allan import AxisNoise, fit_allan
 from adis_gonio.model.records import Dwell, Session
 

@@ -1,4 +1,4 @@
-"""Write docs/effects.md from the effects themselves; `--check` only says whether it is up to date."""
+"""Write docs/effects.md from the effects themselves; `--check` exits with 1 if the page is out of date."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ from adis_gonio.model.effects import BUILT_IN, Conditions, Effect, Enters, effec
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "effects.md"
 
 HEAD = """\
-# The catalogue of effects
+# Reference: the catalogue of effects
 
 <!-- written by scripts/effects_page.py from src/adis_gonio/model/effects: change it there -->
 
-An effect is a named physical term that the seed paper's model (start angle α, one gain an axis, Δφ) lacks.
-The simulated world and the fit run the same objects. Bounds are those outside which a fitted value is not
-believed; typical sizes are **estimates** for a bench with an ADIS16354, never the maker's figures.
+An effect is a named physical term that the seed paper's model (start angle α, one gain per axis,
+Δφ) lacks. The simulator, the fit and the trace use the same objects. A fitted value outside the
+bounds is rejected. Typical sizes are **estimates** for a bench with an ADIS16354, not the maker's
+figures.
 
-Symbols: a_i is what axis i should read in mg, a_p what an axis across it should read, θ the declared angle
-of the stage, ψ = α − θ the true angle of the part, t the time; of gyros ω_i is what gyro i should read in
-°/s, Ω the true rate about the accelerometers' axes, f what the accelerometers read in g. Parameters of an
-axis carry its letter (`bias_x`), those of a pair both (`kpp_xy`: axis x, acceleration along y). In the
-plane each axis has one axis across, in space two.
+Symbols: a_i is the ideal reading of axis i in mg, a_p the ideal reading of an axis across it, θ the
+declared angle of the stage, ψ = α − θ the true angle of the part, t the time; for gyros ω_i is the ideal
+reading of gyro i in °/s, Ω the true rate about the accelerometers' axes, f the reading of the
+accelerometers in g. The parameters of an axis have its letter (`bias_x`), the parameters of a
+pair have both (`kpp_xy`: axis x, acceleration along y).
 
-On a command line an effect is `name` (all parameters typical) or `name:parameter=value,…` (amplitudes that
-are not named are zero; time constants, frequencies and limits stay typical).
+On a command line an effect is `name` (all parameters typical) or `name:parameter=value,…` (other
+amplitudes are zero; time constants, frequencies and limits keep their typical values). Your own
+effect: [CONTRIBUTING](../CONTRIBUTING.md#add-an-effect).
 """
 
 ENTERS = {
@@ -38,28 +40,16 @@ ENTERS = {
 }
 
 HARMONICS_HEAD = """\
-## Harmonics of a tumble
+## Harmonics of a turn
 
-What one unit of a parameter adds to X over one turn at 1 g, in mg, by harmonics of t (the angle of X from
-gravity), with the stage's zero at t = 0. Computed from the effects; terms below 0.0005 mg are left empty.
-Harmonic n needs at least 2n + 1 positions. What shares its columns is told apart as the sections below say.
+One unit of a parameter adds these harmonics of t (the angle of X from gravity) to X over one turn
+at 1 g, in mg, with the stage's zero at t = 0. Computed from the effects; terms below 0.0005 mg are
+empty. Harmonic n needs at least 2n + 1 positions.
 
 """
 
 TURN = ("quadratic", "cross_axis", "cross_quadratic", "cubic", "asymmetry", "misalignment", "scale", "bias")
 STAGE_TURN = ("stage_eccentricity", "stage_ellipticity", "stage_periodic")
-
-PLUGIN = """\
-## An effect of your own
-
-Subclass `adis_gonio.model.effects.Effect` (or one of the families in `families.py`), give it a `name`,
-`cause`, `formula` and `separated_by`, and name it in your package's `pyproject.toml`; nothing else changes:
-
-```toml
-[project.entry-points."adis_gonio.effects"]
-third_harmonic = "your_package:ThirdHarmonic"
-```
-"""
 
 
 def harmonics(made: Effect, values: np.ndarray, positions: int = 360) -> dict[str, float]:
@@ -97,45 +87,33 @@ def harmonics_table() -> list[str]:
     return rows
 
 
-def choices_of(kind: type[Effect]) -> str:
-    """Sentence about the fields beside the axes."""
-    names = kind.choices()
-    if not names:
-        return ""
-    listed = ", ".join(f"`{choice}` (default {getattr(kind, choice)})" for choice in names)
-    return f"Choice, a whole number that no gradient finds: {listed}."
-
-
 def section(kind: type[Effect]) -> list[str]:
     """Section of one effect."""
     choice = {"degree": 3} if "degree" in kind.choices() else {}
     made = effect(kind.name, ("x",), **choice)
-    lines = [
+    facts = [f"`{p.name}` {p.unit}, {p.low:g} … {p.high:g}, typical {p.typical:g}" for p in made.parameters]
+    facts += [f"choice `{name}` (default {getattr(kind, name)})" for name in kind.choices()]
+    facts += [f"enters {ENTERS[kind.enters]}"] if kind.enters is not Enters.READING else []
+    facts += [f"needs `{need}`" for need in kind.needs]
+    facts += ["found within the dwells"] if kind.within_dwell else []
+    return [
         f"### `{kind.name}`",
         "",
         kind.cause,
         "",
         f"    {kind.formula}",
         "",
-        "| parameter | unit | bounds | typical |",
-        "|---|---|---|---:|",
+        "; ".join(facts) + ".",
+        "",
+        f"*Separated by:* {kind.separated_by}",
+        "",
     ]
-    lines += [
-        f"| `{p.name}` | {p.unit} | {p.low:g} … {p.high:g} | {p.typical:g} |" for p in made.parameters
-    ]
-    covariates = ", ".join(f"`{need}`" for need in kind.needs) or "nothing beside time and readings"
-    within = " Its trace stands within the dwells." if kind.within_dwell else ""
-    lines += ["", f"Enters {ENTERS[kind.enters]}; needs {covariates}.{within}", ""]
-    lines += [choices_of(kind), ""] if kind.choices() else []
-    return [*lines, f"**Told apart:** {kind.separated_by}", ""]
 
 
 GROUPS = {
-    "sensor_terms": "Response of the sensor",
-    "environment": "Surroundings: temperature, supply, time, gravity",
-    "stage": "Stage, and how a position was reached",
-    "dwell_terms": "Within dwells, and single dwells",
-    "gyro_terms": "Gyros: what adds to a rate of turn ([gyros.md](gyros.md))",
+    "sensor_terms": "Sensor and its surroundings: response, temperature, supply, time, gravity",
+    "stage_terms": "Stage, approach of a position, single dwells and samples",
+    "gyro_terms": "Gyros ([how to calibrate them](gyros.md))",
 }
 
 
@@ -147,7 +125,7 @@ def render() -> str:
         for kind in BUILT_IN.values():
             if kind.__module__.endswith(f".{module}"):
                 lines += section(kind)
-    return "\n".join([*lines, PLUGIN])
+    return "\n".join(lines)
 
 
 def main() -> int:

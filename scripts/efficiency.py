@@ -105,7 +105,7 @@ class Line:
         Mean error in roots of the bound, and half of its interval, by comparison too.
     stated : float
         Median of u² that the fit states, over the bound. With 1/f noise u of a bias holds half its Allan
-        variance more: the bias of another day (`fitting/estimation/flicker.py`).
+        variance more: the bias of another day (`fitting/estimation/spectrum.py`).
     """
 
     case: Case

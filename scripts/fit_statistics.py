@@ -39,7 +39,9 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.determination import information
-from adis_gonio.fitting.estimation import Fit, NamedTerm, Values, from_means
+from adis_gonio.fitting.estimation.fit import Fit, Values
+from adis_gonio.fitting.estimation.readings import from_means
+from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Conditions, effect
 from adis_gonio.model.measurement import axes_matrix
 from adis_gonio.model.records import Dwell, Session

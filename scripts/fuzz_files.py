@@ -43,8 +43,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "session"))
 
 from strange_files import KINDS, SoundFiles
 
+from adis_gonio.faces.cli import COMMANDS as HOMES
 from adis_gonio.faces.cli import main as adis_gonio
-from adis_gonio.faces.cli.characters import make_readable
+from adis_gonio.faces.cli.terminal import replace_missing_letters
 
 OUTCOMES = ("OK", "TOLD", "NOISY", "TRACEBACK", "HUNG", "BIG")
 FAILURES = ("TRACEBACK", "HUNG", "BIG")
@@ -182,7 +183,7 @@ def run(
             os.setpgid(0, 0)
         os.chdir(folder)
         _redirect(folder)
-        make_readable()
+        replace_missing_letters()
         resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 5))
         resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_BYTES, ADDRESS_BYTES))
         signal.alarm(CLOCK_S)
@@ -279,18 +280,18 @@ def warm_up() -> None:
     names = (
         "fitting.methods",
         "tracing.trace",
-        "tracing.answer",
+        "tracing.traced_answer",
         "bench.runner",
         "sim.bus",
-        "plan.best",
-        "handover.report.page",
+        "plan.optimal_plan",
+        "handover.calibration_report",
     )
-    handover = ("exporting", "c_header", "certificate", "report.page")
-    commands = (words.split()[0] for lines in COMMANDS.values() for _, words in lines)
+    handover = ("session_export", "c_header", "certificate", "calibration_report")
+    commands = {words.split()[0] for lines in COMMANDS.values() for _, words in lines}
     for name in (
         *names,
         *(f"handover.{name}" for name in handover),
-        *(f"faces.cli.{name}" for name in dict.fromkeys(commands)),
+        *sorted({f"faces.cli.{HOMES[name].module}" for name in commands}),
     ):
         importlib.import_module(f"adis_gonio.{name}")
     for name in (

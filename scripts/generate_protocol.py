@@ -144,24 +144,23 @@ def module(table: Table) -> str:
         "",
     ]
     out += [f"VERSION = {protocol['version']}", f"BAUD = {protocol['baud']:_}"]
-    out += [f"BAUD_FAST = {protocol['baud_fast']:_}", ""]
+    out.append("")
     out += [f"{name.upper()} = {packet[name]}" for name in ("header_size", "crc_size", "max_raw")]
     out += [f"CRC_CHECK = 0x{packet['crc_check']:08X}"]
     out += [f"REPLY_BIT = 0x{packet['reply_bit']:02X}", ""]
-    for name, value in table["limits"].items():
-        text = f"0x{value:04X}" if name.endswith(("bit", "frame")) else str(value)
-        out.append(f"{name.upper()} = {text}")
+    limits = table["limits"]
+    out += [f"WRITE_BIT = 0x{limits['write_bit']:04X}", f"RETRY_MS = {limits['retry_ms']}"]
     out.append("")
     out += [f"DEFAULT_{name.upper()} = {value:_}" for name, value in table["defaults"].items()]
     rows = bodies(table)
     out += ["", "", "class PacketType(IntEnum):", '    """Type of a packet: its first byte."""', ""]
     out += [f"    {name.upper()} = 0x{kind:02X}" for name, kind, _, _ in rows]
-    out += ["", "", "class FirmwareCapability(IntFlag):", '    """What a firmware can do."""', ""]
+    out += ["", "", "class FirmwareCapability(IntFlag):", '    """Capabilities of a firmware."""', ""]
     for name, row in table["capabilities"].items():
         out += [f"    {name.upper()} = 1 << {row['bit']}", f'    """{sentence(row["text"])}."""']
     for title, key, text in (
-        ("Trigger", "triggers", "What starts a scan of a stream."),
-        ("Refusal", "errors", "Why a request was refused."),
+        ("Trigger", "triggers", "Start of a scan of a stream."),
+        ("Refusal", "errors", "Reason of a refused request."),
     ):
         out += ["", "", f"class {title}(IntEnum):", f'    """{text}"""', ""]
         for name, row in table[key].items():

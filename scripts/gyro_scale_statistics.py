@@ -33,8 +33,7 @@ from adis_gonio.bench.gyro_turns import TURNS, gyro_turns_plan
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro_readings
 from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_of
-from adis_gonio.model.records import Dwell, Session
-from adis_gonio.model.turns import Turn
+from adis_gonio.model.records import Dwell, Session, Turn
 from adis_gonio.record.plans import Position
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.sampling import bartlett_sums

@@ -25,7 +25,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.base.intervals import wilson
+from adis_gonio.base.uncertainty import wilson
 from tracing.gyro_blind import KINDS, Verdict, answer_of, draw, judge
 
 

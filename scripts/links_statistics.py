@@ -30,13 +30,12 @@ import numpy as np
 import gyro_scale_statistics as hands
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting import FitResult, fit
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.methods import fit_of
-from adis_gonio.model.records import Session
-from adis_gonio.model.turns import Turn
+from adis_gonio.model.records import Session, Turn
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.gyros import realistic_gyros
 

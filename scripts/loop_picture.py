@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from adis_gonio import load_session, trace
-from adis_gonio.handover.report.page import views
+from adis_gonio.handover.calibration_report import views
 
 RECORDING = Path(__file__).parents[1] / "examples" / "measured" / "thermal_cycle.csv.gz"
 KEPT = 8

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.base.values import Value
-from adis_gonio.fleet import SessionRecord, Store, summarise
-from adis_gonio.fleet.memory.control_chart import CUSUM_H, average_run_length, control_chart, cusum
-from adis_gonio.fleet.memory.drift import drift_of
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.fleet.control_charts import CUSUM_H, average_run_length, control_chart, cusum, drift_of
+from adis_gonio.fleet.fleet_summary import summarise
+from adis_gonio.fleet.session_record import SessionRecord
+from adis_gonio.fleet.store import Store
 
 
 def coverage(rng: np.random.Generator, trials: int, sessions: int, between: float) -> tuple[float, float]:

@@ -117,7 +117,7 @@ ROOMS = {
             "tests/fitting/test_scores.py",
             "tests/fitting/test_source_parts.py",
             "tests/fitting/test_sources.py",
-            "tests/fitting/test_standing.py",
+            "tests/fitting/test_method_comparison.py",
             "tests/fitting/test_uncertainty.py",
             "tests/fitting/test_unseen_skews.py",
             "tests/fitting/test_wide_fixture.py",

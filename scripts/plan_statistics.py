@@ -32,11 +32,10 @@ from pathlib import Path
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.fitting.estimation import Readings
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.methods import fit_readings
-from adis_gonio.plan.best import best_plan, even
-from adis_gonio.plan.imagined import Bench, imagined
-from adis_gonio.plan.prediction import fitted_variance, reach_of
+from adis_gonio.plan.optimal_plan import best_plan, even_plan
+from adis_gonio.plan.prediction import Bench, expected_readings, fitted_variance, predict_uncertainty
 from adis_gonio.record.plans import Plan, plan
 
 FIXTURES_DEG = (0.01, 0.05)
@@ -71,10 +70,10 @@ def cases(fixtures: Sequence[float] = FIXTURES_DEG, seed: int = 1) -> list[Case]
             "two-position": plan("two-position"),
             "four-position": plan("four-position"),
             "mmpm": plan("mmpm"),
-            "even 12": even(12),
+            "even 12": even_plan(12),
             "tumble 12": plan("tumble", 6),
             "best 12": best_plan(bench, 12, seed=seed).plan,
-            "even 24": even(24),
+            "even 24": even_plan(24),
             "best 24": best_plan(bench, 24, seed=seed).plan,
         }
         out += [Case(name, made, bench) for name, made in plans.items()]
@@ -136,7 +135,7 @@ def errors(case: Case, sessions: int, seed: int) -> Floats:
     rng = np.random.default_rng([seed, *case.name.encode()])
     g = case.bench.gravity_mg
     psi = np.linspace(0, 2 * math.pi, PLACES, endpoint=False)
-    bare = imagined(case.plan, case.bench)
+    bare = expected_readings(case.plan, case.bench)
     out = np.full((sessions, 7 + PLACES), np.nan)
     for k in range(sessions):
         readings, truth, base = drawn(case, rng, bare)
@@ -177,9 +176,9 @@ class Line:
 def predicted_for(case: Case) -> tuple[dict[str, float], int]:
     """Uncertainties by `NAMES`, root mean square over the start angles that are drawn; the worst place."""
     variances: dict[str, list[float]] = {}
-    worst = int(fitted_variance(fit_readings(imagined(case.plan, case.bench))).argmax())
+    worst = int(fitted_variance(fit_readings(expected_readings(case.plan, case.bench))).argmax())
     for start in np.linspace(-0.9, 0.9, 10) * START_DEG:
-        result = fit_readings(imagined(case.plan, replace(case.bench, start_deg=float(start))))
+        result = fit_readings(expected_readings(case.plan, replace(case.bench, start_deg=float(start))))
         for one in result.parameters:
             variances.setdefault(one.name, []).append(float(one.u or math.nan) ** 2)
         variances.setdefault("angle", []).append(float(fitted_variance(result)[worst]))
@@ -243,7 +242,7 @@ def through_the_chip(case: Case, sessions: int, seed: int) -> list[Line]:
             off.append([result[name].value - truth[name] for name in ("delta_k", "delta_phi")])
             path.unlink()
     rms = np.sqrt((np.array(off) ** 2).mean(axis=0))
-    reach = reach_of(case.plan, case.bench)
+    reach = predict_uncertainty(case.plan, case.bench)
     error = 1 / math.sqrt(2 * sessions)
     return [
         Line(f"{case.name}, chip", case.bench.fixture_deg, name, float(u or 0), float(one), error)
@@ -259,14 +258,13 @@ TIMES = 1.5
 
 def names_found(positions: int, sessions: int, seed: int) -> dict[str, dict[str, list[int]]]:
     """By plan and effect: how often its name alone (beside a bias), and how often anything else."""
-    from adis_gonio.plan.prediction import predict
-    from adis_gonio.plan.sight import plain_terms
+    from adis_gonio.plan.prediction import planned_terms, predict
     from adis_gonio.tracing.trace import trace_readings
 
     bench = Bench(0.01)
     made = {
         "best": best_plan(bench, positions, "tell-apart", APART).plan,
-        "even": even(positions),
+        "even": even_plan(positions),
     }
     sizes = predict(made["best"], bench).sight.detectable
     out: dict[str, dict[str, list[int]]] = {}
@@ -275,8 +273,8 @@ def names_found(positions: int, sessions: int, seed: int) -> dict[str, dict[str,
         case = Case(kind, one, bench)
         for which, name in enumerate(APART):
             rng = np.random.default_rng([seed, which])
-            bare = imagined(one, bench)
-            (term,) = plain_terms(bare, [name])
+            bare = expected_readings(one, bench)
+            (term,) = planned_terms(bare, [name])
             right = wrong = 0
             for _ in range(sessions):
                 readings, _, _ = drawn(case, rng, bare)

@@ -31,7 +31,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fleet.population import PopulationResult, SessionEvidence, evidence_of, trace_population
+from adis_gonio.fleet.population_trace import PopulationResult, trace_population
+from adis_gonio.fleet.session_evidence import SessionEvidence, evidence_of
 from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.findings import detectable
@@ -131,7 +132,7 @@ def limits_of(session: Session) -> dict[str, float | None]:
     data = readings_of(session).training
     terms, missing = named_terms(data)
     bias = NamedTerm("bias", (), 0.0, effect("bias", ("x", "y")))
-    fit = Fit.begin(data).having((bias,), (np.zeros(2),)).refit()
+    fit = Fit.begin(data).with_terms((bias,), (np.zeros(2),)).refit()
     problem = linearise(fit, [term for term in terms if term.effect.name in {*EFFECTS, "bias"}])
     both = [k for k, term in enumerate(problem.terms) if term.name == "bias" and len(term.effect.axes) == 2]
     every = detectable(Search(problem, price(problem)), tuple(both), missing)

@@ -31,7 +31,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
-from adis_gonio.fitting.slips.position_faults import may_have_been_meant
+from adis_gonio.fitting.slips.position_faults import possible_entries
 from adis_gonio.fitting.slips.session_positions import positions_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
@@ -46,7 +46,7 @@ FAULTS = ("slipped", "swapped", "mistyped")
 WITHIN = 4.0
 """Standard uncertainties from the truth at which an angle is right."""
 LEAST_DEG, MOST_DEG = 0.5, 20.0
-LAW = Law(LEAST_DEG, MOST_DEG, Mistakes(may_have_been_meant, LEAST_DEG))
+LAW = Law(LEAST_DEG, MOST_DEG, Mistakes(possible_entries, LEAST_DEG))
 """How faults are made here, for the oracle."""
 
 Row = dict[str, Any]
@@ -138,9 +138,7 @@ def _with_fault(
         return angles, declared, Truth(fault, (i, j), float(angles[i] - angles[j]))
     k = int(rng.integers(0, n))
     wrong = [
-        v
-        for v in may_have_been_meant(float(angles[k]))
-        if abs((v - angles[k] + 180) % 360 - 180) > LEAST_DEG
+        v for v in possible_entries(float(angles[k])) if abs((v - angles[k] + 180) % 360 - 180) > LEAST_DEG
     ]
     declared[k] = float(rng.choice(wrong))
     return angles, declared, Truth(fault, (k,), float(angles[k] - declared[k]))

@@ -44,7 +44,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
-from adis_gonio.base.intervals import NORMAL_95, wilson
+from adis_gonio.base.uncertainty import NORMAL_95, wilson
 from blind_residual import generator
 from trace_statistics import figures
 from tracing import blind as planar

@@ -23,7 +23,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.fitting.estimation import Fit, Readings
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.linear_problem import LinearProblem, linearise
@@ -61,7 +62,7 @@ def refit_by_scipy(data: Readings, term: Term) -> float:
 
     def residual(x: Floats) -> Floats:
         at = replace(start, values=replace(start.values, base=x[:4]))
-        return at.having((term,), (term.start(x[4:]),)).residual.ravel()
+        return at.with_terms((term,), (term.start(x[4:]),)).residual.ravel()
 
     begun = time.perf_counter()
     least_squares(residual, np.concatenate([start.values.base, np.zeros(columns)]), x_scale="jac")

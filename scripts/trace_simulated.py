@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.base.intervals import wilson
+from adis_gonio.base.uncertainty import wilson
 
 CASES = {
     "tumble-3s": ("--plan", "tumble", "--dwell", "3"),
@@ -115,7 +115,7 @@ def drawn(count: int, index: int) -> tuple[tuple[str, str], ...]:
 
 def simulate(path: Path, case: str, seed: int, effects: Sequence[str], further: Sequence[str] = ()) -> None:
     """Write a session as the command line does, to a place where there is none."""
-    from adis_gonio.faces.cli.simulate import command
+    from adis_gonio.faces.cli.plan_commands import simulate_command
 
     if path.exists():
         return
@@ -123,7 +123,7 @@ def simulate(path: Path, case: str, seed: int, effects: Sequence[str], further: 
     for effect in effects:
         options += ["--effect", effect]
     with contextlib.redirect_stderr(io.StringIO()):
-        command.main(options, standalone_mode=False)
+        simulate_command.main(options, standalone_mode=False)
 
 
 def answer(folder: str, case: str, seed: int, count: int, alone: str | None, index: int) -> Answer:

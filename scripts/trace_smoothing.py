@@ -26,9 +26,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio import load_session, trace
-from adis_gonio.fitting.estimation import Fit, Readings, readings_of
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.tracing.smooth_candidates import Process, evidence, processes
-from adis_gonio.tracing.validation import leave, rms
+from adis_gonio.tracing.validation import residuals_on, rms
 from tracing.blind import Blind, draw, write
 from tracing.lens import Lens
 from tracing.verdict import oracle_rms
@@ -65,8 +66,8 @@ def told_error(blind: Blind, fitted: Readings, checked: Readings) -> float:
         scores = evidence(fit, beside, left, candidates)
         term = candidates[int(np.argmax(scores))].term
         width = term.columns(fitted.mean, fitted.conditions).shape[-1]
-        fit = fit.having((term,), (np.zeros(width),)).refit()
-    return rms(leave(fit, checked).residual, True)
+        fit = fit.with_terms((term,), (np.zeros(width),)).refit()
+    return rms(residuals_on(fit, checked).residual, True)
 
 
 def one(seed: int, index: int) -> tuple[str, float, float, float] | None:

@@ -23,7 +23,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.base.intervals import wilson
+from adis_gonio.base.uncertainty import wilson
 from tracing.blind import KINDS
 from tracing.rounds import crew, rounds, trace_file
 from tracing.space import SPACE

@@ -39,10 +39,9 @@ from adis_gonio.device.bus import BusUrl, SpiBus, SpiTiming, cp2130, mcp2210, se
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.sampling import OUTPUTS
-from adis_gonio.sim.testing.clocks import VirtualClock
 from adis_gonio.sim.testing.faults import Faults
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
 from fakes.mcp2210_device import Mcp2210Device

@@ -28,19 +28,15 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio.device.bus import BusUrl, SpiTiming
-from adis_gonio.device.bus.serial import open_from_url
-from adis_gonio.device.bus.serial.bus import SerialBus
-from adis_gonio.device.bus.serial.clocks import ClockMap
-from adis_gonio.device.bus.serial.ports import open_port
-from adis_gonio.device.bus.serial.stream import SerialStream
+from adis_gonio.device.bus.serial import open_from_url, open_port
+from adis_gonio.device.bus.serial.bus import ClockMap, SerialBus, SerialStream
 from adis_gonio.device.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, Scans
 from adis_gonio.device.sensor.decoding import decode_numbers
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.device.sensor.scanning import ScanLayout, StreamedScans
 from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.sim.testing.clocks import VirtualClock
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
 from fakes.serial_port import FakePort
 
 NAMES = ("XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT", "XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "XTEMP_OUT")

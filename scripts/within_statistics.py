@@ -29,7 +29,7 @@ from scipy import linalg, optimize
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.tracing.within.second_pass import search_within, stands
+from adis_gonio.tracing.within.second_pass import counts_as_found, search_within
 from tracing.dwell_samples import bartlett, draw
 from tracing.stated import EFFECTS, SORTS, finder
 
@@ -93,7 +93,9 @@ def session(kind: str, seed: int, index: int) -> tuple[float, list[tuple[str, bo
         period_s=PERIOD_S,
         added=added,
     )
-    return gain, [(finding.effect or finding.kind, stands(finding)) for finding in search_within(samples)]
+    return gain, [
+        (finding.effect or finding.kind, counts_as_found(finding)) for finding in search_within(samples)
+    ]
 
 
 def stated(count: int, seed: int, case: tuple[str, str]) -> str:

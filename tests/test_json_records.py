@@ -18,7 +18,7 @@ from adis_gonio.base.jsonable import (
     json_object,
     key,
 )
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 
 
 class Colour(StrEnum):

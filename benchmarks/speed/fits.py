@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from adis_gonio.fitting import fit_readings
-from adis_gonio.fitting.estimation import Readings, from_means
+from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import axes_matrix
 from speed.tedaldi import calibrate as tedaldi

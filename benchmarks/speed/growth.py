@@ -118,7 +118,7 @@ def segmenting(samples: int) -> list[Row]:
 
 def rows_of_results(count: int) -> list[dict[str, Any]]:
     """Rows of a fleet: units with a history, stages, operators, random effects, one file in 500 broken."""
-    from adis_gonio.fleet.columns import COLUMNS
+    from adis_gonio.fleet.session_table import COLUMNS
 
     rng = np.random.default_rng(2)
     numbers = [name for name, (kind, *_) in COLUMNS.items() if kind == "number"]
@@ -144,7 +144,7 @@ def rows_of_results(count: int) -> list[dict[str, Any]]:
 
 def summarise_here(count: int) -> dict[str, float]:
     """Wall time of a summary of so many results, in this process, and its counts."""
-    from adis_gonio.fleet import summarise
+    from adis_gonio.fleet.fleet_summary import summarise
 
     rows = rows_of_results(count)
     began = time.perf_counter()

@@ -1,4 +1,4 @@
-/* Raspberry Pi Pico: RP2040 with a crystal of 12 MHz. Pins and wiring: docs/pico.md.
+/* Raspberry Pi Pico: RP2040 with a crystal of 12 MHz. Pins and wiring: docs/hardware.md.
  *
  * The timer counts microseconds for ever. The times of chip select are taken from it after each edge was
  * made, so whatever interrupts make a frame longer or later, never shorter or earlier.

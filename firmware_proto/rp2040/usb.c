@@ -4,7 +4,7 @@
 
 #include "rp2040.h"
 
-/* For tests at one's own bench only: docs/pico.md. */
+/* For tests at one's own bench only: docs/hardware.md. */
 #ifndef USB_VID
 #define USB_VID 0x1209u
 #endif

@@ -1,4 +1,4 @@
-"""Sections of docs/results/: `python scripts/results` makes the pages."""
+"""Sections of docs/results/: `python scripts/results` measures them and writes the page."""
 
 SECTIONS: tuple[str, ...] = (
     "paper",
@@ -14,4 +14,4 @@ SECTIONS: tuple[str, ...] = (
     "fleet",
     "bench",
 )
-"""Modules beside this one, each with `run(effort) -> Section`, in the order of the index."""
+"""Modules of this package, each with `run(effort) -> Section`."""

@@ -1,10 +1,10 @@
-"""Makes docs/results/ anew: Markdown, JSON and SVG of every section, from fresh simulated sessions.
+"""Measure the sections of docs/results/ again: JSON and SVG, from simulated sessions, and the page.
 
     python scripts/results                       # all sections, a fresh seed; takes hours
     python scripts/results paper angle           # only these
     python scripts/results --fast -o /tmp/out    # a small part of each, as CI does
 
-Each page ends with the command and the seed that make it again.
+Each document has the command and the seed that make it again.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from results import SECTIONS
+from results.page import render
 from results.section import Effort, Section
 
 FOLDER = Path(__file__).parents[2] / "docs" / "results"
@@ -27,8 +28,6 @@ FOLDER = Path(__file__).parents[2] / "docs" / "results"
 def write(name: str, section: Section, effort: Effort, folder: Path) -> None:
     """Write one section's files."""
     command = f"python scripts/results {name} --seed {effort.seed}" + " --fast" * effort.fast
-    page = f"# {section.title}\n\n{section.markdown.strip()}\n\nMade by `{command}`.\n"
-    (folder / f"{name}.md").write_text(page, encoding="utf-8")
     document = {"command": command, **section.document}
     text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
     (folder / f"{name}.json").write_text(text, encoding="utf-8")
@@ -53,6 +52,7 @@ def main() -> int:
     for name in options.sections or SECTIONS:
         write(name, importlib.import_module(f"results.{name}").run(effort), effort, options.output)
         print(f"{name}: written to {options.output}")
+    (options.output / "index.md").write_text(render(options.output), encoding="utf-8")
     return 0
 
 

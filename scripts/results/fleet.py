@@ -1,4 +1,4 @@
-"""Sessions a second by the number of processes, and what a fleet's summary costs."""
+"""Sessions per second by the number of processes, and the cost of a summary."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.fleet import LocalPool, Options, Store, files_of, run_fleet, summarise, survey
-from adis_gonio.fleet.columns import COLUMNS
-from adis_gonio.fleet.outputs import FleetResult
-from adis_gonio.fleet.pool import cores
-from adis_gonio.fleet.store import IN_MEMORY
-from results.section import Effort, Section, table
+from adis_gonio.fleet.fleet_pages import FleetResult
+from adis_gonio.fleet.fleet_run import files_of, run_fleet, survey
+from adis_gonio.fleet.fleet_summary import summarise
+from adis_gonio.fleet.session_record import Options
+from adis_gonio.fleet.session_table import COLUMNS
+from adis_gonio.fleet.store import IN_MEMORY, Store
+from adis_gonio.fleet.workers import LocalPool, cores
+from results.section import Effort, Section
 
 STAGES, OPERATORS = 4, 3
 POSITIONS, SAMPLES = 12, 200
@@ -43,7 +45,7 @@ def drawn(path: Path, number: int, rng: np.random.Generator) -> None:
 
 
 def seconds(files: list[str], options: Options, workers: int) -> tuple[float, FleetResult]:
-    """Time from the first session to the last, processes running already."""
+    """Seconds per session, measured from the end of the first session to the end of the last."""
     found = survey(files)
     marks: list[float] = []
     with LocalPool(workers) as pool, Store(IN_MEMORY) as store:
@@ -72,7 +74,7 @@ def rows(rng: np.random.Generator, count: int) -> list[dict[str, object]]:
 
 
 def measured(files: list[str], options: Options, most: int) -> dict[str, float | int | bool]:
-    """One worker against as many as there are cores (two at least)."""
+    """Compare one worker with one worker per core (two at least)."""
     one, calm = seconds(files, options, 1)
     many, other = seconds(files, options, most)
     same = calm.as_dict() == other.as_dict()
@@ -88,7 +90,7 @@ def measured(files: list[str], options: Options, most: int) -> dict[str, float |
 
 
 def run(effort: Effort) -> Section:
-    """The section."""
+    """Measure fits, traces and a summary."""
     count, traced, big = effort.sessions(1000, 4), effort.sessions(20, 2), effort.sessions(100_000, 1000)
     most = max(2, cores())
     with tempfile.TemporaryDirectory() as folder:
@@ -105,29 +107,4 @@ def run(effort: Effort) -> Section:
     machine = f"{platform.machine()}, {cores()} cores, Python {platform.python_version()}"
     document = {"machine": machine, "fits": fits, "traces": traces, "load": list(os.getloadavg())}
     document |= {"summary": {"rows": big, "processor_s": summary_s}}
-    return Section("A fleet of sessions", _markdown(document), document)
-
-
-def _markdown(found: dict) -> str:
-    head = ("", "sessions", "failed", "one process", "processes", "ratio", "same summary")
-    lines = []
-    for name, what in (("fits", "fits only"), ("traces", "fits and traces")):
-        one = found[name]
-        rate, same = f"{one['one_per_s']:.2f} a second", "yes" if one["same_summary"] else "no"
-        counts = str(one["sessions"]), str(one["failed"])
-        lines.append((what, *counts, rate, str(one["workers"]), f"{one['ratio']:.2f}", same))
-    summary = found["summary"]
-    return "\n".join(
-        [
-            f"Sessions drawn by the planar model ({POSITIONS} positions, {SAMPLES} samples each). Ratio:"
-            " sessions a second by several processes over those by one; linear would be the number of"
-            " processes, where nothing else has the machine.",
-            "",
-            *table(head, lines),
-            "",
-            f"The summary of {summary['rows']} rows takes {summary['processor_s']:.1f} s of one core.",
-            "",
-            f"Machine: {found['machine']}; load {', '.join(f'{x:.1f}' for x in found['load'])}"
-            " in the last 1, 5 and 15 minutes, this run among it.",
-        ]
-    )
+    return Section(document)

@@ -1,4 +1,4 @@
-"""Section: what the population trace names, and what it names falsely."""
+"""Right and wrong names of the population trace."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from results.section import Effort, Section, svg, table
+from results.section import Effort, Section, svg
 
 UNITS = 200
 
 
 def run(effort: Effort) -> Section:
-    """A hundred populations with an effect and a hundred without, and some that should mislead."""
+    """A hundred populations with an effect and a hundred without, and some that may mislead."""
     from population_statistics import outcomes
 
     units = effort.sessions(UNITS, 20)
@@ -21,43 +21,18 @@ def run(effort: Effort) -> Section:
 
 
 def section_of(every: Sequence[Any], units: int) -> Section:
-    """The section of outcomes."""
-    lines = [
-        f"Populations of {units} sessions; an effect of half of each session's detection limit in 30 %.",
-        "",
-    ]
-    words = {
-        "effect": "with one effect",
-        "none": "without any",
-        "scatter": "noise unlike what is stated, random walks",
-        "foreign": "an effect that the catalogue lacks",
-        "gross": "one gross session",
-    }
-    kinds: list[Sequence[str]] = []
+    """Make the section of the outcomes."""
     document: dict[str, Any] = {"units": units, "kinds": {}, "outcomes": [asdict(one) for one in every]}
-    for kind, what in words.items():
+    for kind in dict.fromkeys(one.kind for one in every):
         some = [one for one in every if one.kind == kind]
-        if not some:
-            continue
-        named, held = sum(one.named for one in some), sum(one.in_set for one in some)
-        false, unnamed = sum(one.false for one in some), sum(bool(one.unnamed) for one in some)
         document["kinds"][kind] = {
-            "populations": len(some), "named": named, "in_set": held, "false": false, "unnamed": unnamed
-        }  # fmt: skip
-        shown = (f"{named}", f"{held}") if kind == "effect" else ("", "")
-        kinds.append((what, str(len(some)), *shown, str(false), str(unnamed)))
-    head = ("populations", "", "named alone", "named, or in a set", "something false", "unnamed")
-    lines += [*table(head, kinds), ""]
-    effects: list[Sequence[str]] = []
-    for name in sorted({one.truth for one in every if one.kind == "effect"}):
-        some = [one for one in every if one.kind == "effect" and one.truth == name]
-        answers = sorted({" or ".join(names) for one in some for names in one.found})
-        alone = sum(one.named for one in some)
-        held = sum(one.in_set for one in some) - alone
-        effects.append((name, str(len(some)), str(alone), str(held), "; ".join(answers)))
-    head = ("effect", "populations", "named alone", "in a set", "answers")
-    lines += [*table(head, effects), "", "![How often each effect was named](population-named.svg)"]
-    return Section("Population trace", "\n".join(lines), document, {"named": _figure(every)})
+            "populations": len(some),
+            "named": sum(one.named for one in some),
+            "in_set": sum(one.in_set for one in some),
+            "false": sum(one.false for one in some),
+            "unnamed": sum(bool(one.unnamed) for one in some),
+        }
+    return Section(document, {"named": _figure(every)})
 
 
 def _figure(every: Sequence[Any]) -> str:

@@ -1,12 +1,9 @@
-"""What a section of the results is: text, numbers and figures, and how much work they may take.
-
-And what several sections need to make them: tables, figures' text.
-"""
+"""A section of the results: its numbers and figures, and the amount of work that it may take."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +15,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Effort:
-    """How much to do.
+    """Amount of work.
 
     Attributes
     ----------
     fast : bool
-        A few sessions only: shows that the section runs, not what it finds.
+        If true, a few sessions only: a test that the section runs.
     seed : int
         Everything that is drawn comes from here.
     jobs : int
@@ -35,38 +32,28 @@ class Effort:
     jobs: int = 1
 
     def generator(self) -> np.random.Generator:
-        """A fresh generator: the same draws every time."""
+        """Make a generator that repeats its draws for this seed."""
         return np.random.default_rng(self.seed)
 
     def sessions(self, full: int, fast: int) -> int:
-        """How many sessions to draw."""
+        """Number of sessions to draw."""
         return fast if self.fast else full
 
 
 @dataclass(frozen=True)
 class Section:
-    """One section, written to `docs/results/NAME.md`, `NAME.json` and `NAME-FIGURE.svg`.
+    """One section, written to `docs/results/NAME.json` and `NAME-FIGURE.svg`.
 
     Attributes
     ----------
-    markdown : str
-        Without a heading of the first level; figures are named by `![…](NAME-FIGURE.svg)`.
     document : mapping
-        The same numbers as JSON.
+        Numbers as JSON; `page.py` writes the text of docs/results/index.md from them.
     figures : mapping
         SVG texts by the figure's name.
     """
 
-    title: str
-    markdown: str
     document: Mapping[str, Any]
     figures: Mapping[str, str] = field(default_factory=dict)
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of a Markdown table."""
-    lines = [f"| {' | '.join(row)} |" for row in (head, *rows)]
-    return [lines[0], "|" + "---|" * len(head), *lines[1:]]
 
 
 def svg(figure: Figure) -> str:

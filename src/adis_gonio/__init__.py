@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from adis_gonio.base.version import __version__
+from adis_gonio.base import __version__
 
 _HOMES = {
     "open_bus": "adis_gonio.device.bus",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import fft, integrate, optimize, stats
 
-from adis_gonio.device.sensor.bartlett import bartlett
+from adis_gonio.device.sensor.settings import filter_weights
 from adis_gonio.fitting.allan.noise_processes import KINDS, line, variances, variograms
 from adis_gonio.fitting.allan.spectral_likelihood import Likelihood, ordinates, profile
 
@@ -117,4 +117,4 @@ def test_a_coefficient_on_its_boundary_is_refused_at_half_the_chi_square_chance(
         p_values.append(0.5 * stats.chi2.sf(max(absent - deviance, 0), 1) if theta[3] > 0 else 1.0)
     # At the nominal 10 % level; the boundary mixture is asymptotic, so the claim is "at most".
     assert stats.binom.sf(sum(p < 0.1 for p in p_values) - 1, 300, 0.1) > 0.001
-    assert len(bartlett(0)) == 1
+    assert len(filter_weights(0)) == 1

@@ -12,11 +12,11 @@ import pytest
 import adis_gonio
 from adis_gonio import fit, trace
 from adis_gonio.base.errors import DataError, NotInstalledError, UsageError
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.readings import Unit
-from adis_gonio.handover.report.page import build_page
+from adis_gonio.handover.calibration_report import build_page
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing.findings import in_units_of_file, shares
@@ -198,7 +198,7 @@ def test_in_space_the_answer_is_scale_skew_and_bias():
 
 def test_the_table_of_results_is_no_wider_than_the_page():
     session = planar()
-    page = build_page(session, list(fit(session).standing.results), "not traced")
+    page = build_page(session, list(fit(session).comparison.results), "not traced")
     body = page[page.index("Results by method") :]
     for table in re.findall(r"<table.*?</table>", body, re.DOTALL):
         head = re.findall(r"<th[ >]", table.partition("</thead>")[0])

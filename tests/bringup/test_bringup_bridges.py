@@ -6,9 +6,8 @@ from adis_gonio.bench.bringup import STEPS, Verdict, bring_up
 from adis_gonio.device.bus import BusUrl, cp2130, mcp2210, serial, spidev
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.chip import State
-from adis_gonio.sim.testing.clocks import VirtualClock
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
 from fakes.mcp2210_device import Mcp2210Device

@@ -5,9 +5,9 @@ import pytest
 from scipy import stats
 
 from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, MOST_TESTS, AlarmBudget, at_most
-from adis_gonio.bench.bringup.noise_steps import degrees_of_freedom, flicker, response, rounding, spectrum
+from adis_gonio.bench.bringup.noise_steps import degrees_of_freedom, flicker, spectrum
 from adis_gonio.bench.bringup.update_steps import nearest_code
-from adis_gonio.device.sensor.settings import sample_period_s
+from adis_gonio.device.sensor.settings import filter_response, rounding_spectrum, sample_period_s
 from adis_gonio.sim.noise import Flicker
 from adis_gonio.sim.sampling import bartlett_sums, history_rows, taps
 
@@ -44,7 +44,7 @@ def test_the_spectrum_of_rounded_filtered_noise_is_the_models(m):
     sigma, n = 10.0, 1 << 15
     power = np.mean([spectrum(np.rint(filtered(m, n, sigma, seed)))[1][:, 0] for seed in range(8)], axis=0)
     cycles = np.fft.rfftfreq(n)
-    model = sigma**2 * response(m, cycles) + rounding(m, sigma, cycles)
+    model = sigma**2 * filter_response(m, cycles) + rounding_spectrum(m, sigma, cycles)
     ratio = (power / model)[4:-1]
     for band in np.array_split(ratio, 16):
         assert band.mean() == pytest.approx(1.0, abs=5 * np.sqrt(35 / 18 / 8 / len(band)) + 0.01)

@@ -10,12 +10,12 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.device.bus import BusUrl, cp2130, mcp2210, open_bus, serial, spidev
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.scanning import PolledScans, StreamedScans
-from adis_gonio.sim import SimulatedChip, World, rules
+from adis_gonio.sim import SimulatedChip, World
+from adis_gonio.sim import chip as chip_module
 from adis_gonio.sim.chip import State
-from adis_gonio.sim.testing.board import SimulatedBoard
-from adis_gonio.sim.testing.clocks import VirtualClock, WorkClock
+from adis_gonio.sim.testing.doubles import SimulatedBoard
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins, VirtualClock, WorkClock
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
 from fakes.mcp2210_device import Mcp2210Device
@@ -178,8 +178,8 @@ def test_what_somebody_else_has_set_meanwhile_is_left():
 @pytest.mark.parametrize(("options", "exact"), [("", False), ("?event_counter=1", True)])
 def test_the_event_counter_counts_by_the_chips_own_clock(monkeypatch, options, exact):
     """The chip samples 4 % faster than its data sheet says, which time alone does not tell."""
-    nominal = rules.update_period_s
-    monkeypatch.setattr(rules, "update_period_s", lambda word: nominal(word) / 1.04)
+    nominal = chip_module.update_period_s
+    monkeypatch.setattr(chip_module, "update_period_s", lambda word: nominal(word) / 1.04)
     bus, chip = make("mcp2210", options)
     with Adis16354(bus) as sensor, sensor.stream(["XACCL_OUT", "ZACCL_OUT"], block_scans=32) as stream:
         first = next(stream)

@@ -18,8 +18,8 @@ from adis_gonio.base.errors import (
     UsageError,
 )
 from adis_gonio.device.bus import SpiTiming
+from adis_gonio.device.bus import cp2130 as r
 from adis_gonio.device.bus.cp2130 import find_devices
-from adis_gonio.device.bus.cp2130 import requests as r
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig
 from adis_gonio.sim.testing.faults import Faults
@@ -251,7 +251,7 @@ def test_replies_that_another_program_left_in_the_pipe_are_thrown_away_on_openin
 def test_replies_without_end_are_said():
     bench = Bench()
     bench.board.bulk_in = lambda size, timeout_ms: b"\x12\x34"
-    with pytest.raises(ProtocolError, match="nobody asked for"):
+    with pytest.raises(ProtocolError, match="unexpected replies"):
         bench.open()
     assert not bench.board.claimed
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from adis_gonio.device.bus.mcp2210 import reports
+from adis_gonio.device.bus import mcp2210 as reports
 from fakes import rubbish
 from fakes.rubbish import FUZZERS, PARSERS, fuzz_parser
 
@@ -32,9 +32,9 @@ def test_a_transport_that_does_not_look_at_its_answers_is_noticed(monkeypatch):
         over = found.engine is reports.Engine.FINISHED
         return reports.Progress(found.engine, found.data.ljust(2, b"\0") if over else found.data)
 
-    monkeypatch.setattr(rubbish.mcp2210.bus.Progress, "parse", careless)
+    monkeypatch.setattr(rubbish.mcp2210.Progress, "parse", careless)
     with pytest.raises(AssertionError, match="wrong word"):
         FUZZERS["mcp2210"](20 * BYTES, 1)
-    monkeypatch.setattr(rubbish.mcp2210.bus.Progress, "parse", lambda answer: 1 // 0)
+    monkeypatch.setattr(rubbish.mcp2210.Progress, "parse", lambda answer: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         FUZZERS["mcp2210"](BYTES, 1)

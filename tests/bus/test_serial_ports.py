@@ -8,7 +8,8 @@ import pytest
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.bus import BusUrl
-from adis_gonio.device.bus.serial import open_from_url, ports
+from adis_gonio.device.bus import serial as ports
+from adis_gonio.device.bus.serial import open_from_url
 
 
 def row(device: str, product: str | None, number: str | None = None) -> SimpleNamespace:

@@ -3,7 +3,7 @@
 import select
 import socket
 
-from adis_gonio.device.bus.serial import ports
+from adis_gonio.device.bus import serial as ports
 
 
 def test_one_call_takes_all_that_has_arrived():

@@ -20,8 +20,9 @@ from adis_gonio.base.errors import (
     UsageError,
 )
 from adis_gonio.device.bus import BusUrl, Capability, SpiTiming, open_bus
-from adis_gonio.device.bus.serial import find_devices, open_from_url, ports
-from adis_gonio.device.bus.serial.clocks import ClockMap
+from adis_gonio.device.bus import serial as ports
+from adis_gonio.device.bus.serial import find_devices, open_from_url
+from adis_gonio.device.bus.serial.bus import ClockMap
 from adis_gonio.device.bus.serial.link import SerialLink
 from adis_gonio.device.bus.wire import Packet, Receiver, encode, load_cobs
 from adis_gonio.device.bus.wire import protocol as wire
@@ -30,12 +31,11 @@ from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ND
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.sampling import OUTPUTS
-from adis_gonio.sim.testing.board import SimulatedBoard
 from adis_gonio.sim.testing.bus_contract import DATA_READY_ON, BusContract, Rig, WatchedChip
-from adis_gonio.sim.testing.clocks import VirtualClock, WorkClock
+from adis_gonio.sim.testing.doubles import SimulatedBoard
 from adis_gonio.sim.testing.faults import Faults
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins, VirtualClock, WorkClock
 from fakes.benches import SerialBench as Bench
 from fakes.boot_loader import BootingBoard, BootLoader
 from fakes.numbered_scans import Judge, NumberedChip, words_of

@@ -8,8 +8,8 @@ import pytest
 
 from adis_gonio.base.errors import BusTimeoutError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.device.bus import BusUrl, Capability, SpiTiming
+from adis_gonio.device.bus import spidev as k
 from adis_gonio.device.bus.spidev import find_devices, open_from_url
-from adis_gonio.device.bus.spidev import kernel as k
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig, assert_timing
 from adis_gonio.sim.testing.faults import Faults

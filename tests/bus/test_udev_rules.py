@@ -5,12 +5,12 @@ import re
 import pytest
 from click.testing import CliRunner
 
-from adis_gonio.device.bus.cp2130 import requests
-from adis_gonio.device.bus.mcp2210 import reports
-from adis_gonio.device.bus.udev import RULES_FILE, rule_for, rules
-from adis_gonio.faces.cli.devices import command
+from adis_gonio.device.bus import cp2130 as requests
+from adis_gonio.device.bus import mcp2210 as reports
+from adis_gonio.device.bus.host import RULES_FILE, udev_rule, udev_rules
+from adis_gonio.faces.cli.device_commands import devices_command
 
-LINES = [line for line in rules().splitlines() if line and not line.startswith("#")]
+LINES = [line for line in udev_rules().splitlines() if line and not line.startswith("#")]
 
 
 def test_every_rule_is_well_formed_and_gives_access():
@@ -28,11 +28,11 @@ def test_both_backends_of_hidapi_and_every_bridge_are_covered():
         ("usb", requests.VENDOR_ID, requests.PRODUCT_ID),
     }
     for subsystem, vendor, product in ids:
-        line = rule_for(f'SUBSYSTEM=="{subsystem}" "{vendor:04x}" "{product:04x}"')
+        line = udev_rule(f'SUBSYSTEM=="{subsystem}" "{vendor:04x}" "{product:04x}"')
         assert line in LINES
-    assert rule_for('SUBSYSTEM=="spidev"')
-    assert rule_for('SUBSYSTEM=="tty" 2341')
-    assert "ID_MM_DEVICE_IGNORE" in rule_for('SUBSYSTEM=="tty" ATTRS{manufacturer}=="adis-gonio"')
+    assert udev_rule('SUBSYSTEM=="spidev"')
+    assert udev_rule('SUBSYSTEM=="tty" 2341')
+    assert "ID_MM_DEVICE_IGNORE" in udev_rule('SUBSYSTEM=="tty" ATTRS{manufacturer}=="adis-gonio"')
 
 
 def test_uaccess_tags_only_work_below_73():
@@ -41,10 +41,10 @@ def test_uaccess_tags_only_work_below_73():
 
 def test_a_rule_that_is_not_there_is_an_error():
     with pytest.raises(LookupError):
-        rule_for("ffff")
+        udev_rule("ffff")
 
 
 def test_the_command_prints_the_file_as_it_is():
-    result = CliRunner().invoke(command, ["--udev"])
+    result = CliRunner().invoke(devices_command, ["--udev"])
     assert result.exit_code == 0
-    assert result.output == rules()
+    assert result.output == udev_rules()

@@ -225,7 +225,7 @@ def test_what_the_chip_corrects_now_is_not_corrected_again():
     accel = np.array([[712.0, 650.0]])
     shifted = accel + np.array([-26 * lsb, 15 * lsb])
     assert now.angle(shifted).angle_deg == pytest.approx(then.angle(accel).angle_deg, abs=1e-9)
-    with pytest.raises(UsageError, match="does not say which offsets"):
+    with pytest.raises(UsageError, match="does not state the contents of the offset"):
         known().with_offsets((0, 0, 0))
 
 

@@ -93,7 +93,7 @@ def damaged():
     yield put("schema", value="other"), "is no calibration"
     yield put("version", value=2), "version 2, this program reads 1: update"
     yield lambda d: d.pop("parameters"), "lacks 'parameters'"
-    yield lambda d: d["parameters"].pop("scale_x"), "covariance's names"
+    yield lambda d: d["parameters"].pop("scale_x"), "names of the covariance"
     yield put("parameters", "scale_x", "value", value="big"), "parameters.scale_x.value is 'big'"
     yield put("parameters", "scale_x", "value", value=None), "parameters.scale_x.value is None"
     yield put("parameters", "scale_x", "value", value=10**400), "or too large"
@@ -160,7 +160,7 @@ def test_what_export_makes_for_others_is_told_from_a_session(name, tmp_path):
 def test_a_table_with_other_names_gets_advice_that_can_be_taken(tmp_path):
     path = tmp_path / "logger.csv"
     path.write_text("clock,Acc_X,Acc_Y\n0,1,2\n1,2,3\n")
-    with pytest.raises(DataError, match="here the file itself has to say it"):
+    with pytest.raises(DataError, match="has to be in the file"):
         Calibration.load(path)
 
 

@@ -50,7 +50,7 @@ def test_what_the_trace_found_is_corrected_at_angles_that_were_not_measured(sess
 def with_effect(traced, kind, value):
     fit = traced.fits[-1]
     term = NamedTerm("one more", kind.covariates, 0.0, kind)
-    both = fit.having((*fit.terms, term), (*fit.values.terms, np.full(len(kind.parameters), value)))
+    both = fit.with_terms((*fit.terms, term), (*fit.values.terms, np.full(len(kind.parameters), value)))
     return replace(traced, fits=(*traced.fits[:-1], both))
 
 
@@ -109,7 +109,7 @@ def test_a_nameless_function_that_is_left_out_takes_no_bias_with_it(session, tra
         by_axis=lambda ideal, axis: np.maximum(ideal[:, [axis]] + 0.5, 0.0),
     )
     nameless = NamelessTerm("a knee", ("reading",), 1.0, "bias", (0, 1), basis)
-    only = fit.having([nameless], [np.array([20.0, -10.0])]).refit()
+    only = fit.with_terms([nameless], [np.array([20.0, -10.0])]).refit()
     assert not any(term.name == "bias" for term in only.terms)
     calibration = replace(traced, fits=(*traced.fits[:-1], only), found=(), confounded=()).calibration()
     assert [one.effect.startswith("unnamed") for one in calibration.not_corrected] == [True]
@@ -134,7 +134,7 @@ def test_bias_and_gain_are_those_of_the_session_s_middle(session, traced, kind, 
     plain = traced.calibration()
     fit = traced.fits[-1]
     term = NamedTerm("one more", kind.covariates, 0.0, kind)
-    both = fit.having((*fit.terms, term), (*fit.values.terms, np.array(values)))
+    both = fit.with_terms((*fit.terms, term), (*fit.values.terms, np.array(values)))
     moved = replace(traced, fits=(*traced.fits[:-1], both)).calibration()
     middle_s = float(np.mean([session.dwells[k].time_s.mean() for k in (0, -1)]))
     assert middle_s == pytest.approx(56.0, abs=0.1)

@@ -162,8 +162,8 @@ def test_what_was_not_determined_is_nominal_and_said():
     ("changed", "match"),
     [
         ({"gyro_bias_x": Estimated(1.0, 0.1, "mg")}, "gyro_bias_x in mg"),
-        ({"gyro_scale_z": Estimated(0.0, 0.1, "1")}, "no three gyros"),
-        ({"gyro_misalignment_xy": Estimated(80.0, 0.1, "deg")}, "no three gyros"),
+        ({"gyro_scale_z": Estimated(0.0, 0.1, "1")}, "impossible for three gyros"),
+        ({"gyro_misalignment_xy": Estimated(80.0, 0.1, "deg")}, "impossible for three gyros"),
     ],
 )
 def test_parameters_of_no_three_gyros_are_refused(changed, match):
@@ -192,7 +192,7 @@ def test_offsets_of_the_chip_leave_the_zero_rate_and_force_moves_with_the_accele
     force = np.array([0.2, -0.4, 0.9])
     rate = made.readings_of(np.zeros(3), force).rate_dps
     assert moved.correct(rate, force + np.array([0.04672, 0, 0])) == pytest.approx(np.zeros(3), abs=1e-12)
-    with pytest.raises(UsageError, match="does not say"):
+    with pytest.raises(UsageError, match="does not state"):
         replace(made, offsets_lsb=None).with_offsets((1, 2, 3))
 
 
@@ -270,8 +270,8 @@ def damages():
     yield put("parameters", "gyro_bias_x", "value", value=True), "gyro_bias_x.value is True"
     yield put("parameters", "gyro_bias_x", "unit", value="mg"), "gyro_bias_x in mg"
     yield put("parameters", "gyro_wobble_x", value={"value": 1.0, "u": None, "unit": "1"}), "gyro_wobble_x"
-    yield put("parameters", "gyro_scale_x", "value", value=0.0), "no three gyros"
-    yield put("covariance", "names", value=["a"]), "names are not those"
+    yield put("parameters", "gyro_scale_x", "value", value=0.0), "impossible for three gyros"
+    yield put("covariance", "names", value=["a"]), "names of the covariance"
     yield put("covariance", "matrix", value=odd), "is no matrix of 21 × 21"
     yield put("covariance", "matrix", 0, 1, value=0.5), "not symmetric"
     yield put("offsets_lsb", value=[1, 2]), "a list of 3 values"

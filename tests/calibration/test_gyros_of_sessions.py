@@ -19,7 +19,7 @@ from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.gyros.gyro_fit import estimates_of_gyro_fit, gains_and_directions
-from adis_gonio.handover.exporting import ExportSource
+from adis_gonio.handover.session_export import ExportSource
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.provenance import provenance_of
 from adis_gonio.record.samples_writer import write_csv

@@ -11,7 +11,7 @@ from dataclasses import replace
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.faces.cli.angle import angle_text
+from adis_gonio.faces.cli.live_commands import format_angle
 from adis_gonio.live.live_angle import LiveAngle
 from adis_gonio.live.smoothed_meter import Smoothed
 from programs import running
@@ -123,7 +123,7 @@ READING = LiveAngle(12.0, -170.5, -170.123, 0.0123, True, 2.25, 24.5, 3)
 
 def test_the_smoothed_angle_leads_and_what_happened_is_in_words():
     smoothed = Smoothed(-170.2, 0.0456, 0.55, 3.0, 0.1, 0.01, ("gap", "saturated"))
-    assert angle_text(replace(READING, smoothed=smoothed)) == (
+    assert format_angle(replace(READING, smoothed=smoothed)) == (
         " -170.200 ± 0.046°   gap, too fast for the gyro   gravity  -170.123°   raw  -170.500°"
         "   still  (2.2 mg)   24.5 °C   3 lost"
     )
@@ -131,13 +131,15 @@ def test_the_smoothed_angle_leads_and_what_happened_is_in_words():
 
 @pytest.mark.parametrize("width", [10, 20, 40, 60, 79])
 def test_a_line_fits_and_keeps_the_angle_first(width):
-    text = angle_text(READING, width)
+    text = format_angle(READING, width)
     assert len(text) <= width
     assert text.startswith(" -170.123"[:width])
 
 
 def test_all_is_said_where_there_is_room():
-    assert angle_text(READING) == " -170.123 ± 0.012°   raw  -170.500°   still  (2.2 mg)   24.5 °C   3 lost"
+    assert (
+        format_angle(READING) == " -170.123 ± 0.012°   raw  -170.500°   still  (2.2 mg)   24.5 °C   3 lost"
+    )
 
 
 def test_a_session_corrects_what_is_shown(tmp_path, capsys):

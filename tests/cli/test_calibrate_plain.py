@@ -14,7 +14,7 @@ import pytest
 from adis_gonio.base.numbers import counted
 from adis_gonio.bench.guidance import PLANE, drawing, to_do
 from adis_gonio.faces.cli import main
-from adis_gonio.faces.cli.plain import Lines
+from adis_gonio.faces.cli.line_prompts import Lines
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import Position, plan
 from programs import running

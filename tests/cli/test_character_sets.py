@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from adis_gonio.faces.cli import COMMANDS, main
-from adis_gonio.faces.cli.characters import READABLE, readable
+from adis_gonio.faces.cli.terminal import ASCII_FORMS, ascii_form
 
 SETS = {
     "cp1252": {"PYTHONIOENCODING": "cp1252"},
@@ -124,11 +124,11 @@ def test_files_are_utf8_whatever_the_set(tmp_path):
 
 
 def test_what_stands_for_a_letter_is_ascii_and_ends_no_string_of_json():
-    for letter, text in READABLE.items():
+    for letter, text in ASCII_FORMS.items():
         assert text.isascii(), letter
         assert not set('"\\\n') & set(text), letter
-    assert readable("\u00e9") == "e"
-    assert readable("\u4e2d") == "?"
+    assert ascii_form("\u00e9") == "e"
+    assert ascii_form("\u4e2d") == "?"
 
 
 def test_a_message_never_steers_the_terminal(tmp_path, capsys):

@@ -8,7 +8,7 @@ import json
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.faces.cli.closing import standing
+from adis_gonio.faces.cli.trace_commands import loop_lines
 from adis_gonio.record.loading import load_session
 
 URL = "sim:?seed=3&bias_instability_mg=0&fixture_sigma_deg=0.002&effects=quadratic:k2_x=3"
@@ -71,10 +71,10 @@ def test_a_limit_without_a_loop_is_wrong_use(capsys, path):
 
 def test_where_it_stands_is_said_in_two_lines():
     summary = {"dwells": 9, "adequate": True, "tested": True, "found": ["bias"], "uncertain": ["cubic"]}
-    assert standing(summary) == [
+    assert loop_lines(summary) == [
         "With 9 dwells: the model is adequate; found: bias",
         "Not certain: cubic",
     ]
-    untested = standing({**summary, "tested": False, "found": [], "uncertain": []})
-    assert untested == ["With 9 dwells: no readings are left over to test the model; found: –"]
-    assert standing({}) == []
+    untested = loop_lines({**summary, "tested": False, "found": [], "uncertain": []})
+    assert untested == ["With 9 dwells: no readings remain to test the model; found: –"]
+    assert loop_lines({}) == []

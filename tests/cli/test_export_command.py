@@ -29,7 +29,7 @@ FIRST = {
     "c.csv.gz": b"\x1f\x8b",
     "c.parquet": b"PAR1",
     "c.xml": b'<?xml version="1.0" encoding="UTF-8"?>\n<dcc:digitalCalibrationCertificate',
-    "c.txt": b"# Offsets that take the bias out",
+    "c.txt": b"# Offsets that remove the bias",
 }
 
 
@@ -166,7 +166,7 @@ def test_nothing_is_replaced_unless_forced(recorded, tmp_path, capsys):
 def test_an_export_that_fails_half_way_leaves_the_old_file_alone(
     recorded, tmp_path, capsys, monkeypatch, name
 ):
-    from adis_gonio.handover.exporting import ExportSource
+    from adis_gonio.handover.session_export import ExportSource
 
     def half(source, kind, path):
         path.write_bytes(b"half")
@@ -193,13 +193,13 @@ def test_a_session_that_lacks_what_a_format_needs_leaves_no_file(tmp_path, capsy
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ((), "what shall be made"),
-        (("-o", "-"), "what shall be made"),
+        ((), "or --format"),
+        (("-o", "-"), "or --format"),
         (("-o", "a.doc"), "no format has this ending"),
         (("--format", "csv"), "needs -o FILE"),
         (("--format", "parquet"), "needs -o FILE"),
-        (("-o", "a.csv", "--method", "ml"), "holds the samples only"),
-        (("-o", "a.parquet", "--trace"), "holds the samples only"),
+        (("-o", "a.csv", "--method", "ml"), "samples only"),
+        (("-o", "a.parquet", "--trace"), "samples only"),
         (("-o", "a.h", "--samples"), "--samples goes with"),
         (("-o", "a.json", "--name", "x"), "--name goes with"),
         (("-o", "a.h", "--name", "2x"), "is no name for C"),

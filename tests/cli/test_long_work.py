@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from adis_gonio.base.budget import Budget, current, told, within
+from adis_gonio.base.budget import Budget, current, with_progress, within
 from adis_gonio.faces.cli import main, show
-from adis_gonio.faces.cli.interrupt import Insistent
+from adis_gonio.faces.cli.terminal import RepeatedInterrupt
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.tracing.trace import trace
@@ -75,7 +75,7 @@ def test_in_a_log_a_line_comes_seldom_and_says_stage_and_share(capsys, monkeypat
             time.sleep(0.001)
         return text
 
-    with show.working("tracing 24 dwells of a.session"):
+    with show.report_progress("tracing 24 dwells of a.session"):
         assert line_after(go[0]) == "tracing 24 dwells of a.session …\n"
         current().tell("the error on left-out dwells")
         current().share(0.4)
@@ -93,7 +93,7 @@ def test_a_log_of_an_hour_is_short():
 
 
 def test_what_is_done_at_once_says_nothing(capsys):
-    with show.working("reading"):
+    with show.report_progress("reading"):
         pass
     assert capsys.readouterr().err == ""
 
@@ -102,7 +102,7 @@ def test_on_a_terminal_stage_share_and_time_stand_in_one_place(monkeypatch):
     screen = io.StringIO()
     terminal = Console(file=screen, force_terminal=True, width=80, highlight=False)
     monkeypatch.setattr(show, "console", lambda *, stderr: terminal)
-    with show.working("fitting 4 dwells of [odd] name"):
+    with show.report_progress("fitting 4 dwells of [odd] name"):
         current().tell("every method")
         current().share(0.25)
     shown = screen.getvalue()
@@ -114,8 +114,8 @@ def test_on_a_terminal_stage_share_and_time_stand_in_one_place(monkeypatch):
 def test_a_loop_tells_its_share():
     heard = []
     with within(Budget(share=heard.append)):
-        assert list(told("ab", 1, 4)) == ["a", "b"]
-        assert list(told([])) == []
+        assert list(with_progress("ab", 1, 4)) == ["a", "b"]
+        assert list(with_progress([])) == []
     assert heard == [0.25, 0.5, 0.75, 0.0]
 
 
@@ -126,7 +126,7 @@ def test_a_trace_tells_stages_and_the_share_of_the_longest(tmp_path):
     with within(budget):
         trace(load_session(turn(tmp_path / "turn.csv", 36)), time_limit=600)
     assert {"the search for effects", "what to measure next"} <= shares.keys()
-    left_out = shares["the error on left-out dwells, effects chosen anew"]
+    left_out = shares["the error on held-out dwells, effects chosen again"]
     assert len(left_out) > 5
     assert min(left_out) == 0.0
     assert max(left_out) == 1.0
@@ -142,7 +142,7 @@ def wait():
 
 
 def test_ctrl_c_that_was_swallowed_comes_again():
-    with Insistent():
+    with RepeatedInterrupt():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
@@ -150,9 +150,9 @@ def test_ctrl_c_that_was_swallowed_comes_again():
 
 
 def test_afterwards_nothing_comes_any_more(monkeypatch):
-    monkeypatch.setattr(Insistent, "AGAIN_S", 0.01)
+    monkeypatch.setattr(RepeatedInterrupt, "AGAIN_S", 0.01)
     before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), Insistent():
+    with pytest.raises(KeyboardInterrupt), RepeatedInterrupt():
         signal.raise_signal(signal.SIGINT)
     time.sleep(0.05)
     assert signal.getsignal(signal.SIGINT) is before
@@ -161,7 +161,7 @@ def test_afterwards_nothing_comes_any_more(monkeypatch):
 def test_where_ctrl_c_is_ignored_it_stays_ignored():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with Insistent():
+        with RepeatedInterrupt():
             signal.raise_signal(signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)

@@ -5,9 +5,10 @@ import io
 import pytest
 from rich.console import Console
 
-from adis_gonio.faces.cli.characters import readable
 from adis_gonio.faces.cli.show import print_table
-from adis_gonio.fleet.memory import history_of, words
+from adis_gonio.faces.cli.terminal import ascii_form
+from adis_gonio.fleet import sensor_history as words
+from adis_gonio.fleet.sensor_history import history_of
 from memory.made_up import made_up
 
 HEAD = ("serial", "plan", "ΔK", "Δφ / °", "effects", "file")
@@ -55,4 +56,4 @@ def test_the_chart_of_a_history_has_a_letter_for_every_mark():
     history = history_of("A7", [made_up(f"20{year}-01-01", bias_x=year / 10) for year in range(10, 16)])
     chart = "".join(words.chart_lines(history.tracks["bias_x"], 80))
     assert "●" in chart
-    assert "?" not in {readable(mark) for mark in set(chart) if ord(mark) > 127}
+    assert "?" not in {ascii_form(mark) for mark in set(chart) if ord(mark) > 127}

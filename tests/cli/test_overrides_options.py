@@ -121,7 +121,7 @@ def test_columns_are_told_by_the_user(capsys, tmp_path):
         (["--unit", "furlong"], "furlong"),
         (["--sensor", "adis16000"], "adis16000"),
         (["--columns", "ax"], "write name=column"),
-        (["--columns", "ax=a,ax=b"], "stands there twice"),
+        (["--columns", "ax=a,ax=b"], "twice"),
         (["--columns", "ax=nowhere"], "no column is called 'nowhere'"),
         (["--columns", "bx=ax"], "'bx' is no column of the format"),
     ],

@@ -12,10 +12,9 @@ import pytest
 
 from adis_gonio.faces.cli import main
 from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.sim.testing.board import SimulatedBoard
-from adis_gonio.sim.testing.clocks import WorkClock
+from adis_gonio.sim.testing.doubles import SimulatedBoard
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins, WorkClock
 from programs import running
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")

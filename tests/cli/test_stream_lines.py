@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.faces.cli.stream import Columns, ShownStream
+from adis_gonio.faces.cli.live_commands import Columns, ShownStream
 from adis_gonio.record.blocks import ValueBlock
 
 NAMES = (
@@ -47,7 +47,7 @@ class Stream:
 def shown(capsys: pytest.CaptureFixture[str], seconds: float | None, *lengths: int) -> list[str]:
     show = ShownStream(10, None, lines=True)
     show.run(Stream(*lengths), seconds)
-    show.tell_the_sum()
+    show.print_totals()
     return capsys.readouterr().out.splitlines()
 
 

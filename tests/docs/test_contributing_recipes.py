@@ -103,10 +103,10 @@ def extended(tmp_path_factory):
         if name.startswith("src/"):
             (folder / name).write_text(text, "utf-8")
     import_line = "from adis_gonio.fitting.cautious import fit_cautious"
-    for table, linked, line in (("_METHODS", "methods.py", import_line), ("FORMATS", "formats.py", "")):
+    for table, linked, line in (("METHOD_TABLE", "methods.py", import_line), ("FORMATS", "formats.py", "")):
         (path,) = re.findall(rf"`{table}` in \[`\S*{linked}`\]\((\S+)\)", CONTRIBUTING)
         text = (folder / path).read_text("utf-8")
-        start = re.search(rf"^{table} = \($", text, re.M).end()
+        start = re.search(rf"^{table} = [({{]$", text, re.M).end()
         text = f"{text[:start]}\n{BLOCKS[table]}{text[start:]}"
         first_import = re.search(r"^from adis_gonio", text, re.M).start()
         (folder / path).write_text(f"{text[:first_import]}{line}\n{text[first_import:]}", "utf-8")

@@ -59,7 +59,9 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_elsewhere(tmp_
 
 
 def test_every_public_package_is_in_the_reference():
-    listed = set(re.findall(r"^   (adis_gonio\.[\w.]+)$", (ROOT / "docs/api.md").read_text("utf-8"), re.M))
+    listed = set(
+        re.findall(r"^   (adis_gonio\.[\w.]+)$", (ROOT / "docs/python.md").read_text("utf-8"), re.M)
+    )
     packages = {
         f"adis_gonio.{module.name}" for module in pkgutil.iter_modules(adis_gonio.__path__) if module.ispkg
     }

@@ -42,7 +42,8 @@ def handed_over(tmp_path_factory):
             for line in block.splitlines():
                 assert shell(line) == 0, line
         for block in blocks("handover.md", "python"):
-            exec(compile(block, "handover.md", "exec"), {})
+            if not block.startswith("# test_"):
+                exec(compile(block, "handover.md", "exec"), {})
     return folder
 
 

@@ -7,10 +7,16 @@ from pathlib import Path
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.record.samples_columns import COLUMNS, KEYS, recognised
+from adis_gonio.record.samples_columns import COLUMNS, KEYS, recognise_column
 
 PAGE = Path(__file__).parents[2] / "docs" / "samples.md"
 TEXT = PAGE.read_text(encoding="utf-8")
+FORMAT = (
+    PAGE.with_name("files.md")
+    .read_text(encoding="utf-8")
+    .partition("## Samples CSV")[2]
+    .partition("\n## ")[0]
+)
 BLOCKS = re.findall(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
 
 
@@ -30,7 +36,7 @@ def calls():
 def folder(tmp_path_factory):
     where = tmp_path_factory.mktemp("page")
     for language, name, text in BLOCKS:
-        if language == "text":
+        if language == "text" and name:
             (where / name).write_text(text, encoding="utf-8")
     return where
 
@@ -63,19 +69,25 @@ def test_the_python_example_runs(folder, capsys, monkeypatch):
     assert "'reverse'" in capsys.readouterr().out
 
 
-def test_every_column_key_option_and_name_of_the_page_is_one_of_the_code():
-    tables = [re.findall(r"^\| (`.*?) \|", part, re.MULTILINE) for part in TEXT.split("\n## ")]
-    columns_and_keys = {name for row in tables[1] for name in re.findall(r"`(\w+)`", row)}
-    assert columns_and_keys == {*COLUMNS, *KEYS, "note"}
-    from adis_gonio.faces.cli.fit import command
+def test_every_column_and_key_of_the_code_is_in_the_format():
+    rows = re.findall(r"^\| (`.*?) \|", FORMAT, re.MULTILINE)
+    assert {name for row in rows for name in re.findall(r"`(\w+)`", row)} == {*COLUMNS, *KEYS, "note"}
 
-    options = {option for row in tables[6] for option in re.findall(r"`(--\w+)", row)}
-    known = {name for option in command.params for name in option.opts}
+
+def test_every_option_of_the_page_is_one_of_the_command():
+    from adis_gonio.faces.cli.fit_commands import fit_command
+
+    rows = re.findall(r"^\| (`--.*?) \|", TEXT, re.MULTILINE)
+    options = {option for row in rows for option in re.findall(r"`(--\w+)", row)}
+    known = {name for option in fit_command.params for name in option.opts}
     assert (
         options
         == {"--angles", "--reverse", "--unit", "--gravity", "--fixture", "--sensor", "--columns"} & known
     )
+
+
+def test_every_spelling_that_the_format_accepts_is_recognised():
     for row in ("header", "units in the header"):
-        (cell,) = re.findall(rf"^\| {row} \| (.*?) \|$", TEXT, re.MULTILINE)
+        (cell,) = re.findall(rf"^\| {row} \| (.*?) \|$", FORMAT, re.MULTILINE)
         for name in re.findall(r"`([^`]+)`", cell):
-            assert name in ("#", "numpy.savetxt") or recognised(name), name
+            assert name in ("#", "numpy.savetxt") or recognise_column(name), name

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import FitError
-from adis_gonio.fitting.estimation.conic import conic_through
+from adis_gonio.fitting.estimation.readings import conic_through
 
 TURNED = np.array([[math.cos(0.4), -math.sin(0.4)], [math.sin(0.4), math.cos(0.4)]])
 

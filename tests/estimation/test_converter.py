@@ -11,9 +11,9 @@ from scipy.stats import norm
 
 from adis_gonio import fit, trace
 from adis_gonio.base.errors import DataError
-from adis_gonio.fitting.estimation import converter as module
-from adis_gonio.fitting.estimation.converter import converter_of, steps_of
+from adis_gonio.fitting.estimation import screening as module
 from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.estimation.screening import converter_of, steps_of
 from adis_gonio.model.records import Dwell, Session
 
 LSB_MG = 0.4672

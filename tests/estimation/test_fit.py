@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy, foreseen
+from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy, predictable_dwells
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis, NamedTerm, NamelessTerm
 from adis_gonio.model.effects import Conditions, effect
@@ -108,7 +108,7 @@ def test_noise_that_dwells_share_is_whitened_as_the_dense_covariance_has_it(kind
     flat = columns.reshape(-1, 4)
     white = fit.white(columns)
     np.testing.assert_allclose(white.T @ white, flat.T @ with_attitudes(fit) @ flat, rtol=1e-9, atol=1e-9)
-    left = fit.left.ravel()
+    left = fit.declared_misfit.ravel()
     assert fit.chi2 == pytest.approx(left @ with_attitudes(fit) @ left, rel=1e-9)
     # What a whitened row changes by with a reading is the transpose of the same.
     slope = np.random.default_rng(5).standard_normal((len(white), 2))
@@ -187,7 +187,7 @@ TURN = NamelessTerm("turn", ("time",), 0.0, "angle", (), LINE)
 def with_terms(data: Readings, **more: bool) -> Fit:
     """Bias, drift of x and a drift of the angle, at some values."""
     values = [np.array([4.0, -3.0]), np.array([50.0]), np.array([30.0])]
-    return at(data, BASE, **more).having((BIAS, DRIFT, TURN), values)
+    return at(data, BASE, **more).with_terms((BIAS, DRIFT, TURN), values)
 
 
 def test_each_terms_values_stand_where_its_slice_says() -> None:
@@ -223,13 +223,13 @@ def test_a_shrunken_amplitude_uses_part_of_a_degree_of_freedom() -> None:
     data, _ = planar()
     for shrinkage in (0.3, 3.0, 1e4):
         term = replace(DRIFT, shrinkage=shrinkage)
-        fit = at(data, BASE).having((term,), [np.array([1.0])])
+        fit = at(data, BASE).with_terms((term,), [np.array([1.0])])
         hat = fit.jacobian.T @ fit.jacobian
         prior = np.diag([0, *[1 / 0.2**2] * 3, 1 / shrinkage**2])
         used = np.trace(np.linalg.solve(hat + prior, hat))
         assert fit.used == pytest.approx(used, rel=1e-6)
         np.testing.assert_allclose(fit.covariance, np.linalg.inv(hat + prior), rtol=1e-6, atol=1e-15)
-    plain = at(data, BASE).having((DRIFT,), [np.array([1.0])])
+    plain = at(data, BASE).with_terms((DRIFT,), [np.array([1.0])])
     assert plain.used == 5
     assert plain.dof == 2 * len(data) - 5
 
@@ -246,7 +246,7 @@ def test_a_step_of_the_base_is_that_of_regularised_least_squares() -> None:
 
 def test_at_the_best_fit_the_linear_problem_has_its_amplitudes_and_no_step_of_the_base() -> None:
     data, _ = planar(noise=0.3, fixture=1e-3)
-    fit = Fit.begin(data, with_prior=False).having((BIAS, DRIFT), [np.zeros(2), np.zeros(1)])
+    fit = Fit.begin(data, with_prior=False).with_terms((BIAS, DRIFT), [np.zeros(2), np.zeros(1)])
     fit = fit.refit(30, 1e-14)
     base, blocks, target = fit.linear()
     solved = np.linalg.lstsq(np.concatenate([base, *blocks], axis=1), target, rcond=None)[0]
@@ -305,11 +305,11 @@ def test_dwells_are_foreseen_as_far_as_the_others_tell_what_they_read() -> None:
     carried = np.linalg.inv(rest.T @ rest)
     variance = 1 + np.einsum("nrp,pq,nrq->nr", left, carried, left).max(axis=1)
     most = float(np.median(variance))
-    np.testing.assert_array_equal(foreseen(rest, left, most), variance <= most)
+    np.testing.assert_array_equal(predictable_dwells(rest, left, most), variance <= most)
     blind = rest * [1.0, 1.0, 0.0]
-    assert not foreseen(blind, left, math.inf).any()
-    assert foreseen(blind, left * [1.0, 1.0, 0.0], math.inf).all()
-    assert not foreseen(np.zeros((0, 3)), left, math.inf).any()
+    assert not predictable_dwells(blind, left, math.inf).any()
+    assert predictable_dwells(blind, left * [1.0, 1.0, 0.0], math.inf).all()
+    assert not predictable_dwells(np.zeros((0, 3)), left, math.inf).any()
 
 
 def test_fewer_rows_than_columns_foresee_what_lies_in_their_plane_alone() -> None:
@@ -319,8 +319,8 @@ def test_fewer_rows_than_columns_foresee_what_lies_in_their_plane_alone() -> Non
     # A reading that is the sum of others, times weights, has the sum of their variances, times squares.
     variance = 1 + (weights**2).sum(axis=2).max(axis=1)
     most = float(np.median(variance))
-    np.testing.assert_array_equal(foreseen(rest, inside, most), variance <= most)
-    assert not foreseen(rest, np.add(inside, [0.0, 0.0, 1.0]), math.inf).any()
+    np.testing.assert_array_equal(predictable_dwells(rest, inside, most), variance <= most)
+    assert not predictable_dwells(rest, np.add(inside, [0.0, 0.0, 1.0]), math.inf).any()
 
 
 def test_columns_that_are_nearly_alike_are_still_told_apart() -> None:
@@ -331,7 +331,7 @@ def test_columns_that_are_nearly_alike_are_still_told_apart() -> None:
     carried = np.linalg.inv(rest.T @ rest)
     variance = 1 + np.einsum("nrp,pq,nrq->nr", left, carried, left).max(axis=1)
     most = float(np.median(variance))
-    np.testing.assert_array_equal(foreseen(rest, left, most), variance <= most)
+    np.testing.assert_array_equal(predictable_dwells(rest, left, most), variance <= most)
 
 
 def test_dwells_of_a_turn_are_foreseen_as_far_as_the_fitted_ones_reach() -> None:
@@ -343,7 +343,7 @@ def test_dwells_of_a_turn_are_foreseen_as_far_as_the_fitted_ones_reach() -> None
     rows = there.white_by_dwell(there.columns)
     variance = 1 + np.einsum("nrp,pq,nrq->nr", rows, inverse, rows).max(axis=1)
     most = float(np.median(variance))
-    np.testing.assert_array_equal(fit.foresees(data, most), variance <= most)
+    np.testing.assert_array_equal(fit.can_predict(data, most), variance <= most)
 
 
 # -- adequacy ---------------------------------------------------------------------------------------------

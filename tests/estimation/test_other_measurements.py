@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.fitting.estimation import Fit, from_means
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import from_means
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import BaseParameter, Measurement
 from adis_gonio.tracing.trace import trace_readings

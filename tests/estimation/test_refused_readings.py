@@ -24,7 +24,7 @@ def test_readings_in_another_unit_name_the_unit_that_would_fit() -> None:
     with pytest.raises(DataError) as caught:
         readings_of(turn(1.0, source="bench.csv"))
     said = str(caught.value)
-    assert said.startswith("bench.csv: readings are 0.001 g long where 1 g acts: accel_unit mg cannot be")
+    assert said.startswith("bench.csv: readings are 0.001 g long instead of 1 g: accel_unit mg cannot be")
     assert "; g would fit: add a line '# accel_unit: g', or give --unit g" in said
     assert said.endswith("; a plane that is turned has to be vertical")
     with pytest.raises(DataError, match="mps2 would fit") as caught:
@@ -32,7 +32,7 @@ def test_readings_in_another_unit_name_the_unit_that_would_fit() -> None:
     assert "vertical" not in str(caught.value)
     with pytest.raises(DataError, match=r"mg or lsb would fit|lsb or mg would fit"):
         readings_of(turn(1500.0, accel_unit="g", sensor="adis16354"))
-    with pytest.raises(DataError, match=r"where it is not known; a plane") as caught:
+    with pytest.raises(DataError, match=r"counts if .*; a plane") as caught:
         readings_of(turn(0.01))
     assert "would fit" not in str(caught.value)
 
@@ -81,7 +81,7 @@ def test_units_have_the_size_that_they_have() -> None:
 
 
 def test_readings_take_no_field_that_they_do_not_have() -> None:
-    with pytest.raises(TypeError, match="readings have no colour, taste"):
+    with pytest.raises(TypeError, match="taste"):
         from_means(
             np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1)), Conditions(np.arange(2.0)), taste=1, colour=2
         )

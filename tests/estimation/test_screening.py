@@ -10,12 +10,12 @@ import pytest
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import name_positions
-from adis_gonio.fitting.estimation.converter import Limit
 from adis_gonio.fitting.estimation.screening import (
+    Limit,
     _at_limit,
     _same_everywhere,
     _still_against_others,
-    limits_in_words,
+    limit_notes,
     longest_runs,
     refuse_dead_data,
 )
@@ -142,13 +142,13 @@ def test_a_limit_that_several_reach_is_one_if_gravity_allows_the_reading(
 
 
 def test_limits_are_told_with_their_samples_and_what_they_spoil() -> None:
-    whole = "1 sample of x stand at the extreme value 990 mg (position 4): a limit was reached there"
-    assert limits_in_words([Limit(0, 990.0, 1, 0, (4,), ())], "mg") == [whole]
-    (one,) = limits_in_words([Limit(2, -990.0, 40, 0, (4, 5), (5,))], "mg")
-    assert one.startswith("40 samples of z stand at the extreme value -990 mg (positions 4, 5): a limit")
-    assert one.endswith(", a mean is not the reading, and position 5 takes no part in the fit")
-    (two,) = limits_in_words([Limit(1, 990.0, 40, 0, (4, 5), (4, 5))], "mg")
-    assert two.endswith("and positions 4, 5 take no part in the fit")
+    whole = "1 sample of x are at the extreme value 990 mg (position 4): a limit was reached there"
+    assert limit_notes([Limit(0, 990.0, 1, 0, (4,), ())], "mg") == [whole]
+    (one,) = limit_notes([Limit(2, -990.0, 40, 0, (4, 5), (5,))], "mg")
+    assert one.startswith("40 samples of z are at the extreme value -990 mg (positions 4, 5): a limit")
+    assert one.endswith("position 5 takes no part in the fit")
+    (two,) = limit_notes([Limit(1, 990.0, 40, 0, (4, 5), (4, 5))], "mg")
+    assert two.endswith("positions 4, 5 take no part in the fit")
 
 
 def test_of_many_positions_eight_are_named() -> None:

@@ -7,10 +7,9 @@ from typing import Any
 from adis_gonio.device.bus import BusUrl, SpiBus, cp2130, mcp2210, serial, spidev
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import WatchedChip
-from adis_gonio.sim.testing.clocks import VirtualClock
 from adis_gonio.sim.testing.faults import Faults
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
 from fakes.cp2130_device import Cp2130Device
 from fakes.mcp2210_device import Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard

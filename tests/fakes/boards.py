@@ -17,8 +17,7 @@ from adis_gonio.device.bus import Capability, FrameBlock, FrameStream, Words
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.device.sensor.variants import variant
 from adis_gonio.sim import SimBus, SimulatedChip, World, WorldSettings
-from adis_gonio.sim.inputs import Inputs
-from adis_gonio.sim.sampling import ACCEL_COLUMNS, SELF_TEST_ACCEL_MG, SignalChain
+from adis_gonio.sim.sampling import ACCEL_COLUMNS, SELF_TEST_ACCEL_MG, Inputs, SignalChain
 
 TRIGGER_S = 4e-6
 """From an edge to the fall of chip select."""
@@ -343,7 +342,7 @@ FAULTY: dict[str, tuple[Board, str, str]] = {
     "bit errors above 600 kHz": (Board(clean_hz=600e3), "bit errors", "750 kHz"),
     "an ADIS16350": (Board(part="adis16350"), "variant", "ADIS16350"),
     "offset LSB twice as large": (Board(offset_lsb=2), "offset", "not the output's"),
-    "STATUS does not fall": (Board(status_falls=False), "status", "does not fall"),
+    "STATUS does not fall": (Board(status_falls=False), "status", "does not clear"),
     "supply at 4.7 V": (Board(supply_v=4.7), "supply", "4.7"),
     "50 Hz hum on X": (Board(hum_mg=2.0), "noise", "50.0 Hz"),
     "gyro Z deaf to its self-test": (Board(deaf=(3,)), "self-test", "ZGYRO_OUT"),

@@ -38,7 +38,7 @@ ASKED = re.compile(
     r"(?P<metadata>\(Enter: none\): $)"
     r"|(?P<note>  note: $)"
     r"|(?P<paused>paused: .*, q ends: $)"
-    r"|(?P<again>an error or alarm stood at .* q end\): $)"
+    r"|(?P<again>an error or alarm occurred at .* q end\): $)"
     r"|(?P<more>go on with 180° and 270°\? .*: $)"
     r"|(?P<guard>  Enter: .*, n note\): $)"
     r"|(?P<position>\d+ of \d+.*, n note\): $)",

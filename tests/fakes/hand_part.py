@@ -21,12 +21,13 @@ from pathlib import Path
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import BusTimeoutError
 from adis_gonio.device.bus import FrameBlock, FrameStream
 from adis_gonio.device.bus.opening import BusUrl
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.sim import SimBus, World
-from adis_gonio.sim.inputs import Floats, Inputs
+from adis_gonio.sim.sampling import Inputs
 from adis_gonio.sim.settings import WorldSettings
 
 PULSE_HZ = (7.0, 23.0, 61.0)

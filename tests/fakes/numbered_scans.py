@@ -10,8 +10,7 @@ import numpy as np
 
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.sim.inputs import Inputs
-from adis_gonio.sim.sampling import OUTPUTS, SignalChain, Updates
+from adis_gonio.sim.sampling import OUTPUTS, Inputs, SignalChain, Updates
 
 WRAP = 1 << 14
 """Updates after which the words of a column come again: 20 s at the full rate."""

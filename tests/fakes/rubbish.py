@@ -17,12 +17,11 @@ from collections.abc import Callable
 
 from adis_gonio.base.errors import BusError, ProtocolError
 from adis_gonio.device.bus import BusUrl, Capability, SpiBus, SpiTiming, cp2130, mcp2210, serial, spidev
-from adis_gonio.device.bus.cp2130 import requests as cp2130_requests
-from adis_gonio.device.bus.mcp2210 import reports as mcp2210_reports
+from adis_gonio.device.bus import cp2130 as cp2130_requests
+from adis_gonio.device.bus import mcp2210 as mcp2210_reports
 from adis_gonio.device.bus.wire import protocol as wire
-from adis_gonio.sim.testing.clocks import VirtualClock
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
 from fakes.mcp2210_device import Mcp2210Device

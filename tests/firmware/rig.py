@@ -21,8 +21,7 @@ from yasimavr.device_library import load_device
 
 from adis_gonio.device.bus.wire.protocol import BAUD
 from adis_gonio.device.sensor.registers import BY_NAME
-from adis_gonio.sim.chip import SimulatedChip, State
-from adis_gonio.sim.lines import levels
+from adis_gonio.sim.chip import SimulatedChip, State, dio_levels
 from adis_gonio.sim.world import World
 from firmware.pins import F_CPU, FAST, LAST_FAST, NORMAL, FrameEdges, PinLog
 
@@ -237,7 +236,7 @@ class Rig:
         state = "Z"
         if self.chip.data_ready_enabled:
             line = BY_NAME["MSC_CTRL"].field("line").of(self.chip.memory["MSC_CTRL"])
-            level = levels(self.chip.memory, pulse=self._pulse, status=0)[line]
+            level = dio_levels(self.chip.memory, pulse=self._pulse, status=0)[line]
             state = "H" if level else "L"
         if state != self._ready_state:
             self._ready_state = state

@@ -8,7 +8,8 @@ import pytest
 
 from adis_gonio.base.errors import BusError, CannotOpenError, VariantError
 from adis_gonio.device.bus import BusUrl, find_devices
-from adis_gonio.device.bus.serial import SerialBus, open_from_url, ports
+from adis_gonio.device.bus import serial as ports
+from adis_gonio.device.bus.serial import SerialBus, open_from_url
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.sim.testing.bus_contract import BusContract, WireFrame
 from adis_gonio.sim.testing.bus_contract import Rig as ContractRig

@@ -13,8 +13,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from adis_gonio.device.bus.wire import encode
-from adis_gonio.device.bus.wire.packets import Packet
+from adis_gonio.device.bus.wire import Packet, encode
 from adis_gonio.device.bus.wire.protocol import (
     ExchangeReply,
     ExchangeRequest,

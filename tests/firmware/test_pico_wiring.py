@@ -17,7 +17,7 @@ SIGNALS = {
     "DIO1": ("DATA_READY", 26),
     "RST": ("RST", 27),
 }
-PAGE = PORT.parents[1] / "docs" / "pico.md"
+PAGE = PORT.parents[1] / "docs" / "hardware.md"
 GPIO_OF_PIN = {21: 16, 22: 17, 24: 18, 25: 19, 26: 20, 27: 21}
 
 

@@ -12,8 +12,8 @@ from scipy.optimize import root
 
 from adis_gonio import fit
 from adis_gonio.base.arrays import Floats
-from adis_gonio.fitting.likelihood import _advice
 from adis_gonio.fitting.linked import LinkReport
+from adis_gonio.fitting.maximum_likelihood import _advice
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Dwell, Session
 from fitting.test_uncertainty import FOUR, turn
@@ -43,8 +43,8 @@ def test_positions_that_would_show_what_is_lost_are_named(lost: list[str], advic
 @pytest.mark.parametrize(
     ("sensor", "held"),
     [
-        ("adis16354", "the uncertainty holds the part's figure for it"),
-        ("generic", "no uncertainty here holds that"),
+        ("adis16354", "the uncertainty includes the part's figure for it"),
+        ("generic", "the uncertainty does not include it"),
     ],
 )
 def test_two_positions_say_whether_u_holds_the_bias_that_they_cannot_see(sensor: str, held: str) -> None:

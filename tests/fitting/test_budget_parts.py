@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
-from adis_gonio.fitting.outputs import estimates, left_to_the_stage, outputs_of, variances
-from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.fitting.sources import Source, Sources, dof_of
-from adis_gonio.fitting.uncertainty_budget import budget_of
+from adis_gonio.fitting.fit_result import (
+    Estimate,
+    FitResult,
+    estimates,
+    outputs_of,
+    stage_warnings,
+    variances,
+)
+from adis_gonio.fitting.uncertainty import Source, Sources, budget_of, dof_of
 from adis_gonio.model.effects import Conditions
 
 RNG = np.random.default_rng(1)
@@ -155,12 +160,12 @@ def test_an_angle_between_axes_that_the_stage_alone_knows_is_remarked_on(
     u_rad: float, sigma_rad: float, told: bool
 ) -> None:
     found = [Estimate("alpha", 0.0, 9.0, "deg"), Estimate("delta_phi", 0.0, math.degrees(u_rad), "deg")]
-    lines = left_to_the_stage(found, sigma_rad)
+    lines = stage_warnings(found, sigma_rad)
     assert len(lines) == told
     if told:
-        assert lines[0].startswith(f"u of delta_phi is {math.degrees(u_rad):.2g}°: these positions leave")
+        assert lines[0].startswith(f"u of delta_phi is {math.degrees(u_rad):.2g}°: only the stage")
         assert "(11.5°)" in lines[0]
-    assert left_to_the_stage(found[:1], sigma_rad) == []
+    assert stage_warnings(found[:1], sigma_rad) == []
 
 
 def test_a_result_without_a_session_tells_what_it_has() -> None:

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,14 +19,15 @@ from adis_gonio.fitting.closed_form import (
     fit_mmpm,
     fit_paper,
     fit_positions,
-    model_without,
     rows_at,
     turn_parameters,
 )
+from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
-from adis_gonio.fitting.estimation.shown import ShownAngle, gradient_of_base
-from adis_gonio.fitting.methods import applicable_to, default_method, fit_readings
-from adis_gonio.fitting.noise import NoiseAssumptions
+from adis_gonio.fitting.fit_result import Origin
+from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_method, fit_readings
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions
+from adis_gonio.fitting.uncertainty import ShownAngle, gradient_of_base
 from adis_gonio.model.effects import Conditions
 
 G = 980.0
@@ -156,6 +158,12 @@ def test_chi2_of_mmpm_is_that_of_least_squares_however_large_the_noise() -> None
     assert fit_mmpm(data).chi2 == pytest.approx(left / 100.0**2, rel=1e-6)
 
 
+def refit(method: str, data: Readings) -> Fit:
+    """The model of a method on these readings, whose angles are taken as exact."""
+    noise = NoiseAssumptions(sigma_rad=0.0)
+    return METHOD_TABLE[method].refit(noise.applied(data), Mock(spec=Origin))
+
+
 @pytest.mark.parametrize("method", ["two-position", "paper", "four-position", "mmpm"])
 @pytest.mark.parametrize("left", [(90.0, 180.0), (180.0, 270.0), (270.0, 0.0), (0.0, 90.0)])
 def test_without_a_dwell_a_method_is_run_at_the_next_place_of_the_turn(
@@ -167,7 +175,7 @@ def test_without_a_dwell_a_method_is_run_at_the_next_place_of_the_turn(
     phi = math.radians(0.01) if method == "paper" else PHI
     if method == "four-position":
         angles = tuple(a for a in FOUR if a != left[0])
-    model = model_without(method, turned(angles, alpha=alpha, phi=phi), NoiseAssumptions(sigma_rad=0.0))
+    model = refit(method, turned(angles, alpha=alpha, phi=phi))
     start, k_x, k_y, skew = model.values.base
     rough = 1e-5 if method == "paper" else 1e-9
     assert math.remainder(start - alpha, 2 * math.pi) == pytest.approx(0, abs=1e-9)
@@ -178,7 +186,7 @@ def test_without_a_dwell_a_method_is_run_at_the_next_place_of_the_turn(
 
 def test_two_positions_that_are_not_a_quarter_apart_leave_nothing() -> None:
     with pytest.raises(FitError, match="no two positions 90° apart are left for method paper"):
-        model_without("paper", turned((0.0, 180.0)), NoiseAssumptions(sigma_rad=0.0))
+        refit("paper", turned((0.0, 180.0)))
 
 
 def test_the_papers_equations_are_as_printed_and_their_slopes_too() -> None:
@@ -242,12 +250,12 @@ def test_what_a_bias_does_to_two_positions_is_its_slope() -> None:
         f"on X moves delta_phi by {phi[0]:+.2g}° and delta_k by {k[0]:+.2g}, "
         f"on Y by {phi[1]:+.2g}° and {k[1]:+.2g}," in told
     )
-    assert "no uncertainty here holds that" in told
+    assert "the uncertainty does not include it" in told
     assert told.endswith("measure 180° and 270° too and use method four-position")
     assert found.undetermined == ("bias_x", "bias_y")
     assert found.dof == 0
     sheet = fit_positions(turned((0.0, 90.0), sensor="adis16354"), "two-position", (0, 90))
-    assert any("the uncertainty holds the part's figure" in line for line in sheet.warnings)
+    assert any("the uncertainty includes the part's figure" in line for line in sheet.warnings)
 
 
 # -- which method ----------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from adis_gonio.fitting.determination import covariance, in_words, is_determined
+from adis_gonio.fitting.determination import covariance, format_directions, is_determined
 
 FREE = np.ones(3, dtype=bool)
 NOTHING = np.zeros((3, 0))
@@ -56,4 +56,4 @@ def test_along_a_lost_direction_there_is_no_covariance_and_across_it_the_pseudo_
     ],
 )
 def test_a_lost_direction_is_said_by_its_largest_parts_with_the_first_positive(direction, words):
-    assert in_words(np.array([direction]).T, ("a", "b", "c")) == [words]
+    assert format_directions(np.array([direction]).T, ("a", "b", "c")) == [words]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adis_gonio.fitting.estimation.flicker import MOST_MODES, covariance_of_means, modes, scatter_of_means
+from adis_gonio.fitting.estimation.spectrum import MOST_MODES, covariance_of_means, modes, scatter_of_means
 from adis_gonio.sim.noise import Flicker
 
 

@@ -9,7 +9,7 @@ import pytest
 from adis_gonio import fit, load_session
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.answer import Answer
-from adis_gonio.fitting.likelihood import fit_ml
+from adis_gonio.fitting.methods import fit_ml
 
 HIDDEN = (
     "quadratic:k2_x=8",
@@ -62,7 +62,7 @@ def test_the_stated_uncertainty_covers_what_a_missing_effect_does_to_the_paramet
 def test_scatter_of_the_readings_alone_would_not_cover_it(lacking, monkeypatch):
     """The check itself: without the catalogue the same sessions are missed."""
     monkeypatch.setattr(
-        "adis_gonio.fitting.sources.missing_effects",
+        "adis_gonio.fitting.uncertainty.missing_effects",
         lambda fit: np.zeros((*fit.data.mean.shape, 0)),
     )
     again = [(fit_ml(result.session), truth) for result, truth in lacking]

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from adis_gonio.fitting.estimation import Fit, NamedTerm, from_means
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import from_means
+from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import Conditions, effect
 
 G_MG = 1000.0
@@ -30,7 +32,7 @@ def ml(z, cov, theta=None, sigma=math.inf):
         fitted=None if axes == 2 else np.ones(6, dtype=bool),
     )
     bias = NamedTerm("bias", (), 0.0, effect("bias", "xyz"[:axes]))
-    fit = Fit.begin(data, with_prior=False).having((bias,), (np.zeros(axes),)).refit(100, 1e-13)
+    fit = Fit.begin(data, with_prior=False).with_terms((bias,), (np.zeros(axes),)).refit(100, 1e-13)
     order = PLANAR if axes == 2 else SPATIAL
     size = np.array([1.0] * len(data.model.parameters) + [G_MG] * axes)
     scaled = fit.covariance / np.outer(size, size)

@@ -14,9 +14,9 @@ from adis_gonio import fit
 from adis_gonio.base.errors import FitError
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting import monte_carlo as module
+from adis_gonio.fitting.fit_result import Estimate, FitResult
 from adis_gonio.fitting.monte_carlo import monte_carlo
-from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.fitting.sources import TEMPERATURE
+from adis_gonio.fitting.uncertainty import TEMPERATURE
 from fitting.test_uncertainty import FOUR, turn
 
 SIGMA_DEG = 0.02
@@ -254,20 +254,20 @@ def test_what_is_remarked_on_are_differences_and_lost_trials(stated: FitResult) 
 def test_trials_without_a_result_are_counted_and_none_at_all_is_an_error(
     stated: FitResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, asked = module._fitting(stated.origin, "four-position"), []
+    method, asked = module.METHOD_TABLE["four-position"], []
 
-    def every_third(data: object) -> object:
+    def every_third(data: object, made: object) -> object:
         asked.append(data)
         if len(asked) % 3 == 0:
             raise FitError("not determined")
-        return whole(data)
+        return method.refit(data, made)
 
-    monkeypatch.setattr(module, "_fitting", lambda made, method: every_third)
+    monkeypatch.setitem(module.METHOD_TABLE, "four-position", replace(method, refit=every_third))
     run = monte_carlo(stated, 12, np.random.default_rng(6))
     assert (run.trials, run.failed) == (8, 4)
     assert monte_carlo(stated, 2, np.random.default_rng(6)).trials == 2
     with pytest.raises(FitError, match="no trial"):
         monte_carlo(stated, 1, np.random.default_rng(6))
     unknown = fit(turn((0, 90), noise=0.0, sigma=0.0, stated=None, bias=(0.0, 0.0)))
-    with pytest.raises(FitError, match="nothing tells the noise"):
+    with pytest.raises(FitError, match="noise of a reading is unknown"):
         monte_carlo(unknown, 5, np.random.default_rng(6))

@@ -10,7 +10,7 @@ import pytest
 
 from adis_gonio import fit, trace
 from adis_gonio.faces.cli import main
-from adis_gonio.fitting.noise import NoiseAssumptions, _equal_to_dof
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions, _equal_to_dof
 from fitting.test_uncertainty import NINE, turn
 
 

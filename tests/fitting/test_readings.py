@@ -6,9 +6,8 @@ import pytest
 
 from adis_gonio.base.errors import DataError, FitError
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.estimation.flicker import covariance_of_means
 from adis_gonio.fitting.estimation.readings import readings_of, reduced
-from adis_gonio.fitting.estimation.spectrum import noise_of_means
+from adis_gonio.fitting.estimation.spectrum import covariance_of_means, noise_of_means
 from adis_gonio.model.records import Dwell, Session
 
 LSB = 0.4672

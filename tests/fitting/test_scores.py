@@ -9,8 +9,7 @@ from scipy.optimize import least_squares
 
 from adis_gonio.base.errors import FitError
 from adis_gonio.fitting import fit, fit_readings
-from adis_gonio.fitting.scores import DwellPrediction, Score, _folds, predicted
-from adis_gonio.fitting.standing import recommend
+from adis_gonio.fitting.method_comparison import DwellPrediction, Score, _folds, predicted, recommend
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.loading import load_session
@@ -21,13 +20,13 @@ TUMBLE = (*range(0, 360, 30), *range(330, -30, -30))
 
 def test_every_method_is_scored_on_every_dwell():
     for angles in (FOUR, NINE, TUMBLE):
-        standing = fit(turn(angles)).standing
-        assert {score.dwells for score in standing.scores.values()} == {len(angles)}
+        comparison = fit(turn(angles)).comparison
+        assert {score.dwells for score in comparison.scores.values()} == {len(angles)}
 
 
 def test_the_method_that_saw_least_has_no_advantage():
     result = fit(turn(TUMBLE, bias=(20.0, -10.0)))
-    scores = result.standing.scores
+    scores = result.comparison.scores
     own = fit(turn(TUMBLE, bias=(20.0, -10.0)), "two-position").as_dict()["angle_error_deg"]
     # On its own readings it looks perfect; on all of them it is the worst.
     assert own["rms"] < 0.05
@@ -43,14 +42,14 @@ def test_a_prediction_never_saw_its_dwell():
         type(d)(d.position, d.time_s, a, d.angle_deg) for d, a in zip(session.dwells, spoiled, strict=True)
     )
     bad = type(session)(dwells, accel_unit="mg", sensor="generic", fixture_sigma_deg=0.02, reading_u_mg=0.1)
-    found = fit(bad, "ml").standing.predictions["mmpm"]
+    found = fit(bad, "ml").comparison.predictions["mmpm"]
     # Left out, the spoiled dwell is predicted by eight good ones and misses by all that was added.
     assert np.linalg.norm(found.residual_mg[4]) == pytest.approx(300 * np.sqrt(2), rel=0.02)
 
 
 def test_mmpm_left_out_is_that_of_an_independent_least_squares():
     session = turn(NINE, seed=4)
-    found = fit(session, "mmpm").standing.predictions["mmpm"].angle_rad
+    found = fit(session, "mmpm").comparison.predictions["mmpm"].angle_rad
     theta = np.radians(NINE)
     readings = np.array([dwell.accel[0] for dwell in session.dwells])
     for k in range(len(NINE)):
@@ -66,7 +65,7 @@ def test_mmpm_left_out_is_that_of_an_independent_least_squares():
 def test_ml_left_out_is_least_squares_of_the_others_however_large_the_noise():
     angles = tuple(range(0, 360, 60))
     session = turn(angles, noise=60.0, stated=60.0, sigma=0.0)
-    found = fit(session, "ml").standing.predictions["ml"]
+    found = fit(session, "ml").comparison.predictions["ml"]
     theta = np.radians(angles)
     readings = np.array([dwell.accel[0] for dwell in session.dwells])
     design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
@@ -81,17 +80,17 @@ def test_ml_left_out_is_least_squares_of_the_others_however_large_the_noise():
 
 def test_two_positions_alone_cannot_be_scored_and_it_is_said():
     result = fit(turn((0, 90)))
-    assert {score.dwells for score in result.standing.scores.values()} == {0}
-    recommended = result.standing.recommended
+    assert {score.dwells for score in result.comparison.scores.values()} == {0}
+    recommended = result.comparison.recommended
     assert recommended.method == "two-position"
     assert "no dwell can be left out" in recommended.why
     assert result.as_dict()["scores"]["paper"]["angle_rms_deg"] is None
 
 
 def test_what_sees_the_bias_is_recommended_before_what_does_not():
-    standing = fit(turn(FOUR)).standing
-    assert standing.recommended.method == "ml"
-    assert "determines the biases" in standing.recommended.why
+    comparison = fit(turn(FOUR)).comparison
+    assert comparison.recommended.method == "ml"
+    assert "determines the biases" in comparison.recommended.why
 
 
 def test_the_rule_follows_the_scores_and_is_not_a_fixed_name():
@@ -135,7 +134,7 @@ def test_in_space_the_residual_of_the_norm_is_scored():
         dwells, accel_unit="mg", sensor="generic", plane="none", reading_u_mg=0.1, fixture_sigma_deg=np.inf
     )
     result = fit(session)
-    score = result.standing.scores["ml"]
+    score = result.comparison.scores["ml"]
     assert score.angle_rms_deg is None
     assert score.dwells == 16
     assert 0.05 < score.residual_rms_mg < 0.5
@@ -157,7 +156,7 @@ def test_dwells_for_checking_in_space_have_the_residual_of_their_own_norms():
         dwells, accel_unit="mg", sensor="generic", plane="none", reading_u_mg=0.1, fixture_sigma_deg=np.inf
     )
     result = fit(session)
-    found = result.standing.predictions["ml"].residual_mg
+    found = result.comparison.predictions["ml"].residual_mg
     assert found.shape == (13, 1)
     made = result.origin.fit
     values = made.values.parameters
@@ -189,7 +188,7 @@ def test_a_dwell_is_predicted_under_the_scatter_of_the_angles_that_was_estimated
     angles = range(0, 360, 45)
     session = replace(turn(angles, sigma=0.5), fixture_sigma_deg=None)
     result = fit(session, "ml")
-    found, sigma = result.standing.predictions["ml"], math.radians(result.fixture_sigma_deg)
+    found, sigma = result.comparison.predictions["ml"], math.radians(result.fixture_sigma_deg)
     assert 0.2 < result.fixture_sigma_deg < 1.0
     readings = np.array([dwell.accel[0] for dwell in session.dwells])
     rest = np.arange(8) != 3
@@ -217,14 +216,14 @@ def test_a_dwell_is_predicted_under_the_scatter_of_the_angles_that_was_estimated
 
 def test_what_the_others_do_not_determine_is_not_predicted():
     # Two positions do not see the biases, which three do.
-    found = fit(turn((0, 90, 180)), "ml").standing.predictions["ml"]
+    found = fit(turn((0, 90, 180)), "ml").comparison.predictions["ml"]
     assert np.isnan(found.angle_rad).all()
     assert np.isnan(found.residual_mg).all()
 
 
 def test_angles_of_free_attitudes_are_compared_with_the_mean_start_that_the_others_show():
     session = replace(turn(NINE, sigma=0.0), fixture_sigma_deg=math.inf)
-    found = fit(session, "ml").standing.predictions["ml"].angle_rad
+    found = fit(session, "ml").comparison.predictions["ml"].angle_rad
     # 0.1 mg at right angles to gravity are 0.006°; the part stands at 20°.
     assert np.degrees(np.abs(found)).max() < 0.06
     turned = (
@@ -238,14 +237,14 @@ def test_angles_of_free_attitudes_are_compared_with_the_mean_start_that_the_othe
             ),
             "ml",
         )
-        .standing.predictions["ml"]
+        .comparison.predictions["ml"]
         .angle_rad
     )
     # Eight others show the start: the one that is declared too far on stands behind by it all.
     assert np.degrees(turned[3] - found[3]) == pytest.approx(-0.9, abs=1e-3)
     assert np.degrees(turned[5] - found[5]) == pytest.approx(0.9 / 8, abs=1e-3)
     lost = (*session.dwells[:8], replace(session.dwells[8], angle_deg=None))
-    without = fit(replace(session, dwells=lost), "ml").standing.predictions["ml"].angle_rad
+    without = fit(replace(session, dwells=lost), "ml").comparison.predictions["ml"].angle_rad
     assert np.isfinite(without).tolist() == [True] * 8 + [False]
 
 
@@ -268,6 +267,6 @@ def test_the_paper_is_scored_although_its_equations_divide_by_zero_at_one_place(
     readings = [(1000, 0), (0, -1000), (-1000, 0), (0, 1000)]
     rows = [f"{k},{k},{90 * k},{x},{y}" for k, (x, y) in enumerate(readings)]
     path.write_text("# accel_unit: mg\ntime_s,position,angle_deg,ax,ay\n" + "\n".join(rows) + "\n")
-    standing = fit(load_session(path)).standing
-    assert standing.scores["paper"].dwells == 4
-    assert {score.dwells for score in standing.scores.values()} == {4}
+    comparison = fit(load_session(path)).comparison
+    assert comparison.scores["paper"].dwells == 4
+    assert {score.dwells for score in comparison.scores.values()} == {4}

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio.fitting.estimation import Readings, from_means
 from adis_gonio.fitting.estimation import readings as module
-from adis_gonio.fitting.estimation.flicker import covariance_of_means, scatter_of_means
-from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.estimation.readings import Readings, from_means, readings_of
+from adis_gonio.fitting.estimation.spectrum import covariance_of_means, scatter_of_means
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Dwell, Session

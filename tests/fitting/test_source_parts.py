@@ -14,11 +14,11 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting import determination as seen
 from adis_gonio.fitting import linked
-from adis_gonio.fitting import sources as module
+from adis_gonio.fitting import uncertainty as module
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.linked import LinkReport
-from adis_gonio.fitting.noise import NoiseAssumptions
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions, chi2_quantile
 from adis_gonio.model.effects import Conditions
 
 RNG = np.random.default_rng(7)
@@ -263,7 +263,7 @@ def test_what_links_gain_are_parameters_and_a_median_of_u() -> None:
     assert linked._gain(None, joined) == linked._gain(joined, None) == ((), None)
     report = LinkReport(3, 1.0, 2, calibrated=True, gained=("c",), ratio=0.35)
     assert (report.as_dict()["u_ratio"], report.as_dict()["gained"]) == (0.35, ["c"])
-    assert linked._quantile(2) == pytest.approx(-2 * math.log(1e-3))  # χ² of two is exponential
+    assert chi2_quantile(2, 1e-3) == pytest.approx(-2 * math.log(1e-3))  # χ² of two is exponential
 
 
 @pytest.mark.parametrize("sensor", ["adis16354", "generic"])

@@ -11,9 +11,9 @@ import pytest
 from adis_gonio import fit
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.determination import covariance, natural_units
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import fit_readings
-from adis_gonio.fitting.result import FitResult
-from adis_gonio.fitting.sources import FIXTURE, LINKS, MODEL, REPEATABILITY, TEMPERATURE, Source
+from adis_gonio.fitting.uncertainty import FIXTURE, LINKS, MODEL, REPEATABILITY, TEMPERATURE, Source
 from adis_gonio.model.records import Session
 from fitting.test_uncertainty import FOUR, NINE, turn
 from gyros.test_links import linked_part

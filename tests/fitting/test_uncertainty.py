@@ -10,9 +10,9 @@ from scipy import stats
 
 import coverage_of_u as coverage
 from adis_gonio import fit
-from adis_gonio.base.intervals import coverage_factor, effective_dof, factor_over
+from adis_gonio.base.uncertainty import coverage_factor, effective_dof, factor_over
 from adis_gonio.fitting.monte_carlo import monte_carlo
-from adis_gonio.fitting.sources import GRAVITY, SOURCES
+from adis_gonio.fitting.uncertainty import GRAVITY, SOURCES
 from adis_gonio.model.records import Dwell, Session
 
 G = 1000.0
@@ -150,7 +150,7 @@ def test_a_bias_that_two_positions_cannot_see_is_in_the_budget_where_the_part_ha
     assert held["delta_phi"].u > 20 * without["delta_phi"].u
     # A figure of the part has unlimited degrees of freedom, and nearly all of u is of it.
     assert held["delta_phi"].k == pytest.approx(1.96, abs=0.001)
-    assert "it determines the biases" not in held.standing.recommended.why
+    assert "it determines the biases" not in held.comparison.recommended.why
     row = held.budget["delta_phi"][-1]
     assert row.source == "model choice"
     assert row.share > 0.99

@@ -3,8 +3,8 @@
 import os
 import signal
 
-from adis_gonio.fleet import worker
-from adis_gonio.fleet.work import work
+from adis_gonio.fleet import workers
+from adis_gonio.fleet.session_record import work
 
 
 def work_or_die(path, **asked):
@@ -13,5 +13,5 @@ def work_or_die(path, **asked):
     return work(path, **asked)
 
 
-worker.work = work_or_die
-worker.main()
+workers.work = work_or_die
+workers.main()

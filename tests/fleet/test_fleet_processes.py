@@ -11,10 +11,11 @@ import pytest
 
 from adis_gonio import __version__
 from adis_gonio.base.errors import FleetError
-from adis_gonio.fleet import LocalPool, Options, Store, run_fleet, survey
-from adis_gonio.fleet.outputs import FleetResult
-from adis_gonio.fleet.store import IN_MEMORY
-from adis_gonio.fleet.work import work
+from adis_gonio.fleet.fleet_pages import FleetResult
+from adis_gonio.fleet.fleet_run import run_fleet, survey
+from adis_gonio.fleet.session_record import Options, work
+from adis_gonio.fleet.store import IN_MEMORY, Store
+from adis_gonio.fleet.workers import LocalPool
 from adis_gonio.record.provenance import digest_of_file
 from fleet.sessions import write_fleet
 
@@ -76,12 +77,12 @@ def test_a_worker_of_another_version_or_before_another_file_does_not_answer_for_
     for record, reason in (
         (
             work(path, digest, asked, "0.0.1"),
-            f"the worker has adis-gonio {__version__}, the fleet is run by 0.0.1",
+            f"the worker has adis-gonio {__version__}, the fleet 0.0.1",
         ),
-        (work(path, "0" * 64, asked, __version__), "is not the same file where the worker is"),
+        (work(path, "0" * 64, asked, __version__), "is another file"),
         (
             work(f"{path}.not", digest, asked, __version__),
-            "cannot be read where the worker is: No such file",
+            "cannot be read by the worker: No such file",
         ),
     ):
         assert record.status == "failed"

@@ -215,7 +215,7 @@ def test_nothing_recorded_is_said(tmp_path):
         running = runner(sensor, path)
         running.stop()
         list(running.run())
-    with pytest.raises(DataError, match="holds no turn yet; resume"):
+    with pytest.raises(DataError, match="no turn yet; resume"):
         load_session(path)
 
 

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from adis_gonio.model.sweeps import Sweeps
+from adis_gonio.model.records import Sweeps
 
 
 def seen(*corners_deg, tremble_deg=0.0):

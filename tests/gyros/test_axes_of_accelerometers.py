@@ -15,7 +15,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.faces.cli import app
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.gyros.accelerometer_triad import NAMES, UNKNOWN_BIAS_MG, Axes, Prior
+from adis_gonio.fitting.gyros.accelerometer_triad import NAMES, UNKNOWN_BIAS_MG, Axes
 from adis_gonio.fitting.gyros.gyro_fit import TIME_BASE_U, fit_gyro
 from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
 from adis_gonio.model.measurement import sensitivity
@@ -90,7 +90,7 @@ def off(result):
 
 def test_modes_are_what_each_unknown_does_to_a_direction():
     """By plain geometry: Y's bias tilts the X-up vertical towards y by bias over g, a skew by itself."""
-    axes = Axes.of(Prior(0.001, math.radians(0.1), 20.0))
+    axes = Axes.of((0.001, math.radians(0.1), 20.0))
     up = np.array([-1.0, 0.0, 0.0])
     size = {name: np.zeros(3) for name in NAMES}
     for mode, direction in zip(axes.modes(up).T, axes.factor.T, strict=True):
@@ -101,7 +101,7 @@ def test_modes_are_what_each_unknown_does_to_a_direction():
     np.testing.assert_allclose(size["skew_yz"], 0, atol=1e-5)
     matrix = np.diag(np.arange(1.0, 10.0)) ** 2
     named = dict.fromkeys(NAMES, 0.0) | dict.fromkeys(NAMES[:3], 1.0)
-    known = Axes.of(Prior(1, 1, 1), (named, NAMES, matrix))
+    known = Axes.of((1, 1, 1), (named, NAMES, matrix))
     unit = np.array([1.0] * 3 + [math.radians(1.0)] * 3 + [1.0] * 3)
     np.testing.assert_allclose(known.factor @ known.factor.T, matrix * np.outer(unit, unit), rtol=1e-9)
 
@@ -109,7 +109,7 @@ def test_modes_are_what_each_unknown_does_to_a_direction():
 def test_of_two_sources_the_first_that_has_a_name_counts():
     first = ({"bias_x": 5.0}, ["bias_x"], np.array([[0.04]]))
     second = ({"bias_x": 9.0, "skew_xy": 0.3}, ["skew_xy", "bias_x"], np.diag([0.01, 1.0]))
-    axes = Axes.of(Prior(0.001, 0.002, 50.0), first, second)
+    axes = Axes.of((0.001, 0.002, 50.0), first, second)
     assert axes.values[NAMES.index("bias_x")] == 5.0
     assert axes.values[NAMES.index("skew_xy")] == pytest.approx(math.radians(0.3))
     assert axes.known == {"bias_x", "skew_xy"}

@@ -15,7 +15,7 @@ from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.gyros import gyro_fit as module
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro_readings
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 
 BIAS = np.array([0.4, -1.1, 0.2])
 FORCE_ON = np.array([[0.05, -0.02, 0.03], [0.01, 0.04, -0.03], [-0.02, 0.02, 0.06]])
@@ -66,7 +66,7 @@ def test_zero_rates_and_what_force_adds_are_those_of_linear_least_squares() -> N
     np.testing.assert_allclose(result.residual_dps, left, atol=1e-9)
     (told,) = [line for line in result.warnings if "not determined" in line]
     assert told == (
-        "not determined, taken as of perfect gyros: gyro_scale; gyro_misalignment; "
+        "not determined, fixed at perfect gyros: gyro_scale; gyro_misalignment; "
         "turn the part by whole turns about each axis (plan gyro-turns)"
     )
 

@@ -11,12 +11,13 @@ from click.testing import CliRunner
 import adis_gonio
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.faces.cli import app
-from adis_gonio.fitting.estimation import Fit, from_means
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import from_means
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
 from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_of
 from adis_gonio.model import Dwell, Session
 from adis_gonio.model.effects import Conditions, effect
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing.trace import trace, trace_readings
 from recordings import recording
 from tracing.gyro_blind import answer_of, draw, judge
@@ -310,9 +311,8 @@ def test_the_engine_traces_a_third_kind_of_reading_without_a_change_in_it(monkey
     """Its unit ends the names of the errors, its effects alone are offered, forms without a name too."""
     from dataclasses import dataclass
 
-    from adis_gonio.model.effects import registry
-    from adis_gonio.model.effects.base import Parameter
-    from adis_gonio.model.effects.families import LinearAxisEffect
+    from adis_gonio.model import effects as registry
+    from adis_gonio.model.effects.base import LinearAxisEffect, Parameter
 
     @dataclass(frozen=True)
     class Lamp(LinearAxisEffect):

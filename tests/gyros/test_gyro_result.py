@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.values import Value
-from adis_gonio.fitting.estimation.parts import known_part
-from adis_gonio.fitting.estimation.readings import from_means
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.fitting.estimation.readings import from_means, known_part
 from adis_gonio.fitting.gyros import gyro_fit as module
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, GyroScore, fit_gyro, gains_in, gains_of
 from gyros.test_doubtful_gyros import session

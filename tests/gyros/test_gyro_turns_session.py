@@ -98,8 +98,8 @@ def test_plans_that_cannot_be_are_refused(turns, faces, message):
     ("options", "message"),
     [
         (["--plan", "gyro-turns", "--trace"], "leave --check, --extend and --trace out"),
-        (["--plan", "gyro-turns", "--duration", "60"], "--duration is that of a free turn"),
-        (["--plan", "mmpm", "--turns", "2"], "--turns are those of a free turn"),
+        (["--plan", "gyro-turns", "--duration", "60"], "--duration belongs to a free turn"),
+        (["--plan", "mmpm", "--turns", "2"], "--turns belongs to a free turn"),
         (["--plan", "gyro-turns", "--turns", "99"], "take 1 to 20 each way"),
     ],
 )

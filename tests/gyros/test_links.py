@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import adis_gonio
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.answer import Answer
@@ -28,7 +28,7 @@ from adis_gonio.fitting.gyros.gyro_links import GyroPrior
 from adis_gonio.fitting.gyros.turn_integration import PARAMETERS, AssumedGyros, attitude
 from adis_gonio.fitting.linked import _gyros_of, _Judged, linked_readings
 from adis_gonio.fitting.methods import fit_of, fit_readings
-from adis_gonio.fitting.sources import by_rotation_of, response_of
+from adis_gonio.fitting.uncertainty import by_rotation_of, response_of
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Session
@@ -381,7 +381,7 @@ def test_links_are_judged_by_what_they_add_to_chi2_where_the_noise_is_known() ->
     assert _Judged.of(data, _Fixed(links)).chi2 == pytest.approx(linked - alone, rel=1e-3)
     few, links = linked_part(6, np.random.default_rng(6))
     found = _Judged.of(replace(few, known=np.zeros(6, dtype=bool)), _Fixed(links))
-    assert (found.links, found.why) == (None, "nothing tells the noise of the poses")
+    assert (found.links, found.why) == (None, "the noise of the poses is unknown")
 
 
 def test_one_link_of_three_poses_cannot_be_tested_and_two_can() -> None:
@@ -408,11 +408,11 @@ def test_links_that_turn_gravity_elsewhere_are_left_out_and_many_of_them_are_fal
     turned[[2]] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[[2]]
     found = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
     assert found.links is not None
-    assert [(b, a) for b, a, why in found.refused[1:] if "to where it is not" in why] == [(2, 3)]
+    assert [(b, a) for b, a, why in found.refused[1:] if "wrong direction" in why] == [(2, 3)]
     turned[:4] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[:4]
     none = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
     assert none.links is None
-    assert "of 8 the gyros turn gravity to where it is not" in none.why
+    assert "of 8 the gyros turn gravity" in none.why
     assert none.report(calibrated=False).used == 0
     few = _Judged.of(data.rows(np.arange(9) < 2), _Fixed(links))
     assert (few.links, few.why) == (None, "poses are too few to test them by")
@@ -550,9 +550,7 @@ def test_links_join_the_dwells_that_they_lie_between_whatever_is_for_checking(
 ) -> None:
     session = simulated[0]
     dwells = [replace(one, use="check") if k == 3 else one for k, one in enumerate(session.dwells)]
-    readings, report = linked_readings(
-        replace(session, dwells=tuple(dwells)), readings_of(replace(session, dwells=tuple(dwells)))
-    )
+    readings, report = linked_readings(replace(session, dwells=tuple(dwells)))
     links = readings.links
     assert report is not None
     assert links is not None
@@ -569,13 +567,12 @@ def test_links_are_worked_out_once_a_session_and_anew_by_a_calibration(
 ) -> None:
     session, world = simulated
     session = _first(session, 5)
-    readings = readings_of(session)
-    once = linked_readings(session, readings)
-    assert linked_readings(session, readings)[1] is once[1]
-    by_calibration = linked_readings(session, readings, _calibrated(world))
+    once = linked_readings(session)
+    assert linked_readings(session)[1] is once[1]
+    by_calibration = linked_readings(session, _calibrated(world))
     assert by_calibration[1] is not None
     assert by_calibration[1].calibrated
-    assert linked_readings(session, readings)[1] is once[1]
+    assert linked_readings(session)[1] is once[1]
     assert once[1] is not None
     assert not once[1].calibrated
 

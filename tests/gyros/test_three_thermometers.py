@@ -12,7 +12,7 @@ from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.estimation import Fit
+from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.gyros.gyro_readings import rate_intervals, readings_of_intervals
 from adis_gonio.model.effects import effect
@@ -67,7 +67,9 @@ def tempco(data):
     """Coefficients (3,) of `gyro_bias_temperature` and their u, beside zero rates and g-sensitivity."""
     terms = [effect(name, ("x", "y", "z")) for name in ("gyro_bias_temperature", "g_sensitivity")]
     named = tuple(NamedTerm(term.name, (), 0.0, term) for term in terms)
-    begun = Fit.begin(data, with_prior=False).having(named, [np.zeros(len(t.parameters)) for t in terms])
+    begun = Fit.begin(data, with_prior=False).with_terms(
+        named, [np.zeros(len(t.parameters)) for t in terms]
+    )
     names = [*data.model.names, *(p.name for term in terms for p in term.parameters)]
     seen = [not name.startswith("g_") or name[-1] != "z" for name in names]
     found = begun.refit(within=np.eye(len(names))[:, seen])

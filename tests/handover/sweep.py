@@ -71,15 +71,3 @@ def parsed(text: str, axes: int) -> Printed:
 
 def _is_hex(word: str) -> bool:
     return set(word) <= set("0123456789abcdef")
-
-
-def ulps(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Distance of single-precision numbers in units of the last place; 0 between +0 and −0."""
-    assert np.isfinite(one).all()
-    assert np.isfinite(other).all()
-
-    def order(values: np.ndarray) -> np.ndarray:
-        bits = np.ascontiguousarray(values, dtype=np.float32).view(np.int32).astype(np.int64)
-        return np.where(bits < 0, -(bits & 0x7FFFFFFF), bits)
-
-    return np.abs(order(one) - order(other))

@@ -11,8 +11,7 @@ import pytest
 from adis_gonio.base.errors import FitError
 from adis_gonio.calibrate import NotCorrected
 from adis_gonio.handover.certificate import certificate_text
-from adis_gonio.model.effects import effect
-from adis_gonio.model.effects.registry import BUILT_IN
+from adis_gonio.model.effects import BUILT_IN, effect
 from handover.calibrations import CURVED, EVERY, PLANE, SPACE, calibration, of_counts
 from handover.dcc_structure import DCC, SI, judge
 

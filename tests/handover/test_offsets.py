@@ -11,7 +11,7 @@ import pytest
 from adis_gonio import open_sensor
 from adis_gonio.base.errors import FitError
 from adis_gonio.faces.cli import main
-from adis_gonio.handover.offsets import offset_words, registers_text
+from adis_gonio.handover.register_offsets import offset_words, registers_text
 from handover.calibrations import PLANE, calibration
 
 LSB = 0.4672
@@ -21,8 +21,8 @@ def test_the_sign_is_against_the_bias_and_rounding_leaves_half_an_lsb():
     words = offset_words(calibration(PLANE))
     assert [(word.name, word.number) for word in words] == [("XACCL_OFF", -26), ("YACCL_OFF", 60)]
     for word in words:
-        assert word.left_mg == pytest.approx(word.bias_mg + word.number * LSB)
-        assert abs(word.left_mg) <= LSB / 2
+        assert word.remainder == pytest.approx(word.bias + word.number * LSB)
+        assert abs(word.remainder) <= LSB / 2
 
 
 def test_offsets_that_stood_already_are_kept_in_the_sum():
@@ -30,7 +30,7 @@ def test_offsets_that_stood_already_are_kept_in_the_sum():
     held = replace(own, provenance=replace(own.provenance, offsets_lsb=(5, -7, 0)))
     assert [word.number for word in offset_words(held)] == [-26 + 5, 60 - 7]
     assert "5 before" in registers_text(held)
-    assert "does not say what the registers held" in registers_text(own)
+    assert "does not state the contents of the registers" in registers_text(own)
 
 
 def test_the_lines_are_what_the_registers_command_takes_and_the_bias_is_gone(capsys):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adis_gonio.base.errors import CannotOpenError
-from adis_gonio.bench.iio_devices import BufferLayout, IioChannel, SampleFormat, wanted
+from adis_gonio.bench.iio_devices import BufferLayout, IioChannel, SampleFormat, choose_channels
 
 
 @pytest.mark.parametrize(
@@ -69,9 +69,14 @@ def test_units_are_those_of_a_session():
 def test_a_session_takes_three_axes_and_one_column_of_each_kind():
     accel = [IioChannel(f"accel_{axis}") for axis in "xyz"]
     names = [
-        c.id for c in wanted([*accel, IioChannel("temp_x"), IioChannel("temp0"), IioChannel("light")], "")
+        c.id
+        for c in choose_channels(
+            [*accel, IioChannel("temp_x"), IioChannel("temp0"), IioChannel("light")], ""
+        )
     ]
     assert names == ["accel_x", "accel_y", "accel_z", "temp0"]
-    assert [c.id for c in wanted([*accel, IioChannel("anglvel_x")], "")] == names[:3]  # one gyro is no use
+    assert [c.id for c in choose_channels([*accel, IioChannel("anglvel_x")], "")] == names[
+        :3
+    ]  # one gyro is no use
     with pytest.raises(CannotOpenError, match=r"accel_y, accel_z missing"):
-        wanted(accel[:1], "iio:device0")
+        choose_channels(accel[:1], "iio:device0")

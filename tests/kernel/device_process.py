@@ -54,8 +54,7 @@ def _serial(serial: str) -> Made:
 def _pins() -> Any:
     """A simulated chip at rest; imported late, because the guest takes seconds for numpy."""
     from adis_gonio.sim import SimulatedChip, World
-    from adis_gonio.sim.testing.clocks import DeviceClock
-    from adis_gonio.sim.testing.pins import ChipPins
+    from adis_gonio.sim.testing.pins import ChipPins, DeviceClock
 
     world = World(seed=1)
     pins = ChipPins(SimulatedChip(world, world.variant, start_s=-0.5), DeviceClock())

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 
-from adis_gonio.base.values import Value
-from adis_gonio.fleet import SessionRecord
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.fleet.session_record import SessionRecord
 
 UNITS = {"delta_k": "1", "delta_phi": "deg", "bias_x": "mg", "bias_y": "mg", "angle": "deg"}
 

@@ -46,6 +46,6 @@ def recorded(
 
 def run_through(runner: SessionRunner) -> None:
     """To the end, as the plain face does without anybody to ask."""
-    from adis_gonio.faces.cli.plain import PlainBench
+    from adis_gonio.faces.cli.line_prompts import PlainBench
 
     assert PlainBench(runner, auto=True).run()

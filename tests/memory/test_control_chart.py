@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adis_gonio.fleet.memory.control_chart import (
+from adis_gonio.fleet.control_charts import (
     average_run_length,
     between_neighbours,
     control_chart,

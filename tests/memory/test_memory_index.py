@@ -11,8 +11,11 @@ from made_up import made_up
 from recorded import recorded
 
 from adis_gonio.base.errors import DataError
-from adis_gonio.fleet import Store, record_of, run, scan, summarise
-from adis_gonio.fleet.store import NAME
+from adis_gonio.fleet import fleet_run as run
+from adis_gonio.fleet.fleet_run import scan
+from adis_gonio.fleet.fleet_summary import summarise
+from adis_gonio.fleet.session_record import record_of
+from adis_gonio.fleet.store import NAME, Store
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.samples_writer import export_csv
 
@@ -145,7 +148,7 @@ def test_a_damaged_index_is_set_aside_and_made_anew(folder, harm):
     path.write_bytes(content)
     found, rows, problems = listed(folder)
     assert (found.computed, rows) == (3, before)
-    assert "set aside" in problems[0]
+    assert "is damaged" in problems[0]
     assert (folder / f"{NAME}.damaged-1").read_bytes() == bytes(content)
     assert listed(folder)[2] == []
 

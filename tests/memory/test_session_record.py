@@ -10,8 +10,8 @@ from recorded import recorded
 
 import adis_gonio
 from adis_gonio.fitting.answer import Answer
-from adis_gonio.fleet import SessionRecord, record_of
-from adis_gonio.fleet.columns import COLUMNS
+from adis_gonio.fleet.session_record import SessionRecord, record_of
+from adis_gonio.fleet.session_table import COLUMNS
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.samples_writer import export_csv
 from adis_gonio.tracing.traced_answer import answer_with_trace

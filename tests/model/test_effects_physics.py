@@ -5,8 +5,8 @@ import pytest
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects import Conditions, Enters, effect
-from adis_gonio.model.effects.lag import lagged
-from adis_gonio.model.effects.stage import alike
+from adis_gonio.model.effects.base import lagged
+from adis_gonio.model.effects.stage_terms import alike
 
 TURN = 2 * np.pi * np.arange(48) / 48
 

@@ -3,7 +3,7 @@
 import pytest
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.model.gravity import normal_gravity_mps2
+from adis_gonio.model.records import normal_gravity_mps2
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 import pytest
 
-from adis_gonio.handover.paper import reproduce
+from adis_gonio.handover.paper_study import reproduce
 
 
 @pytest.fixture(scope="package")

@@ -10,20 +10,28 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.handover.paper import TABLE, truth_of
-from adis_gonio.handover.paper import sessions as through_chip
-from adis_gonio.handover.paper.ambiguities import two_readings
-from adis_gonio.handover.paper.comparison import errors_with_bias, printed_verdicts, spread_of
-from adis_gonio.handover.paper.crossing import (
+from adis_gonio.handover import paper_study as through_chip
+from adis_gonio.handover.paper_map import (
     MMPM_ANGLES_DEG,
+    TABLE,
     Draws,
     Point,
     crossing_deg,
     errors,
     estimates,
+    truth_of,
 )
-from adis_gonio.handover.paper.crossing import readings as by_readings
-from adis_gonio.handover.paper.sessions import MethodValues, Part, Results, measured, quantities
+from adis_gonio.handover.paper_map import readings as by_readings
+from adis_gonio.handover.paper_study import (
+    MethodValues,
+    Part,
+    Results,
+    errors_with_bias,
+    measured,
+    printed_verdicts,
+    quantities,
+    spread_of,
+)
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
 from paper import by_hand
@@ -179,7 +187,8 @@ def test_the_printed_table_has_mmpm_nearer_everywhere_but_for_the_sign_of_n():
 
 
 def test_equation_5_is_off_by_delta_phi_tan_alpha():
-    x1, _, _, y2 = two_readings(20.0)
+    at = by_readings(truth_of("x"), [0.0, 90.0], np.radians([20.0]), np.zeros((1, 2)), np.zeros((1, 2, 2)))
+    x1, _, _, y2 = at[0].ravel()
     off = x1 / -y2 - 1 - truth_of("x").delta_k
     assert off == pytest.approx(math.radians(0.0612) * math.tan(math.radians(20)), rel=0.01)
 

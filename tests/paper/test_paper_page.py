@@ -7,8 +7,8 @@ import shlex
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.handover.paper import TABLE
-from adis_gonio.handover.paper.page import build_page, sections
+from adis_gonio.handover.paper_map import TABLE
+from adis_gonio.handover.paper_page import build_page, sections
 from report.browser import browser, missing
 
 WIDTHS = (360, 800, 1000, 1400)
@@ -57,49 +57,6 @@ def test_every_section_with_a_table_or_a_figure_carries_the_command_that_makes_i
             )
 
 
-@pytest.mark.parametrize(
-    "word",
-    [
-        "U_x′",
-        "sign of the turn",
-        "Equation 10",
-        "45°",
-        "g/deg/s",
-        "jump of sign",
-        "static load",
-        "ADIS16534",
-    ],
-)
-def test_every_ambiguity_is_stated_with_its_reading_and_reason(small, page, word):
-    assert word in page
-    stated = [one for one in small.ambiguities if word in f"{one.what} {one.why}"]
-    assert stated
-    assert all(one.reading and one.why for one in stated)
-
-
-def values_of(small, word):
-    one = next(one for one in small.ambiguities if word in one.what)
-    return {value.name: value.value for value in one.values}
-
-
-def test_what_another_reading_gives_is_computed(small):
-    turned = values_of(small, "jump of sign")
-    assert turned["N by MMPM, turned the other way (modulo 180°)"] == pytest.approx(-0.0612, abs=1e-9)
-    other = values_of(small, "U_x′")
-    assert other["ΔK with U_x′ = −U_y2"] == pytest.approx(0.00049, abs=1e-5)
-    assert other["ΔK with U_x′ = U_x2 (X itself after the turn)"] > 10
-    spreads = values_of(small, "45°")
-    # The theory's figures: 0.008° at 5°, 0.0165° at 30°, 0.28° at 44°; the closed form 0.008° at 45°.
-    assert spreads["spread of Δφ at α = 5°"] == pytest.approx(0.008, rel=0.1)
-    assert spreads["spread of Δφ at α = 30°"] == pytest.approx(0.0165, rel=0.1)
-    assert spreads["spread of Δφ at α = 45°"] > 1
-    assert spreads["the same at 45° by two-position"] == pytest.approx(0.008, rel=0.1)
-    load = values_of(small, "static load")
-    assert load["ΔK by paper moves by"] == pytest.approx(0.003, rel=0.1)
-    assert abs(load["ΔK by mmpm moves by"]) < 1e-4
-    assert load["offset of X by mmpm moves by"] == pytest.approx(0.0015, rel=0.1)  # K2/2: the mean of cos²
-
-
 def test_the_command_beside_a_session_records_it_again(small, tmp_path, capsys):
     part = small.results["x"][0]
     words = shlex.split(part.part.command("mmpm", str(tmp_path / "one.session")))
@@ -113,7 +70,9 @@ def test_the_command_beside_a_session_records_it_again(small, tmp_path, capsys):
 
 def test_the_command_writes_page_and_document(small, page, monkeypatch, tmp_path, capsys):
     asked = []
-    monkeypatch.setattr("adis_gonio.handover.paper.reproduce", lambda *given: asked.append(given) or small)
+    monkeypatch.setattr(
+        "adis_gonio.handover.paper_study.reproduce", lambda *given: asked.append(given) or small
+    )
     path = tmp_path / "page.html"
     assert main(["paper", "-o", str(path), "--json", "--seed", "7", "--sessions", "2"]) == 0
     assert asked == [(7, 2)]

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.plan import plan_by, read_plan, write_plan
-from adis_gonio.plan.document import document_of, plan_from
+from adis_gonio.plan import find_plan, read_plan, write_plan
+from adis_gonio.plan.plan_file import document_of, plan_from
 from adis_gonio.record.plans import PLAN_NAMES, Plan, Position, plan
 
-PAGE = (Path(__file__).parents[2] / "docs" / "plans.md").read_text("utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
 
 MADE = Plan(
     "angle-4",
@@ -24,7 +24,7 @@ def test_a_plan_is_read_as_it_was_written(tmp_path):
     path = tmp_path / "best.json"
     write_plan(path, MADE, {"best": "angle", "figure": float("nan")})
     assert read_plan(path) == MADE
-    assert plan_by(str(path)) == MADE
+    assert find_plan(str(path)) == MADE
     assert json.loads(path.read_text("utf-8"))["made_for"] == {"best": "angle", "figure": None}
 
 
@@ -36,19 +36,19 @@ def test_a_position_needs_no_more_than_its_angle():
 
 @pytest.mark.parametrize("name", PLAN_NAMES)
 def test_a_name_is_the_plan_of_that_name(name):
-    assert plan_by(name) == plan(name)
+    assert find_plan(name) == plan(name)
 
 
 def test_check_positions_are_added_and_a_number_of_positions_is_refused(tmp_path):
     path = tmp_path / "best.json"
     write_plan(path, MADE)
-    assert sum(p.use == "check" for p in plan_by(str(path), check=2).positions) == 3
+    assert sum(p.use == "check" for p in find_plan(str(path), check=2).positions) == 3
     with pytest.raises(UsageError, match="leave --positions out"):
-        plan_by(str(path), 5)
+        find_plan(str(path), 5)
     with pytest.raises(UsageError, match="did you mean 'tumble'"):
-        plan_by("tumbel")
+        find_plan("tumbel")
     with pytest.raises(DataError, match="cannot be read"):
-        plan_by(str(tmp_path / "none.json"))
+        find_plan(str(tmp_path / "none.json"))
 
 
 def changed(*keys, to):
@@ -103,9 +103,9 @@ def test_what_is_wrong_is_told_in_one_line_by_its_field(document, told, tmp_path
 @pytest.mark.parametrize(
     ("before", "after", "told"),
     [
-        ('"plane": "xy"', '"plane": "xy", "name": "other"', "'name' stands there twice"),
-        ('"angle_deg": 90.0', '"angle_deg": 90.0, "angle_deg": 91.0', "'angle_deg' stands there twice"),
-        ('"plane": "xy"', '"plane": "xy", "made_for": {"a": 1, "a": 2}', "'a' stands there twice"),
+        ('"plane": "xy"', '"plane": "xy", "name": "other"', "'name' is given twice"),
+        ('"angle_deg": 90.0', '"angle_deg": 90.0, "angle_deg": 91.0', "'angle_deg' is given twice"),
+        ('"plane": "xy"', '"plane": "xy", "made_for": {"a": 1, "a": 2}', "'a' is given twice"),
     ],
 )
 def test_a_field_that_stands_twice_is_told_and_none_of_both_taken(before, after, told, tmp_path):
@@ -140,10 +140,10 @@ def test_a_plan_of_nothing_but_checks_is_refused():
         plan_from(document)
 
 
-def test_the_page_shows_a_plan_that_is_read_and_code_that_runs(capsys):
-    (shown,) = re.findall(r"```json\n(.*?)```", PAGE, re.S)
+def test_the_pages_show_a_plan_that_is_read_and_code_that_runs(capsys):
+    (shown,) = re.findall(r"```json\n(.*?)```", (DOCS / "files.md").read_text("utf-8"), re.S)
     assert len(plan_from(json.loads(shown))) == 4
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    (code,) = re.findall(r"```python\n(.*?)```", (DOCS / "plans.md").read_text("utf-8"), re.S)
     exec(compile(code, "docs/plans.md", "exec"), {})
     told = capsys.readouterr().out.splitlines()
     assert "bias_drift.drift_x" in told[0]

@@ -10,9 +10,9 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.estimation import readings_of
+from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.plan import Bench, best_plan, predict
-from adis_gonio.plan.imagined import imagined
+from adis_gonio.plan.prediction import expected_readings
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.tracing.trace import trace_readings
@@ -55,7 +55,7 @@ def test_a_session_through_the_chip_has_the_noise_and_the_uncertainties_that_wer
         for _ in runner.run():
             pass
     session = load_session(tmp_path / "s.session")
-    measured, foreseen = readings_of(session), imagined(made, bench)
+    measured, foreseen = readings_of(session), expected_readings(made, bench)
     assert measured.samples.tolist() == foreseen.samples.tolist()
     own = [np.sqrt(np.trace(r.own_covariance[0]) / 2) for r in (measured, foreseen)]
     assert own[0] == pytest.approx(own[1], rel=0.1)
@@ -97,7 +97,7 @@ def test_what_is_detectable_is_what_a_trace_of_such_a_session_says():
     bench = Bench(0.02)
     made = plan("mmpm")
     case = statistics.Case("mmpm", made, bench)
-    readings, _, _ = statistics.drawn(case, np.random.default_rng(5), imagined(made, bench))
+    readings, _, _ = statistics.drawn(case, np.random.default_rng(5), expected_readings(made, bench))
     traced = trace_readings(readings)
     assert [finding.effect for finding in traced.found] == ["bias"]
     foreseen = predict(made, bench).sight.detectable
@@ -110,7 +110,7 @@ def test_what_is_detectable_is_what_a_trace_of_such_a_session_says():
 
 def test_a_pair_that_nothing_tells_apart_is_named_and_order_tells_it():
     def alike(made):
-        pairs = predict(made, Bench(0.02)).sight.alike
+        pairs = predict(made, Bench(0.02)).sight.confounded
         return {frozenset((pair.one, pair.other)) for pair in pairs}
 
     assert frozenset(("quadratic", "cross_quadratic")) in alike(plan("mmpm"))

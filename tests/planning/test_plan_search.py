@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.plan import Bench, best_plan, fewest, within
-from adis_gonio.plan.best import even, interleaved
-from adis_gonio.plan.candidates import candidates
-from adis_gonio.plan.imagined import LARGEST_FIXTURE_DEG, imagined
-from adis_gonio.plan.prediction import reach_of
-from adis_gonio.plan.search import search
+from adis_gonio.plan import Bench, best_plan, fewest_positions, positions_in
+from adis_gonio.plan.optimal_plan import even_plan, interleaved_plan
+from adis_gonio.plan.plan_search import candidates, search
+from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, expected_readings, predict_uncertainty
 from adis_gonio.record.plans import plan
 
 QUIET = Bench(0.02, flicker_mg=0.0)
@@ -31,7 +29,7 @@ def test_no_plan_of_all_there_are_is_better_than_the_one_found(best, beware):
     )
     scores = criterion(np.array([ground.information(choice) for choice in every]))
     rng = np.random.default_rng(1)
-    starts = [ground.nearest(even(4)), *(every[k] for k in rng.integers(0, len(every), 8))]
+    starts = [ground.nearest(even_plan(4)), *(every[k] for k in rng.integers(0, len(every), 8))]
     found = search(ground, criterion, starts, rng)
     # The simplest order may cost a thousandth, and nothing else may.
     assert scores.max() - 1e-3 <= found.score <= scores.max() + 1e-9
@@ -136,24 +134,24 @@ def test_order_is_what_separates_drift_from_the_angle_and_both_sides_show_backla
     along = abs(np.corrcoef(time, np.cos(np.radians(angles)))[0, 1])
     assert along < 0.3
     assert found.prediction.sight.detectable["backlash"].amplitude is not None
-    alike = [{pair.one, pair.other} for pair in found.prediction.sight.alike]
+    alike = [{pair.one, pair.other} for pair in found.prediction.sight.confounded]
     assert {"bias_drift", "backlash"} not in alike
 
 
 def test_fewest_is_the_fewest_and_time_is_what_a_session_expects():
     bench = Bench(0.05)
-    found = fewest(bench, 0.022, grid_deg=15.0)
+    found = fewest_positions(bench, 0.022, grid_deg=15.0)
     count = len(found.plan)
     assert found.prediction.reach.angle.u <= 0.022
     assert count > 4
     assert best_plan(bench, count - 1, grid_deg=15.0).prediction.reach.angle.u > 0.022
-    assert within(bench, 4.0) == math.floor(240 / 20.5)
+    assert positions_in(bench, 4.0) == math.floor(240 / 20.5)
     assert found.prediction.seconds == pytest.approx(20.5 * count)
 
 
 def test_interleaved_angles_are_the_even_ones_in_another_order():
-    assert sorted(p.angle_deg for p in interleaved(11).positions) == [
-        p.angle_deg for p in even(11).positions
+    assert sorted(p.angle_deg for p in interleaved_plan(11).positions) == [
+        p.angle_deg for p in even_plan(11).positions
     ]
 
 
@@ -181,7 +179,7 @@ def test_what_cannot_be_searched_for_is_told_in_one_line(arguments, told):
 
 @pytest.mark.parametrize(("name", "deg"), [("four-position", 10.0), ("tumble", LARGEST_FIXTURE_DEG)])
 def test_a_wide_stage_is_still_in_the_angles_uncertainty(name, deg):
-    at_1, there = (reach_of(plan(name), Bench(f)).angle.u for f in (1.0, deg))
+    at_1, there = (predict_uncertainty(plan(name), Bench(f)).angle.u for f in (1.0, deg))
     assert there == pytest.approx(deg * at_1, rel=0.05)
 
 
@@ -196,7 +194,7 @@ def test_a_bench_that_there_is_not_is_refused():
         Bench(0.0, noise_mg=0.0, flicker_mg=0.0)
     for minutes in (0.1, 1000.0, math.nan):
         with pytest.raises(UsageError, match="minutes"):
-            within(QUIET, minutes)
+            positions_in(QUIET, minutes)
     with pytest.raises(UsageError, match="single reading"):
-        fewest(QUIET, 1e-5)
-    assert len(imagined(even(5), QUIET)) == 5
+        fewest_positions(QUIET, 1e-5)
+    assert len(expected_readings(even_plan(5), QUIET)) == 5

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
+from scipy.special import logsumexp
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.fleet.population import PopulationResult, trace_population
-from adis_gonio.fleet.population.mixture import Block, grid_of, log_factor, log_sum
-from adis_gonio.fleet.population.units import inflations
+from adis_gonio.fleet.population_likelihood import Block, grid_of, inflations, log_factor
+from adis_gonio.fleet.population_trace import PopulationResult, trace_population
 from population.units import drawn, evidence_with
 from tracing.named_truth import catalogued_term
 
@@ -50,7 +50,7 @@ def test_the_expectation_of_the_average_over_the_grid_is_one_without_an_effect()
     block = Block(score, np.ones((len(score), 1, 1)))
     for size, spread in ((0.0, 0.7), (0.7, 0.25)):
         assert np.exp(log_factor(block, np.array([size]), spread)).mean() == pytest.approx(1.0, abs=0.02)
-    assert log_sum(grid_of(2).log_priors) == pytest.approx(0.0, abs=1e-12)
+    assert logsumexp(grid_of(2).log_priors) == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("sign", ["common", "random"])
@@ -181,7 +181,7 @@ def test_a_ratio_that_the_common_noise_cannot_explain_is_taken_as_it_is() -> Non
 
 def test_too_few_sessions_and_unknown_groupings_are_refused() -> None:
     every = drawn(np.random.default_rng(2), 4)
-    with pytest.raises(UsageError, match="5 at least"):
+    with pytest.raises(UsageError, match="at least 5"):
         trace_population(every)
     with pytest.raises(UsageError, match="moon"):
         trace_population(every, by=("moon",))

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from adis_gonio.fleet.population import SessionEvidence, evidence_of
+from adis_gonio.fleet.session_evidence import SessionEvidence, evidence_of
 from adis_gonio.model.records import Dwell, Session
 from tracing.named_truth import Term
 from tracing.plans import Bench, draw_bench, draw_noise

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.base.values import Value
-from adis_gonio.fleet import FoundEffect, SessionRecord, summarise
-from adis_gonio.fleet.memory import history_of
-from adis_gonio.fleet.memory.history_page import history_page
-from adis_gonio.fleet.page import build_page
-from adis_gonio.fleet.run import Repeated
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.fleet.fleet_pages import build_page, history_page
+from adis_gonio.fleet.fleet_run import Repeated
+from adis_gonio.fleet.fleet_summary import summarise
+from adis_gonio.fleet.sensor_history import history_of
+from adis_gonio.fleet.session_record import FoundEffect, SessionRecord
 from fleet.sessions import quiet_rows, row
 from report.browser import Browser, browser, missing
 

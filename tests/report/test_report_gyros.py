@@ -9,8 +9,8 @@ import pytest
 from adis_gonio import fit
 from adis_gonio.base.numbers import NO_BREAK, format_number, format_uncertain
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
-from adis_gonio.handover.report.gyros import by_gyro, gyro_section, how_well
-from adis_gonio.handover.report.page import build_page
+from adis_gonio.handover.calibration_report import build_page
+from adis_gonio.handover.gyro_report import gyro_section, gyro_table, uncertainty_sentence
 from adis_gonio.record.loading import load_session
 from recordings import recording
 
@@ -56,9 +56,9 @@ def test_one_gain_of_three_is_told_apart_from_those_that_are_not_known(session, 
     result = fit_gyro(session)
     value = result["gyro_bias_z"]
     one = replace(result, parameters={**result.parameters, "gyro_scale_z": value})
-    (gains,) = [row for row in by_gyro(one).rows if row[0] == "gain"]
+    (gains,) = [row for row in gyro_table(one).rows if row[0] == "gain"]
     assert gains[1:] == ["–", "–", format_uncertain(value.value, value.u)]
-    assert f"gains to {format_number(100 * value.u, 2)} % (1 of them)" in how_well(one)
+    assert f"gains to {format_number(100 * value.u, 2)} % (1 of them)" in uncertainty_sentence(one)
 
 
 def test_what_is_not_determined_and_dwells_left_out_are_said(section):

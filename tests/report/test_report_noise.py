@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.handover.report.allan import noise_section
+from adis_gonio.handover.gyro_report import noise_section
 from allan_statistics import Case
 from report.rests import rests, rests_csv
 

@@ -192,7 +192,7 @@ def test_an_empty_plot_is_still_a_plot():
 
 def test_figures_are_drawn_without_a_window_system_and_only_when_asked_for():
     code = (
-        "import sys, adis_gonio.handover.report.page\n"
+        "import sys, adis_gonio.handover.calibration_report\n"
         "assert 'matplotlib' not in sys.modules\n"
         "from adis_gonio.page.svg import Series, plot\n"
         "plot([Series([0], [0])], 'x', 'y', title='t')\n"

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.sim import SimulatedChip
 from adis_gonio.sim.chip import SELF_TEST_BITS
-from adis_gonio.sim.inputs import Inputs
+from adis_gonio.sim.sampling import Inputs
 from rig_simavr.line_chip import FRAME, INPUTS, LineChip
 
 CHOICES = {

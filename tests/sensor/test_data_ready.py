@@ -19,9 +19,8 @@ from adis_gonio.record.plans import plan
 from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings
 from adis_gonio.sim import SimBus, SimulatedChip, World
-from adis_gonio.sim.testing.clocks import VirtualClock
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
 from fakes.serial_port import FakePort
 
 SEED = 4
@@ -103,10 +102,10 @@ def test_edges_at_another_rate_than_the_samples_are_refused_and_the_register_is_
 
 @pytest.mark.parametrize("off", [-0.05, 0.05])
 def test_a_chip_whose_clock_is_some_percent_off_is_believed(monkeypatch, off):
-    from adis_gonio.sim import rules
+    from adis_gonio.sim import chip
 
-    nominal = rules.update_period_s
-    monkeypatch.setattr(rules, "update_period_s", lambda word: nominal(word) * (1 + off))
+    nominal = chip.update_period_s
+    monkeypatch.setattr(chip, "update_period_s", lambda word: nominal(word) * (1 + off))
     board = Board(monkeypatch)
     with Adis16354(board.bus) as sensor, sensor.stream() as stream:
         assert isinstance(stream, StreamedScans)

@@ -19,8 +19,7 @@ from adis_gonio.base.errors import (
 )
 from adis_gonio.device.bus import Capability
 from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, Alarm
-from adis_gonio.device.sensor.frames import FAST, NORMAL
-from adis_gonio.device.sensor.registers import BY_NAME, REGISTERS
+from adis_gonio.device.sensor.registers import BY_NAME, FAST, NORMAL, REGISTERS
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.chip import State
 from adis_gonio.sim.sampling import OUTPUTS, SignalChain
@@ -219,7 +218,7 @@ def test_changing_a_field_leaves_the_others(sensor):
     assert sensor.read("MSC_CTRL") == 0x00C4
     sensor.self_test()
     assert sensor.read("MSC_CTRL") == 0x00C4  # a 16-bit write for the self-test would have cleared it
-    with pytest.raises(UsageError, match="holds 0 to 1"):
+    with pytest.raises(UsageError, match="0 to 1"):
         sensor.write_fields("MSC_CTRL", data_ready=2)
 
 
@@ -338,7 +337,7 @@ def test_rows_that_may_mix_updates_say_so_and_those_that_cannot_do_not():
     bus = SlowBus(open_bus(f"{SIM}&stream=0"))
     with Adis16354(bus).stream(block_scans=20) as stream:
         next(stream)
-        assert "may stem from two or more neighbouring updates" in stream.caveat
+        assert "two or more neighbouring updates" in stream.caveat
         bus.wait_s = 0.0
         for _ in range(3):
             next(stream)

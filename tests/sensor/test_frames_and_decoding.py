@@ -7,8 +7,15 @@ from hypothesis import strategies as st
 
 from adis_gonio.base.errors import ChipError, UsageError
 from adis_gonio.device.sensor.decoding import ScanBlock, decode_numbers, join
-from adis_gonio.device.sensor.frames import FAST, NORMAL, read_frame, timing_for, write_frames
-from adis_gonio.device.sensor.registers import BY_NAME, REGISTERS
+from adis_gonio.device.sensor.registers import (
+    BY_NAME,
+    FAST,
+    NORMAL,
+    REGISTERS,
+    read_frame,
+    timing_for,
+    write_frames,
+)
 from adis_gonio.device.sensor.settings import (
     Configuration,
     filter_settling_samples,

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adis_gonio.faces.serve import protocol
-from adis_gonio.faces.serve.protocol import (
+from adis_gonio.faces.serve import iiod_protocol as protocol
+from adis_gonio.faces.serve.iiod_protocol import (
     Close,
     Errno,
     Exit,

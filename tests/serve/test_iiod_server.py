@@ -15,8 +15,7 @@ import pytest
 from adis_gonio.base.errors import BusTimeoutError
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
-from adis_gonio.faces.serve.client import MOST_PENDING
-from adis_gonio.faces.serve.server import SEND_BUFFER
+from adis_gonio.faces.serve.iio_server import MOST_PENDING, SEND_BUFFER
 from adis_gonio.sim.bus import SimBus
 from fakes.counting_bus import CountingBus
 from programs import running

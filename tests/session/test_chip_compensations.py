@@ -5,8 +5,8 @@ import pytest
 from adis_gonio.bench.events import Configured
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
-from adis_gonio.faces.cli.plain import configured
-from adis_gonio.handover.report.sections import facts
+from adis_gonio.faces.cli.line_prompts import configuration_lines
+from adis_gonio.handover.calibration_report import facts
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
@@ -26,7 +26,7 @@ def test_a_session_and_its_report_say_what_the_chip_compensates_and_nothing_wher
         sensor.configure(**dict.fromkeys(bits, True))
         runner = SessionRunner.begin(sensor, path, plan("two-position"), Settings(dwell_s=1.0), auto=True)
         (seen,) = [event for event in runner.run() if isinstance(event, Configured)]
-    said = [line for line in configured(seen) if "compensates" in line]
+    said = [line for line in configuration_lines(seen) if "compensates" in line]
     assert said == ([f"  the chip compensates {', '.join(SAID[bit] for bit in bits)}"] if bits else [])
     session = load_session(path)
     assert {name: session.facts["configuration"][name] for name in SAID} == {

@@ -22,10 +22,10 @@ from forging import DEEP, HUGE, exchanged_in, forge, put
 import adis_gonio
 from adis_gonio.base.errors import AdisGonioError, DataError
 from adis_gonio.base.output import write_utf8
-from adis_gonio.calibrate.document import calibration_from
+from adis_gonio.calibrate.calibration_document import calibration_from
 from adis_gonio.faces import cli
-from adis_gonio.fitting.estimation.flicker import covariance_of_means
-from adis_gonio.plan.document import document_of, read_plan
+from adis_gonio.fitting.estimation.spectrum import covariance_of_means
+from adis_gonio.plan.plan_file import document_of, read_plan
 from adis_gonio.record import database, samples_reader
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
@@ -200,7 +200,7 @@ def test_expressions_of_a_stranger_are_refused(recorded, tmp_path, statement):
 def test_a_statement_that_goes_on_is_stopped(recorded, monkeypatch):
     monkeypatch.setattr(database, "MOST_STEPS", 100_000)
     with ArchiveView(recorded) as view:
-        with pytest.raises(DataError, match="within bounds"), database.explained(recorded):
+        with pytest.raises(DataError, match="within bounds"), database.translated_errors(recorded):
             view._connection.execute(f"{ENDLESS} SELECT max(i) FROM n").fetchone()
         assert len(view.attempts()) == 4  # another statement has steps of its own
 

@@ -8,7 +8,7 @@ import pytest
 
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.fitting import fit
-from adis_gonio.model.gravity import checked_gravity_mps2
+from adis_gonio.model.records import checked_gravity_mps2
 from adis_gonio.record.loading import Overrides, load_session
 from fakes import planar_session as planar
 

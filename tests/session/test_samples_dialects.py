@@ -225,7 +225,7 @@ def test_units_of_accelerations_in_the_header(tmp_path, unit, expected, style):
         ("time_s,position,ax [g],ay", "do not have one unit"),
         ("time_s,position,acc_x,ay,accel_x", "--columns ax=accel_x"),
         ("a,b,c,d", "say which are which, such as --columns 'time=a,ax=b,ay=c'"),
-        ("0,0,1,2", "the first row holds numbers"),
+        ("0,0,1,2", "no header row"),
         ("time_s,position,x,y", "--columns 'ax=x,ay=y'"),
     ],
 )

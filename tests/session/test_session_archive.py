@@ -197,9 +197,9 @@ def test_an_existing_file_is_never_overwritten(tmp_path):
 def test_a_file_that_was_left_empty_can_be_begun_anew(tmp_path):
     path = tmp_path / "a.session"
     path.touch()
-    with pytest.raises(SessionError, match="holds no session yet"):
+    with pytest.raises(SessionError, match="no session yet"):
         Archive.open_existing(path)
-    with pytest.raises(SessionError, match="holds no session yet"):
+    with pytest.raises(SessionError, match="no session yet"):
         read_session(path)
     begun(path).close()
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
-from adis_gonio.base.levels import POSITION_QUESTIONED
-from adis_gonio.bench.events import DwellDone, Problem
-from adis_gonio.bench.guards import GUARD_KINDS
+from adis_gonio.base.uncertainty import POSITION_QUESTIONED
+from adis_gonio.bench.events import DwellDone, GuardKind, Problem
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.model.effects import catalogue
@@ -22,7 +23,7 @@ def alarms(url, path, name, positions=None):
             sensor, path, plan(name, positions), QUICK, auto=True, fixture_sigma_deg=0.02
         )
         events = list(runner.run())
-    found = [event for event in events if isinstance(event, Problem) and event.kind in GUARD_KINDS]
+    found = [event for event in events if isinstance(event, Problem) and event.kind in get_args(GuardKind)]
     return found, sum(isinstance(event, DwellDone) for event in events)
 
 

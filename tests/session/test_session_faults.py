@@ -28,7 +28,7 @@ from adis_gonio.device.sensor import Adis16354, open_sensor
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ACCEL_OUT, EA, ND
 from adis_gonio.record.archive import ArchiveView
-from adis_gonio.record.blocks import alarms_of
+from adis_gonio.record.blocks import find_alarms
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.samples_writer import export_csv, session_dict
@@ -258,11 +258,11 @@ def test_alarms_are_counted_in_runs_with_their_times():
     words = np.full((10, 3), ND, np.uint16)
     words[[2, 3, 7], 1] |= EA  # in one register alone: EA rose while the scan ran
     scans = ScanBlock(ACCEL_OUT, words, 5.0 + 0.01 * np.arange(10))
-    found = alarms_of(scans)
+    found = find_alarms(scans)
     assert (found.scans, found.times) == (3, 2)
     assert found.first_s == pytest.approx(0.02)
     assert found.longest_s == pytest.approx(0.02)
     words[9] |= EA  # up to the very end
-    assert alarms_of(scans).times == 3
+    assert find_alarms(scans).times == 3
     words[:] = ND
-    assert alarms_of(scans) is None
+    assert find_alarms(scans) is None

@@ -290,9 +290,9 @@ def test_a_guard_that_stops_again_and_again_says_that_a_dwell_before_may_be_wron
             hand.see(runner, event)
     stops = hand.guards
     assert {guard.kind for guard in stops} == {"not_moved"}
-    assert "undo what was before" not in stops[0].message
+    assert "undo the earlier dwell" not in stops[0].message
     assert [guard.values["times"] for guard in stops[1:]] == [2.0, 3.0]
-    assert all("undo what was before" in guard.message for guard in stops[1:])
+    assert all("undo the earlier dwell" in guard.message for guard in stops[1:])
     assert event.complete
     assert not read_session(path).facts["doubts"]
     assert right(sensor, path)

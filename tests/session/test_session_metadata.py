@@ -11,8 +11,8 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
-from adis_gonio.handover.report.page import build_page
-from adis_gonio.model.gravity import ON_EARTH_MPS2, checked_gravity_mps2, normal_gravity_mps2
+from adis_gonio.handover.calibration_report import build_page
+from adis_gonio.model.records import ON_EARTH_MPS2, checked_gravity_mps2, normal_gravity_mps2
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.samples_writer import export_csv, export_json

@@ -432,7 +432,7 @@ def test_repeat_is_not_offered_before_the_first_dwell(sensor, path):
     for event in runner.run():
         if isinstance(event, PositionAsked):
             assert not event.can_repeat
-            with pytest.raises(UsageError, match="answers no question that stands"):
+            with pytest.raises(UsageError, match="open question"):
                 runner.repeat()
             runner.stop()
     with pytest.raises(UsageError):

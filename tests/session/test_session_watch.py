@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import SessionError
-from adis_gonio.device.sensor.bartlett import white_gain
-from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.record.stillness import NoiseMeter, StillnessLimits, StillnessWatch, window_samples
 
 WINDOW = 200
@@ -28,7 +27,7 @@ def test_window_spans_a_quarter_second_or_eight_settling_times():
 
 def test_white_noise_gain_is_the_filters_table():
     table = [1.000, 0.612, 0.415, 0.290, 0.204, 0.144, 0.102]
-    assert [white_gain(m) for m in range(7)] == pytest.approx(table, rel=0.01)
+    assert [white_noise_gain(m) for m in range(7)] == pytest.approx(table, rel=0.01)
 
 
 def test_noise_is_measured_at_rest_whatever_the_block_length():

@@ -374,7 +374,7 @@ def test_the_url_draws_them_from_a_stream_of_its_own_and_what_is_given_stands():
 
 
 def test_no_other_word_draws_gyros_and_no_axis_leans_beyond_ninety_degrees():
-    with pytest.raises(UsageError, match="ideal or realistic"):
+    with pytest.raises(UsageError, match="ideal, realistic"):
         open_simulated("sim:?gyros=reel")
     with pytest.raises(UsageError, match="gyro_misalignment_y"):
         World(WorldSettings(gyro_misalignment_yx_deg=80.0, gyro_misalignment_yz_deg=60.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.bench.guards import Guard, GyroIntegral, Stand, diagnosed, with_three_angles
+from adis_gonio.bench.guards import Guard, GyroIntegral, PartPosition, add_diagnosis, diagnose_positions
 from adis_gonio.record.expectation import PriorKnowledge
 
 SPREAD = PriorKnowledge(bias_mg=10.0, reading_mg=0.5, fixture_deg=0.05)
@@ -23,7 +23,7 @@ def stands(stood_deg, asked_deg, *, sense=1, gyro=True, push_mg=(0.0, 0.0), seed
     means[-1] += push_mg
     turned = [None, *(0.992 * sense * np.diff(stood))]
     return [
-        Stand(
+        PartPosition(
             float(asked),
             mean,
             None if angle is None or not gyro else GyroIntegral(np.array([0, 0, angle]), 1.0, 0.2),
@@ -40,38 +40,38 @@ ASKED = [0.0, 40.0, 80.0, 120.0, 160.0, 200.0]
 def test_right_positions_raise_nothing(sense, seed):
     for n in range(2, 7):
         some = stands(ASKED[:n], ASKED[:n], sense=sense, seed=seed)
-        assert with_three_angles(None, diagnosed(some, SPREAD, sense), some, sense) is None
+        assert add_diagnosis(None, diagnose_positions(some, SPREAD, sense), some, sense) is None
 
 
 @pytest.mark.parametrize("sense", [1, -1])
 def test_a_guard_says_how_far_off_the_part_stands_and_by_what(sense):
     some = stands([*ASKED[:5], 203.5], ASKED, sense=sense)
-    guard = with_three_angles(OFF, diagnosed(some, SPREAD, sense), some, sense)
-    assert "by gravity and gyro the part stands +3." in guard.message
+    guard = add_diagnosis(OFF, diagnose_positions(some, SPREAD, sense), some, sense)
+    assert "by gravity and gyro the part is +3." in guard.message
     assert guard.values["found_deg"] == pytest.approx(3.5, abs=0.3)
     assert guard.values["off_deg"] == 1.0
 
 
 def test_a_part_that_was_pushed_is_not_called_turned_to_another_place():
     some = stands(ASKED, ASKED, push_mg=(35.0, 40.0))
-    guard = with_three_angles(OFF, diagnosed(some, SPREAD, 1), some, 1)
-    assert "the gyro turned as asked and gravity does not fit" in guard.message
+    guard = add_diagnosis(OFF, diagnose_positions(some, SPREAD, 1), some, 1)
+    assert "the gyro turned as requested" in guard.message
 
 
 def test_an_exchanged_position_is_named_with_the_other():
     some = stands([0.0, 40.0, 160.0, 120.0, 80.0], [0.0, 40.0, 80.0, 120.0, 160.0])
-    guard = with_three_angles(None, diagnosed(some, SPREAD, 1), some, 1)
+    guard = add_diagnosis(None, diagnose_positions(some, SPREAD, 1), some, 1)
     assert guard.kind == "wrong_angle"
-    assert "stands where 80° was asked for" in guard.message
+    assert "the place of 80°" in guard.message
 
 
 def test_what_was_kept_against_a_guard_is_not_held_against_the_next_position():
     some = stands([0.0, 40.0, 87.0, 120.0, 160.0], [0.0, 40.0, 80.0, 120.0, 160.0])
-    some[2] = Stand(None, some[2].mean_mg, some[2].turn)
-    assert with_three_angles(None, diagnosed(some, SPREAD, 1), some, 1) is None
+    some[2] = PartPosition(None, some[2].mean_mg, some[2].turn)
+    assert add_diagnosis(None, diagnose_positions(some, SPREAD, 1), some, 1) is None
 
 
 def test_other_guards_stay_as_they_are():
     some = stands([*ASKED[:5], 160.0], ASKED)
     still = Guard("not_moved", "the part has not moved", {}, spoils=True)
-    assert with_three_angles(still, diagnosed(some, SPREAD, 1), some, 1) is still
+    assert add_diagnosis(still, diagnose_positions(some, SPREAD, 1), some, 1) is still

@@ -13,10 +13,10 @@ from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.fitting.slips.session_positions import angles_of, in_context, positions_of
+from adis_gonio.fitting.slips.session_positions import angles_of, failure_message, positions_of
 from adis_gonio.record.loading import AngleChange, Overrides
 from adis_gonio.tracing.named_candidates import named_terms
-from adis_gonio.tracing.trace import as_the_angles_leave, as_the_part_stood
+from adis_gonio.tracing.trace import correct_slips, restrict_candidates
 from fakes import planar_session as planar
 from session.hand_bench import by_hand, hand_sensor
 from slip_oracle import answer
@@ -57,7 +57,7 @@ def test_a_session_without_turns_is_judged_by_gravity_alone(mistyped):
 
 def test_a_fit_that_fails_says_which_position_is_wrong(mistyped):
     session, truth = mistyped
-    told = in_context(replace(session, source="a.csv"), FitError("nothing is determined"))
+    told = failure_message(replace(session, source="a.csv"), FitError("nothing is determined"))
     assert told.startswith(f"a.csv: nothing is determined; position {truth.positions[0]}: declared ")
     assert "\n" not in told
 
@@ -161,7 +161,7 @@ def test_what_slipped_with_the_last_dwells_is_not_taken_out_once_more(tmp_path):
     data = readings_of(session)
     said = positions_of(session)
     assert [(one.position, one.finding, one.others) for one in said.findings] == [(22, "slipped", (23,))]
-    left = as_the_angles_leave(named_terms(data)[0], as_the_part_stood(data, said), said)
+    left = restrict_candidates(named_terms(data)[0], correct_slips(data, said), said)
     assert not any(term.begins for term in left)
 
 
@@ -191,7 +191,7 @@ def test_a_dial_stays_where_it_was_when_the_part_has_slipped_on_it(tmp_path):
     stood = AROUND + np.where(np.arange(12) >= 5, 8.0, 0.0)
     session = load_session(written(tmp_path / "slipped.csv", AROUND, stood))
     data = readings_of(session)
-    moved = as_the_part_stood(data, positions_of(session))
+    moved = correct_slips(data, positions_of(session))
     assert np.degrees(moved.angle_rad - data.angle_rad) == pytest.approx(stood - AROUND, abs=0.2)
     assert moved.conditions is data.conditions
 
@@ -204,14 +204,14 @@ def test_a_good_file_says_nothing_of_positions(tmp_path, capsys):
 
 
 def test_the_report_shows_the_three_angles(file):
-    from adis_gonio.handover.report.page import build_page
+    from adis_gonio.handover.calibration_report import build_page
 
     session = load_session(file)
     page = build_page(session, [fit(session)], "not traced here")
-    assert "Positions that are not right" in page
+    assert "Wrong positions" in page
     assert "210.0" in page
     good = fit(load_session(file, Overrides(angles=(AngleChange(7, 7, 210.0),))))
-    assert "Positions that are not right" not in build_page(session, [good], "not traced here")
+    assert "Wrong positions" not in build_page(session, [good], "not traced here")
 
 
 # -- the override ----------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import pytest
 
 from adis_gonio.fitting.slips import diagnose
 from adis_gonio.fitting.slips.position_diagnosis import listed
-from adis_gonio.fitting.slips.position_faults import may_have_been_meant
+from adis_gonio.fitting.slips.position_faults import possible_entries
 from slips.arrays import angles
 
 AROUND = np.arange(12) * 30.0
@@ -47,7 +47,7 @@ def test_a_mistyped_angle_is_named_with_the_angle_that_was_meant(k, typed, meant
 def test_gravity_alone_sees_a_mistyped_angle_too_and_says_so():
     (one,) = diagnose(angles(AROUND, changed(AROUND, d4=210.0), gyro=False)).findings
     assert (one.finding, one.position, one.gyro_deg) == ("mistyped", 4, None)
-    assert "gravity says 1" in one.sentence
+    assert " by gravity: " in one.sentence
     assert "gyro" not in one.sentence
 
 
@@ -85,7 +85,7 @@ def test_an_error_of_the_first_position_may_be_a_slip_after_it_and_the_set_says_
     said = {(named.name, named.positions) for named in one.names}
     assert {("misset", (0,)), ("slipped", (1,))} <= said
     assert one.finding == "slipped"
-    assert "positions 1 to 11 stand -5.2" in one.sentence
+    assert "positions 1 to 11 are -5.2" in one.sentence
     assert "before position 1, or position 0 alone by +5.2" in one.sentence
 
 
@@ -212,5 +212,5 @@ def test_findings_are_plain_json_and_nothing_where_there_are_none():
     ],
 )
 def test_what_hands_do_to_numbers(declared, meant):
-    assert meant in may_have_been_meant(declared)
-    assert declared not in may_have_been_meant(declared, [declared])
+    assert meant in possible_entries(declared)
+    assert declared not in possible_entries(declared, [declared])

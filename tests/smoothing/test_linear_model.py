@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 
-from adis_gonio.live.motion_model import StateEstimate, TimeStep, backward, forward, looked_back
+from adis_gonio.live.motion_model import Passed, StateEstimate, TimeStep, advance, backward, smooth_lagged
 
 SIZE, COUNT = 4, 30
+
+
+def forward(state: StateEstimate, steps: list[TimeStep]) -> list[Passed]:
+    """The filter over many steps."""
+    passed: list[Passed] = []
+    for step in steps:
+        passed.append(advance(passed[-1].filtered if passed else state, step))
+    return passed
 
 
 def model(
@@ -86,7 +94,7 @@ def test_a_fixed_lag_is_least_squares_of_all_that_has_come(lag):
     prior, steps = model(7, gaps=(2, 9))
     passed = forward(prior, steps)
     for k in range(COUNT - lag):
-        told = looked_back(passed[k].filtered, passed[k + 1 : k + 1 + lag])
+        told = smooth_lagged(passed[k].filtered, passed[k + 1 : k + 1 + lag])
         mean, covariance = batch(prior, steps[: k + 1 + lag])
         assert told.mean == pytest.approx(mean[k], abs=1e-9)
         assert told.covariance == pytest.approx(covariance[k], abs=1e-9)
@@ -96,7 +104,7 @@ def test_a_longer_lag_never_knows_less():
     prior, steps = model(3)
     passed = forward(prior, steps)
     spreads = [
-        looked_back(passed[5].filtered, passed[6 : 6 + lag]).covariance[0, 0] for lag in range(COUNT - 6)
+        smooth_lagged(passed[5].filtered, passed[6 : 6 + lag]).covariance[0, 0] for lag in range(COUNT - 6)
     ]
     assert (np.diff(spreads) <= 1e-12).all()
     assert spreads[-1] < 0.9 * spreads[0]
@@ -140,7 +148,7 @@ def test_squared_errors_in_units_of_u_are_chi_squared(lag):
         prior, steps, truth = drawn(seed)
         passed = forward(prior, steps)
         k = COUNT - 1 - lag
-        told = looked_back(passed[k].filtered, passed[k + 1 :])
+        told = smooth_lagged(passed[k].filtered, passed[k + 1 :])
         off = told.mean - truth[k]
         found.append(off @ np.linalg.solve(told.covariance, off))
     assert np.mean(found) == pytest.approx(SIZE, abs=4 * np.sqrt(2 * SIZE / len(found)))

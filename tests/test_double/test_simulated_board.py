@@ -13,9 +13,8 @@ import pytest
 from adis_gonio import open_sensor
 from adis_gonio.base.errors import UsageError
 from adis_gonio.sim.testing import Faults, SimulatedBoard, open_board, open_simulated
-from adis_gonio.sim.testing.clocks import VirtualClock
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins
+from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
 
 FAST = "sim:?seed=4&move_speed_dps=720&delta_k=0.01"
 

@@ -245,7 +245,7 @@ def _session(
 ) -> Any:
     """The samples, as the package takes a session that somebody else has read."""
     from adis_gonio.model import Dwell, Session
-    from adis_gonio.model.turns import Turn
+    from adis_gonio.model.records import Turn
 
     dwells, turns = [], []
     number = -1

@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
-from adis_gonio.plan.document import plan_by
+from adis_gonio.plan.plan_file import find_plan
 from adis_gonio.record.settings import Settings
 
 
@@ -58,7 +58,7 @@ def record(
         runner = _Unattended.begin(
             sensor,
             path,
-            plan_by("tumble", positions, 0),
+            find_plan("tumble", positions, 0),
             Settings(dwell_s=dwell_s, smpl_prd=smpl_prd, filter_m=filter_m),
             auto=True,
             gravity_mps2=world.gravity_mps2,

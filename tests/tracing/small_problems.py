@@ -100,7 +100,10 @@ def single(
 
 def named(name: str | None, cost: float = 0.0, covariates: tuple[str, ...] = ()) -> Any:
     """As much of a term as names and sets look at."""
-    return SimpleNamespace(name=name, shown_as=name, covariates=covariates, dwell=None, cost=cost)
+    constant = name == "bias"
+    return SimpleNamespace(
+        name=name, shown_as=name, covariates=covariates, dwell=None, cost=cost, constant=constant
+    )
 
 
 def believed(problem: LinearProblem, weights: dict[Model, float], **others: Any) -> Any:

@@ -22,7 +22,7 @@ from adis_gonio.tracing.grammar import (
     ring_bump,
     step_shape,
 )
-from adis_gonio.tracing.validation import Left, folds, less_unknown, rms, unexpected
+from adis_gonio.tracing.validation import HeldOut, disagreement_p_value, drop_unpredicted, folds, rms
 from tracing.small_problems import observations
 
 U = np.linspace(-1, 1, 41)
@@ -64,7 +64,9 @@ class TestShapes:
 
     @pytest.mark.parametrize("degree", [0, 1, 2, 6])
     def test_legendre_polynomials_are_scipys(self, degree: int) -> None:
-        np.testing.assert_allclose(legendre(degree)(U), special.eval_legendre(degree, U), atol=1e-13)
+        np.testing.assert_allclose(
+            legendre([degree])(U)[:, 0], special.eval_legendre(degree, U), atol=1e-13
+        )
 
     def test_a_multiple_of_a_turn_turns_so_many_times(self) -> None:
         np.testing.assert_allclose(multiple(np.sin, 3)(U), np.sin(3 * U))
@@ -121,15 +123,15 @@ class TestLeftOut:
             assert max(mask.sum() for mask in masks) < dwells / 2
 
     def test_dwells_that_the_model_does_not_know_count_no_more_and_a_design_of_few_not_at_all(self) -> None:
-        def left(*predicted: bool) -> Left:
-            return Left(np.zeros((6, 2)), None, np.array(predicted))
+        def left(*predicted: bool) -> HeldOut:
+            return HeldOut(np.zeros((6, 2)), None, np.array(predicted))
 
         every = np.ones(6, dtype=bool)
         two, one = left(1, 1, 0, 0, 0, 0), left(1, 0, 0, 0, 0, 0)
-        counts = less_unknown({"a": every, "b": every}, {"a": two, "b": one})
+        counts = drop_unpredicted({"a": every, "b": every}, {"a": two, "b": one})
         assert list(counts) == ["a"]
         assert counts["a"].tolist() == [True, True, False, False, False, False]
-        kept = less_unknown({"b": every}, {"b": one})
+        kept = drop_unpredicted({"b": every}, {"b": one})
         assert kept["b"].all(), "without any design that applies, all dwells count"
 
     def test_check_dwells_are_judged_by_what_they_add_to_chi2_in_a_fit_of_all(self) -> None:
@@ -144,4 +146,6 @@ class TestLeftOut:
             rise, count = whole.chi2 - fit.chi2, 2 * int(check.sum())
             for inflation in (1.0, 2.0):
                 expected = stats.f.sf(rise / inflation / count, count, 1e4)  # of the noise's own freedom
-                assert unexpected(fit, data.rows(check), inflation) == pytest.approx(expected, rel=1e-2)
+                assert disagreement_p_value(fit, data.rows(check), inflation) == pytest.approx(
+                    expected, rel=1e-2
+                )

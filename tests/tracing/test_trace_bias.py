@@ -12,7 +12,7 @@ import adis_gonio
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import effect
-from adis_gonio.tracing.findings import bias_at_middle, finding_of, told_from_zero, zeros_of
+from adis_gonio.tracing.findings import bias_at_middle, differs_from_zero, finding_of, zeros_of
 from calibration.sessions import planar_session
 from tracing.small_problems import U, chosen, noisy, turn
 
@@ -35,9 +35,9 @@ def traded():
 def test_a_bias_that_trades_with_a_warm_up_is_told_from_zero_by_its_value_in_the_middle():
     selection = traded()
     found = finding_of(selection, "bias")
-    assert not told_from_zero(found)
+    assert not differs_from_zero(found)
     middle = bias_at_middle(selection, found)
-    assert told_from_zero(middle)
+    assert differs_from_zero(middle)
     for name, truth in zip(("bias_x", "bias_y"), BIAS_MG, strict=True):
         value = middle.parameters[name]
         assert value.value == pytest.approx(truth, abs=4 * value.u)
@@ -49,7 +49,7 @@ def test_the_trace_judges_a_bias_by_its_value_in_the_middle(monkeypatch):
     judged = []
     module = sys.modules["adis_gonio.tracing.trace"]
     monkeypatch.setattr(module, "bias_at_middle", lambda _, finding: judged.append(finding) or finding)
-    monkeypatch.setattr(module, "told_from_zero", lambda finding: finding.effect != "bias")
+    monkeypatch.setattr(module, "differs_from_zero", lambda finding: finding.effect != "bias")
     result = adis_gonio.trace(planar_session(np.random.default_rng(2)))
     assert "bias" in {finding.effect for finding in judged}
     assert "no larger than" in result.reasons["bias"]

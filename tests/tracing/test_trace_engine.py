@@ -94,8 +94,8 @@ def test_products_of_blocks_are_those_of_least_squares_with_the_rows_of_the_prio
 ) -> None:
     data = observations([QUADRATIC])
     free = linearise(Fit.begin(data).refit(), [*named_terms(data)[0], *nameless_terms(data)[::40]])
-    problem = free.under(3.0).under(inflation)
-    few = problem.only(np.arange(1, len(problem.terms), 3))
+    problem = free.with_inflation(3.0).with_inflation(inflation)
+    few = problem.subset(np.arange(1, len(problem.terms), 3))
     sizes = [len(problem.back[k]) for k in model]
     spread = amplitude_spreads(data.model, [problem.terms[k] for k in model], np.array(sizes, dtype=int))
     back = linalg.block_diag(np.zeros((0, 0)), *(problem.back[k] for k in model))[: sum(sizes)]
@@ -107,7 +107,7 @@ def test_products_of_blocks_are_those_of_least_squares_with_the_rows_of_the_prio
     longer = np.concatenate([few.columns, np.zeros((len(below), few.columns.shape[1]))])
     products = Products(problem, few)
     for _ in range(2):  # the second time from what was kept
-        chi2, z, inside = products.beside(model)
+        chi2, z, inside = products.of_model(model)
         assert chi2 == pytest.approx(left @ left)
         assert problem.chi2 - problem.gain(model) == pytest.approx(left @ left)
         assert z == pytest.approx(left @ longer, abs=1e-9 * np.sqrt(problem.chi2))
@@ -135,7 +135,7 @@ def test_an_amplitude_costs_as_many_nats_as_a_part_seldom_has_it_whatever_the_no
     fit = Fit.begin(data).refit()
     terms = [function("wave", lambda c: np.cos(3 * c.angle_rad)), *named_terms(data)[0]]
     term = next(term for term in terms if term.label == label)
-    problem = linearise(fit, [term]).under(inflation)
+    problem = linearise(fit, [term]).with_inflation(inflation)
     added = fit.white(fit.candidate(term))[:, 0] * amplitude
     base = orthonormal(fit.white(fit.base_columns))
     problem = replace(problem, target=added - base @ (base.T @ added))

@@ -15,19 +15,19 @@ from adis_gonio.base.budget import Budget, within
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing import validation
 from adis_gonio.tracing.trace_result import ErrorFigures
 from adis_gonio.tracing.validation import (
     Chosen,
     Fold,
-    Left,
-    counting,
+    HeldOut,
     cross_validate,
     error_figures,
     folds,
-    guarding,
-    in_order,
+    guard_errors,
+    nest_fits,
+    predicted_dwells,
     without_folds,
 )
 from tracing.small_problems import G, biased, chosen, function, ideal_mg, labelled, noisy, read, turn
@@ -125,7 +125,7 @@ class TestDesigns:
         rate = np.outer(turned, [0.0, 0.0, 50.0])
         data = replace(data, conditions=replace(data.conditions, rate_dps=rate))
         designs = {"whole dwells": [turned], "body axes": [turned]}
-        counts = counting(data, designs, [])
+        counts = predicted_dwells(data, designs, [])
         assert counts["whole dwells"].all()
         np.testing.assert_array_equal(counts["body axes"], ~turned & (np.arange(24) < 16))
 
@@ -143,12 +143,12 @@ class TestDesigns:
         monkeypatch.setattr(validation, "determined", determined)
         wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
         designs = {name: [np.arange(12) < 6] for name in ("whole dwells", "blocks of time", "body axes")}
-        counts = counting(data, designs, labelled(data, "bias[xy]"))
+        counts = predicted_dwells(data, designs, labelled(data, "bias[xy]"))
         # Blocks of time are asked about for functions without a name alone.
         assert counts["whole dwells"].all()
         assert counts["blocks of time"].all()
         assert asked == [0]
-        counts = counting(data, designs, [wave, *labelled(data, "bias[xy]")])
+        counts = predicted_dwells(data, designs, [wave, *labelled(data, "bias[xy]")])
         assert asked == [0, 1, 1]
         assert counts["whole dwells"].all()
         assert ("blocks of time" in counts) == kept
@@ -165,7 +165,7 @@ class TestLeavingOut:
         line = function("line", lambda c: c.time_s / 1200.0 - 1.0, where=where)
 
         def fit(rows: Readings) -> Chosen:
-            begun = Fit.begin(rows).having([line], [np.array([10.0])])  # mg or mrad
+            begun = Fit.begin(rows).with_terms([line], [np.array([10.0])])  # mg or mrad
             return Chosen(begun, by=begun)
 
         told = cross_validate(data, {"before": [before]}, fit)["before"].rows(before)
@@ -220,7 +220,7 @@ class TestLeavingOut:
 
         def fit(rows: Readings) -> Chosen:
             biases = labelled(data, "bias[xy]")
-            begun = Fit.begin(rows).having(biases, [np.zeros(2)]).refit()
+            begun = Fit.begin(rows).with_terms(biases, [np.zeros(2)]).refit()
             return Chosen(Fit.begin(rows).refit(), by=begun)
 
         told = cross_validate(data, {"all but three": [few, ~few]}, fit)["all but three"]
@@ -228,7 +228,7 @@ class TestLeavingOut:
         assert told.predicted[~few].all()
 
     def test_angles_are_said_where_all_of_the_dwells_have_one(self) -> None:
-        left = Left(np.zeros((3, 2)), np.array([0.1, np.nan, 0.3]), np.ones(3, dtype=bool))
+        left = HeldOut(np.zeros((3, 2)), np.array([0.1, np.nan, 0.3]), np.ones(3, dtype=bool))
         with_one = left.rows(np.array([True, True, False]))
         assert with_one.angle_rad is None
         assert len(with_one.residual) == 2
@@ -278,32 +278,32 @@ class Answering:
 
     def left_out(
         self, data: Readings, designs: Mapping[str, Any], fit: Fit | None = None
-    ) -> dict[str, Left]:
+    ) -> dict[str, HeldOut]:
         self.asked.append(None if fit is None else len(fit.terms))
         size = 9.0 if fit is None else 1.0 + len(fit.terms)
         # What is not known errs by far more, and must not count.
         residual = np.where(self.unknown, 1e3, size)[:, None] * np.ones(2)
         unknown = self.unknown & (fit is None or len(fit.terms) != self.knowing)
-        return {name: Left(residual, None, ~unknown) for name in designs}
+        return {name: HeldOut(residual, None, ~unknown) for name in designs}
 
 
 class TestErrors:
     data = biased()
     selection = chosen(data, labelled(data, "bias[xy]", "quadratic[x]"), ((0, 1), 1.0))
-    fits, _ = in_order(selection, None)
+    fits, _ = nest_fits(selection, None)
 
     @pytest.mark.parametrize("averaged", [None, "an average"])
     def test_the_final_model_is_judged_with_its_effects_kept_but_an_average_anew(
         self, averaged: Any
     ) -> None:
         fold: Any = Answering(self.data, averaged, unknown=(2, 5))
-        told = guarding(self.selection, self.fits, fold)
+        told = guard_errors(self.selection, self.fits, fold)
         assert fold.asked == [0, 1, 2 if averaged is None else None]
         assert told == pytest.approx([1.0, 2.0, 3.0 if averaged is None else 9.0])
 
     def test_models_are_judged_on_the_dwells_that_the_final_one_knows(self) -> None:
         fold: Any = Answering(self.data, unknown=(2, 5), knowing=0)
-        assert guarding(self.selection, self.fits, fold) == pytest.approx([1.0, 2.0, 3.0])
+        assert guard_errors(self.selection, self.fits, fold) == pytest.approx([1.0, 2.0, 3.0])
 
     def test_a_model_of_more_parameters_than_readings_beside_one_dwell_is_not_tried_in_folds(
         self, monkeypatch: pytest.MonkeyPatch
@@ -312,7 +312,7 @@ class TestErrors:
         wide = replace(base, values=replace(base.values, terms=(np.zeros(13),)))
         selection: Any = SimpleNamespace(base=base, fit=wide, data=base.data, terms=())
         fold: Any = Answering(base.data)
-        assert guarding(selection, [base, wide], fold) == [None, None]
+        assert guard_errors(selection, [base, wide], fold) == [None, None]
         figures = ErrorFigures(1.0, None, None, None)
         monkeypatch.setattr(validation, "leave_each_out", lambda fits: ([[] for _ in fits], "one by one"))
         monkeypatch.setattr(validation, "figures_of_fit", lambda *_: figures)
@@ -335,7 +335,7 @@ class TestErrors:
 
     def test_a_base_model_alone_has_nothing_to_be_judged_against(self) -> None:
         fold: Any = Answering(self.data)
-        assert guarding(self.selection, self.fits[:1], fold) == [None]
+        assert guard_errors(self.selection, self.fits[:1], fold) == [None]
         assert not fold.asked
 
     @pytest.mark.parametrize("averaged", [None, "an average"])
@@ -347,7 +347,7 @@ class TestErrors:
         assert [one.heldout_rms for one in figures] == pytest.approx([1.0, 2.0, 9.0])
         assert [one.heldout_kept for one in figures] == [None, None, 3.0 if averaged is None else None]
         said = ", 3 mg with those found kept" if averaged is None else ""
-        assert design == f"whole dwells (5 folds); effects chosen anew in each fold{said}"
+        assert design == f"whole dwells (5 folds); effects chosen again in each fold{said}"
 
     def test_without_effects_nothing_is_chosen_anew(self) -> None:
         fold: Any = Answering(self.data, unknown=(2, 5))
@@ -373,12 +373,12 @@ class TestErrors:
         smooth = SimpleNamespace(shown_as="unnamed: time")
         fit = SimpleNamespace(terms=(bias, curve, smooth))
         beside: Any = SimpleNamespace(fit=fit, named=(bias, curve))
-        fits, steps = in_order(self.selection, beside)
+        fits, steps = nest_fits(self.selection, beside)
         assert steps == ["bias", "quadratic", "unnamed: time"]
         assert [len(one.terms) for one in fits] == [0, 1, 2, 3]
         assert fits[-1] is fit
         instead: Any = SimpleNamespace(fit=fit, named=(bias,))
-        fits, steps = in_order(self.selection, instead)
+        fits, steps = nest_fits(self.selection, instead)
         assert steps == ["bias", "quadratic"]
         assert [len(one.terms) for one in fits] == [0, 1, 3]
         assert fits[-1] is fit

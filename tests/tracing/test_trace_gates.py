@@ -12,7 +12,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.credible_sets import Names
-from adis_gonio.tracing.findings import effects
+from adis_gonio.tracing.findings import effect_mixture
 from adis_gonio.tracing.linear_problem import amplitudes
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.selection import select
@@ -47,7 +47,7 @@ def fitted(data: Readings, *labels: str):
     at_hand = {term.label: term for term in named_terms(data)[0]}
     model = tuple(at_hand[label] for label in labels)
     values = tuple(term.start(np.zeros(len(term.amplitudes))) for term in model)
-    return Fit.begin(data).having(model, values).refit()
+    return Fit.begin(data).with_terms(model, values).refit()
 
 
 @cache
@@ -114,20 +114,20 @@ def test_a_dwell_that_was_left_out_is_not_predicted_by_its_own_slip() -> None:
 )
 def test_the_model_is_the_longest_that_is_not_worse_than_nothing(errors, count: int) -> None:
     names = Names(("bias", "quadratic", "cubic"), {}, ())
-    kept, left, reasons = never_worse(names, names.stand, errors, None)
+    kept, left, reasons = never_worse(names, names.accepted, errors, None)
     assert kept == count
-    assert left.stand == names.stand[:count]
-    assert set(reasons) == set(names.stand[count:])
-    assert set(left.confounded) == {(name,) for name in names.stand[count:]}
+    assert left.accepted == names.accepted[:count]
+    assert set(reasons) == set(names.accepted[count:])
+    assert set(left.confounded) == {(name,) for name in names.accepted[count:]}
 
 
 def test_stated_errors_are_compared_with_each_other_and_not_with_those_of_other_dwells() -> None:
     names = Names(("bias", "quadratic"), {}, ())
     errors = (2.0, 0.5, 0.1)
-    assert never_worse(names, names.stand, errors, (9.0, 4.0))[0] == 2
-    count, left, reasons = never_worse(names, names.stand, errors, (3.0, 4.0))
+    assert never_worse(names, names.accepted, errors, (9.0, 4.0))[0] == 2
+    count, left, reasons = never_worse(names, names.accepted, errors, (3.0, 4.0))
     assert count == 1
-    assert left.stand == ("bias",)
+    assert left.accepted == ("bias",)
     assert reasons == {"quadratic": "the held-out error would go from 3 to 4 mg with it"}
 
 
@@ -180,8 +180,8 @@ def test_the_uncertainty_of_an_effect_holds_what_other_probable_models_say() -> 
     alone = replace(selection, verdict=verdict, found=replace(selection.found, scores={both: 0.0}))
     scores = {both: np.log(0.6), one: np.log(0.4)}
     open_ = replace(selection, verdict=verdict, found=replace(selection.found, scores=scores))
-    assert effects(alone, "quadratic")[1].u(0.1, np.array([1.0, 0.0])) == pytest.approx(0.1)
-    names, mixture = effects(open_, "quadratic")
+    assert effect_mixture(alone, "quadratic")[1].u(0.1, np.array([1.0, 0.0])) == pytest.approx(0.1)
+    names, mixture = effect_mixture(open_, "quadratic")
     assert names == ["k2_x", "k2_y"]
     for along, away in zip(
         np.eye(2), (other[0] - k2_x, -k2_y), strict=True

@@ -15,8 +15,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamelessTerm
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.measurement import PlanarTurn
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate, PlanarTurn
 from adis_gonio.tracing.grammar import _knots, nameless_terms
 
 N = 30

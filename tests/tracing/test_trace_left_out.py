@@ -15,7 +15,7 @@ from adis_gonio.tracing.averaging import AveragedTerm, average
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.selection import select
-from adis_gonio.tracing.validation import Left, counting, determined, folds, less_unknown
+from adis_gonio.tracing.validation import HeldOut, determined, drop_unpredicted, folds, predicted_dwells
 from tracing.blind import draw, write
 from tracing.test_trace_gates import forth_and_back
 
@@ -31,11 +31,11 @@ def test_a_range_of_angles_that_was_left_out_says_nothing_of_harmonics_there() -
     quarters = [np.abs(data.mean[:, 0]) == np.abs(data.mean).max(axis=1)]
     bend = labelled(data, "bias[x]~a smooth function of the angle (harmonics to 5)")
     assert determined(data, quarters).sum() > determined(data, quarters, bend).sum()
-    counts = counting(data, designs, bend)
+    counts = predicted_dwells(data, designs, bend)
     assert counts["whole dwells"].all()
     assert counts["blocks of time"].all()  # forth and back: every angle is in another block as well
     drift = labelled(data, "bias[x]~a smooth function of time (degree 6)")
-    assert not counting(data, designs, drift).get("blocks of time", np.zeros(1, bool)).all()
+    assert not predicted_dwells(data, designs, drift).get("blocks of time", np.zeros(1, bool)).all()
 
 
 def test_names_do_not_choose_the_dwells_by_which_they_are_judged() -> None:
@@ -43,8 +43,8 @@ def test_names_do_not_choose_the_dwells_by_which_they_are_judged() -> None:
     designs = folds(data)
     named = [t for t in named_terms(data)[0] if t.label in {"bias_drift[x]", "stage_ellipticity"}]
     assert len(named) == 2
-    for design, mask in counting(data, designs, named).items():
-        np.testing.assert_array_equal(mask, counting(data, designs, [])[design])
+    for design, mask in predicted_dwells(data, designs, named).items():
+        np.testing.assert_array_equal(mask, predicted_dwells(data, designs, [])[design])
 
 
 def test_the_average_holds_no_polynomial_where_a_process_bends_as_well() -> None:
@@ -114,16 +114,16 @@ def test_a_dwell_that_the_model_chosen_without_it_leaves_open_counts_under_no_de
     known = np.array([True] * 8 + [False] * 4)
     every = np.ones(12, dtype=bool)
 
-    def left(predicted: np.ndarray) -> Left:
-        return Left(np.zeros((12, 3)), None, predicted)
+    def left(predicted: np.ndarray) -> HeldOut:
+        return HeldOut(np.zeros((12, 3)), None, predicted)
 
     counts = {"whole dwells": every, "body axes": every}
-    rest = less_unknown(counts, {"whole dwells": left(known), "body axes": left(~known)})
+    rest = drop_unpredicted(counts, {"whole dwells": left(known), "body axes": left(~known)})
     assert set(rest) == {"whole dwells", "body axes"}
     assert (rest["whole dwells"] == known).all()
     few = np.arange(12) < 3
-    assert set(less_unknown(counts, {"whole dwells": left(known), "body axes": left(few)})) == {
+    assert set(drop_unpredicted(counts, {"whole dwells": left(known), "body axes": left(few)})) == {
         "whole dwells"
     }
     # Where no design has a third of its dwells left, all count: an error is better than none.
-    assert less_unknown(counts, {"whole dwells": left(few), "body axes": left(few)}) == counts
+    assert drop_unpredicted(counts, {"whole dwells": left(few), "body axes": left(few)}) == counts

@@ -17,15 +17,15 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing.averaging import AveragedTerm, average
 from adis_gonio.tracing.credible_sets import Names, judge, set_of, undecided
-from adis_gonio.tracing.findings import told_from_zero
+from adis_gonio.tracing.findings import differs_from_zero
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.linear_problem import linearise, span
 from adis_gonio.tracing.named_candidates import cycles_shown, named_terms
@@ -35,12 +35,12 @@ from adis_gonio.tracing.smooth_candidates import processes
 from adis_gonio.tracing.trace_result import Finding
 from adis_gonio.tracing.validation import (
     Fold,
-    checkable,
     determined,
     folds,
-    guarding,
-    in_order,
+    guard_errors,
+    nest_fits,
     never_worse,
+    reject_unchecked,
 )
 from tracing.small_problems import (
     U,
@@ -233,14 +233,14 @@ class TestChoice:
         self, posterior: float, found: tuple[str, ...]
     ) -> None:
         selection = believed(names_only("cubic", "warm_up"), {(0,): posterior, (): 1 - posterior})
-        assert judge(selection).stand == found
+        assert judge(selection).accepted == found
 
-    @pytest.mark.number("told")
+    @pytest.mark.number("significance")
     @pytest.mark.parametrize(("value", "told"), [(1.9, False), (2.1, True), (-2.1, True)])
     def test_a_value_is_a_finding_from_two_uncertainties(self, value: float, told: bool) -> None:
         assert stats.norm.cdf(2) - stats.norm.cdf(-2) == pytest.approx(0.95, abs=0.005)
         k3 = {"k3_x": Value(value, 1.0, "mg/g³")}
-        assert told_from_zero(Finding("cubic", ("x",), k3, 0.0, 0.0, 1.0)) == told
+        assert differs_from_zero(Finding("cubic", ("x",), k3, 0.0, 0.0, 1.0)) == told
 
     @pytest.mark.number("mostly_bias")
     @pytest.mark.parametrize(("times", "apart"), [(4.5, False), (7.0, True)])
@@ -323,9 +323,9 @@ class TestLeftOutDwells:
         data = read(c, noisy(c, 16).mean + np.array([5.0, -3.0]))
         terms = labelled(data, "bias[xy]")
         selection = select(data, terms, 1)
-        fits, _ = in_order(selection, None)
+        fits, _ = nest_fits(selection, None)
         assert len(fits) == 2
-        errors = guarding(selection, fits, Fold(terms, None, 1))
+        errors = guard_errors(selection, fits, Fold(terms, None, 1))
         assert all((error is not None) == anew for error in errors)
 
     @pytest.mark.number("least_checks")
@@ -334,14 +334,14 @@ class TestLeftOutDwells:
         self, left: int, found: tuple[str, ...]
     ) -> None:
         selection: Any = SimpleNamespace(fit=SimpleNamespace(dof=left))
-        assert checkable(Names(("bias", "cubic"), {}, ()), selection).stand == found
+        assert reject_unchecked(Names(("bias", "cubic"), {}, ()), selection).accepted == found
 
     @pytest.mark.number("worse")
     @pytest.mark.parametrize(("growth", "kept"), [(1.04, 1), (1.08, 0)])
     def test_an_effect_may_raise_the_left_out_error_by_a_twentieth(self, growth: float, kept: int) -> None:
         names = Names(("cubic",), {}, ())
-        assert never_worse(names, names.stand, (0.5, 0.5 * growth), None)[0] == kept
-        assert never_worse(names, names.stand, (0.5, 0.5), (0.3, 0.3 * growth))[0] == kept
+        assert never_worse(names, names.accepted, (0.5, 0.5 * growth), None)[0] == kept
+        assert never_worse(names, names.accepted, (0.5, 0.5), (0.3, 0.3 * growth))[0] == kept
 
 
 class TestWhatIsSaid:

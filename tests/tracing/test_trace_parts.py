@@ -19,18 +19,18 @@ from scipy import linalg, stats
 
 from adis_gonio.base.budget import Budget, within
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamelessTerm
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.rates import MeanRate
+from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing import averaging
 from adis_gonio.tracing import selection as choice
 from adis_gonio.tracing.averaging import AveragedTerm, average
 from adis_gonio.tracing.credible_sets import CredibleSet, Names
 from adis_gonio.tracing.grammar import nameless_terms
-from adis_gonio.tracing.linear_problem import LinearProblem, _beside, orthonormal
+from adis_gonio.tracing.linear_problem import LinearProblem, _project_off_base, orthonormal
 from adis_gonio.tracing.model_search import Model, ModelPosterior, Search, _Beam, _present, search, weigh
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.proposals import _columns, _hypothesis, _prior
@@ -40,14 +40,14 @@ from adis_gonio.tracing.trace import disagreement_of, refuse_too_few, weak_names
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding
 from adis_gonio.tracing.validation import (
     Fold,
-    checkable,
     error_figures,
-    guarding,
-    in_order,
-    longest,
+    guard_errors,
+    longest_acceptable,
+    nest_fits,
     never_worse,
-    refuted,
-    without,
+    refuted_functions,
+    reject_names,
+    reject_unchecked,
     without_folds,
 )
 from tracing.small_problems import (
@@ -370,7 +370,7 @@ class TestDesign:
     def test_what_is_rounding_beside_the_columns_of_its_own_term_is_no_direction(self) -> None:
         # Terms of two, one and two columns: 1e-14 is nothing beside 1, and all that there is by itself.
         sizes = np.array([1.0, 1e-14, 1e-14, 1e-14, 1.0, 1.0, 1e-14])
-        columns, length = _beside(np.zeros((7, 0)), np.diag(sizes), np.array([2, 1, 2, 2]))
+        columns, length = _project_off_base(np.zeros((7, 0)), np.diag(sizes), np.array([2, 1, 2, 2]))
         seen = np.array([True, False, True, False, True, True, False])
         np.testing.assert_allclose(columns, np.diag(seen.astype(float)))
         np.testing.assert_allclose(length, np.where(seen, sizes, 1.0))
@@ -497,7 +497,7 @@ class TestSelection:
         # degrees of freedom, and with five it would not.
         data: Any = SimpleNamespace(noise_known=known, noise_dof=math.inf)
         problem = single([20.0, *[math.sqrt(4.2)] * 3], np.eye(4)[:1], [named("cubic")])
-        found, inflation = choice._inflated(data, problem, 1, 1, 1.0)
+        found, inflation = choice._search_with_noise(data, problem, 1, 1, 1.0)
         assert found.best == (0,)
         assert inflation == found.inflation == pytest.approx(4.2)
 
@@ -580,7 +580,7 @@ class TestSelection:
         data = replace(data, mean=data.mean + np.random.default_rng(46).normal(off, U, (24, 2)))
         terms = labelled(data, *biases, *(f"position_slip(dwell={k})" for k in range(24)))
         terms = [replace(term, begins=14.0 * (term.dwell == 1)) for term in terms]
-        fit = choice._begun(Fit.begin(data).refit(), terms)
+        fit = choice._start_with_slips(Fit.begin(data).refit(), terms)
         slip, *bias = fit.values.terms
         assert [term.label for term in fit.terms] == ["position_slip(dwell=1)", "bias[xy]"][: 1 + len(bias)]
         assert slip == pytest.approx([15.0], abs=0.03)
@@ -613,7 +613,7 @@ class TestSelection:
             return SimpleNamespace(model=model, chi2=40.0 * (1 + (3e-6 if str(*model) in worse else 1e-8)))
 
         monkeypatch.setattr(choice, "fit_model", refitted)
-        told, fit = choice._fitted(problem, verdict, about, 40.0)
+        told, fit = choice._refit_best(problem, verdict, about, 40.0)
         assert told == replace(verdict, best=(taken,))
         assert vars(fit)["model"] == (taken,)
 
@@ -623,7 +623,7 @@ class TestSelection:
         data = biased()
         (bias,) = labelled(data, "bias[xy]")
         base = Fit.begin(data).refit()
-        with_one = base.having([bias], [np.zeros(2)]).refit()
+        with_one = base.with_terms([bias], [np.zeros(2)]).refit()
         problem: Any = SimpleNamespace()
         for alone, about, refitted, apart in (
             (None, base, with_one, with_one),
@@ -634,7 +634,7 @@ class TestSelection:
             monkeypatch.setattr(choice, "_mostly_bias", lambda problem, alone=alone: alone)
             monkeypatch.setattr(choice, "_mostly_bias_refitted", lambda *_, refitted=refitted: refitted)
             monkeypatch.setattr(choice, "fit_model", lambda _, model, about: ("a fit of", model, about))
-            told = choice._bias_apart(problem, base, about)
+            told = choice._separate_bias(problem, base, about)
             assert (None if told is None else told()) == apart
 
 
@@ -645,7 +645,7 @@ class TestNestedModels:
         data = replace(data, mean=data.mean + np.outer(5.0 * np.sin(psi) ** 3, [0.0, 1.0]))
         terms = labelled(data, "bias[x]", "cubic[y]")
         selection = chosen(data, terms, ((0, 1), 1.0))
-        fits, steps = in_order(selection, None)
+        fits, steps = nest_fits(selection, None)
         assert steps == ["cubic", "bias"]
         assert [[term.label for term in fit.terms] for fit in fits] == [
             [],
@@ -663,7 +663,7 @@ class TestNestedModels:
         assert checking is not None
         fits = [Fit.begin(data).refit()]
         (term,) = labelled(data, "bias[xy]")
-        fits.append(fits[0].having([term], [np.zeros(2)]).refit())
+        fits.append(fits[0].with_terms([term], [np.zeros(2)]).refit())
         figures, design = without_folds(fits, data, checking)
         assert design == "6 check dwells"
         start, scale_x, scale_y, lean = fits[1].values.base
@@ -693,7 +693,7 @@ class TestNestedModels:
         data = read(c, noisy(c, 46).mean + np.array([5.0, -3.0]))
         terms = labelled(data, "bias[xy]")
         selection = chosen(data, terms, ((0,), 1.0))
-        fits, _ = in_order(selection, None)
+        fits, _ = nest_fits(selection, None)
         figures, design = error_figures(selection, data, None, fits, Fold(terms, None, 1))
         assert design.startswith("each of 8 dwells in turn, effects kept")
         # Leaving one out by hand: readings are linear in the parameters but for rounding.
@@ -720,7 +720,7 @@ class TestNestedModels:
         data = read(c, noisy(c, 47).mean + np.array([5.0, -3.0]))
         terms = labelled(data, "bias[xy]", "quadratic[x]")
         selection = chosen(data, terms, ((0, 1), 1.0))
-        fits, _ = in_order(selection, None)
+        fits, _ = nest_fits(selection, None)
         figures, design = error_figures(selection, data, None, fits, Fold(terms, None, 2))
         assert "the model has 7 parameters: 3 dwells do not determine it" in design
         assert [one.heldout_rms for one in figures] == [None] * len(fits)
@@ -729,10 +729,10 @@ class TestNestedModels:
         data = biased()
         terms = labelled(data, "bias[xy]", "quadratic[x]")
         selection = chosen(data, terms, ((0,), 1.0))
-        fits, _ = in_order(selection, None)
+        fits, _ = nest_fits(selection, None)
         figures, design = error_figures(selection, data, None, fits, Fold(terms, None, 1))
         assert "whole dwells (5 folds)" in design
-        assert "effects chosen anew in each fold" in design
+        assert "effects chosen again in each fold" in design
         # The bias is chosen in every fold, so that it does not matter whether it was kept.
         assert figures[-1].heldout_kept == pytest.approx(figures[-1].heldout_rms, rel=0.01)
         assert figures[-1].heldout_rms == pytest.approx(U * math.sqrt(1 + 6 / 38), rel=0.25)
@@ -745,7 +745,7 @@ class TestNestedModels:
         data = biased()
         terms = labelled(data, "bias[xy]", "quadratic[x]")
         selection = chosen(data, terms, ((0,), 1.0))
-        fits, _ = in_order(selection, None)
+        fits, _ = nest_fits(selection, None)
         fold = Fold(terms, None, 1)
         refitted: list[int] = []
         again = Fit.again
@@ -755,7 +755,7 @@ class TestNestedModels:
             return again(fit, rows)
 
         monkeypatch.setattr(Fit, "again", counted)
-        guard = guarding(selection, fits, fold)
+        guard = guard_errors(selection, fits, fold)
         figures, _ = error_figures(selection, data, None, fits, fold)
         assert sorted(refitted) == [0] * 5 + [1] * 5
         assert guard[0] == figures[0].heldout_rms
@@ -778,7 +778,7 @@ class TestNestedModels:
 class TestSurvival:
     def test_a_name_taken_away_stands_alone_among_the_confounded(self) -> None:
         names = Names(("bias", "cubic"), {"gravity": "why"}, (("cubic", "gravity"), ("cubic",)))
-        told = without(names, {"cubic": "reason", "gravity": "reason"})
+        told = reject_names(names, {"cubic": "reason", "gravity": "reason"})
         assert told == Names(("bias",), {"gravity": "why"}, (("cubic", "gravity"), ("cubic",)))
 
     @pytest.mark.parametrize(
@@ -796,12 +796,12 @@ class TestSurvival:
     def test_the_longest_model_that_is_never_worse_than_a_shorter_one_stays(
         self, errors: Sequence[float | None], steps: int
     ) -> None:
-        assert longest(errors, 2) == steps
+        assert longest_acceptable(errors, 2) == steps
         names = Names(("bias", "cubic"), {}, ())
         count, left, reasons = never_worse(names, ("bias", "cubic"), errors, None)
         assert count == steps
-        assert left.stand == ("bias", "cubic")[:steps]
-        assert set(reasons) == {"bias", "cubic"} - set(left.stand)
+        assert left.accepted == ("bias", "cubic")[:steps]
+        assert set(reasons) == {"bias", "cubic"} - set(left.accepted)
 
     def test_the_reason_has_the_errors_with_and_without_it_in_their_unit(self) -> None:
         names = Names(("bias", "cubic"), {}, ())
@@ -817,9 +817,9 @@ class TestSurvival:
             SimpleNamespace(terms=terms) for terms in ((), (wave,), (wave, line), (wave, line, cubic))
         ]
         selection: Any = SimpleNamespace(terms=(wave, line, cubic))
-        assert refuted(selection, fits, [1.0, 0.5, 0.6, 0.6]) == [line]
-        assert refuted(selection, fits, [1.0, 0.5, 0.5, 0.5]) == []
-        assert refuted(selection, fits[:3], [1.0, 0.5, 0.4]) == []
+        assert refuted_functions(selection, fits, [1.0, 0.5, 0.6, 0.6]) == [line]
+        assert refuted_functions(selection, fits, [1.0, 0.5, 0.5, 0.5]) == []
+        assert refuted_functions(selection, fits[:3], [1.0, 0.5, 0.4]) == []
 
     def test_of_a_model_that_leaves_too_few_readings_all_names_but_a_bias_are_open_with_the_reason(
         self,
@@ -828,7 +828,7 @@ class TestSurvival:
         names = Names(("backlash", "bias", "cubic"), {"gravity": "why"}, ())
         selection: Any = SimpleNamespace(fit=SimpleNamespace(dof=1))
         reason = "the model leaves 1 readings to check it by: too few"
-        assert checkable(names, selection) == Names(
+        assert reject_unchecked(names, selection) == Names(
             ("bias",),
             {"gravity": "why", "backlash": reason, "cubic": reason},
             (("backlash",), ("cubic",)),
@@ -1015,7 +1015,7 @@ class TestAverages:
             np.concatenate([fixed, *(fit.white(fit.candidate(term)) for term in terms)], axis=1)
             for _, terms in parts
         ]
-        return averaging._fitted(selection, fixed, target, pool, weights), columns, target
+        return averaging._fit_members(selection, fixed, target, pool, weights), columns, target
 
     @pytest.mark.parametrize("inflation", [1.0, 2.0])
     def test_what_is_fixed_is_as_uncertain_as_within_and_between_the_members(
@@ -1056,7 +1056,7 @@ class TestAverages:
         rng = np.random.default_rng(49)
         fixed, target = rng.normal(size=(48, 6)), 2 * rng.normal(size=48)
         unseen = np.column_stack([fixed, np.zeros(48)])  # of a parameter that the dwells do not show
-        solved, covariance, used, visible = averaging._ridge(selection, unseen, target, [term])
+        solved, covariance, used, visible = averaging._solve_ridge(selection, unseen, target, [term])
         # The same as noise of the rows: generalised least squares of what is fixed.
         features = fit.white(fit.candidate(term))
         prior = (term.shrinkage or 0) ** 2 / inflation
@@ -1075,12 +1075,12 @@ class TestAverages:
         two = replace(function("two", lambda c: c.supply_v, ("supply",)), axes=(1,))
         turned = function("turned", lambda c: c.time_s, ("time",), where="angle")
         members = [(0.2, one, np.ones(1)), (0.5, two, np.ones(1)), (0.3, turned, np.ones(1))]
-        readings, angle = averaging._terms(members)
+        readings, angle = averaging._averaged_terms(members)
         assert (readings.where, readings.axes, readings.covariates) == ("bias", (0, 1), ("supply",))
         assert [own.label for _, own, _ in readings.members] == ["one", "two"]
         assert (angle.where, angle.axes, angle.covariates) == ("angle", (), ("time",))
         assert [own.label for _, own, _ in angle.members] == ["turned"]
-        assert [term.label for term in averaging._terms(members[2:])] == ["average at the angle"]
+        assert [term.label for term in averaging._averaged_terms(members[2:])] == ["average at the angle"]
 
     def test_a_polynomial_gives_way_to_a_process_in_its_place_and_a_formula_does_not(self) -> None:
         covered: Any = {("bias", ("time",))}
@@ -1088,7 +1088,9 @@ class TestAverages:
         smooth = function("smooth", lambda c: c.time_s, approximates=True)
         elsewhere = replace(smooth, where="gain")
         other = replace(smooth, covariates=("supply",))
-        told = [averaging._by_process(term, covered) for term in (formula, smooth, elsewhere, other)]
+        told = [
+            averaging._covered_by_process(term, covered) for term in (formula, smooth, elsewhere, other)
+        ]
         assert told == [False, True, False, False]
 
     def test_an_average_adds_the_weighted_mean_and_has_no_columns(self) -> None:
@@ -1149,7 +1151,7 @@ def test_what_a_model_knows_of_its_values_is_not_lost_to_rounding_where_columns_
     terms = [*labelled(data, "bias[xy]", "cubic[xy]"), smooth]
     widths = [term.columns(data.mean, data.conditions).shape[-1] for term in terms]
     fit = Fit.begin(data).refit()
-    fit = fit.having(terms, [term.start(np.zeros(w)) for term, w in zip(terms, widths, strict=True)])
+    fit = fit.with_terms(terms, [term.start(np.zeros(w)) for term, w in zip(terms, widths, strict=True)])
     told, evidence = _hypothesis(fit, 1.0, 1.0)
     rows = _columns(fit, fit.whitener).reshape(-1, len(told.root))
     _, precision = _prior(fit, rows)

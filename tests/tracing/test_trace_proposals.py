@@ -11,7 +11,7 @@ import pytest
 from adis_gonio.base.numbers import format_duration
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.advice import place, sentences
-from adis_gonio.tracing.proposals import _apart, _information, _Predicted
+from adis_gonio.tracing.proposals import _information, _Predicted, _separations
 from adis_gonio.tracing.trace import trace
 from adis_gonio.tracing.trace_result import NextDwell
 
@@ -63,7 +63,7 @@ def test_the_separation_is_the_chi2_that_the_wrong_model_leaves():
     """Excess of χ² of hypothesis j where i is true, against draws."""
     roots = [np.array([[[0.5, 0.0]], [[0.3, 0.2]]]), np.array([[[2.0, 0.0]], [[0.0, 1.0]]])]
     means = [np.array([[0.0], [1.0]]), np.array([[3.0], [-1.0]])]
-    apart = _apart(_Predicted(means, roots))
+    apart = _separations(_Predicted(means, roots))
     flat = [root.reshape(2, 2) for root in roots]
     covariance = [root @ root.T + np.eye(2) for root in flat]
     for i, j in ((0, 1), (1, 0)):

@@ -114,7 +114,7 @@ def test_blocks_of_the_thermal_cycle_as_in_its_table(monkeypatch):
     session = load_session(recording("thermal_cycle"))
     dwell = session.dwells[0]
     problem, candidates = series._problem(
-        dwell.accel * series.mg_per_unit(session, dwell), series.series_conditions(dwell)
+        series.series_readings(session, dwell), series.series_conditions(dwell)
     )
     polynomial = next(c for c in candidates if c.effect.name == "bias_temperature")
     cubic = series._columns((polynomial,), (2,))

@@ -64,12 +64,12 @@ class TestSize:
         self, times: float, u: float
     ) -> None:
         data = rough(times, u=u)
-        told = scatter._most_likely(Fit.begin(data).refit(), data, "reading_scatter")
+        told = scatter._likeliest_size(Fit.begin(data).refit(), data, "reading_scatter")
         assert told == pytest.approx(u * math.sqrt(times**2 - 1), rel=0.06)
 
     def test_there_is_none_where_residuals_are_no_larger_than_the_noise(self) -> None:
         data = rough(0.95)
-        assert scatter._most_likely(Fit.begin(data).refit(), data, "reading_scatter") == 0.0
+        assert scatter._likeliest_size(Fit.begin(data).refit(), data, "reading_scatter") == 0.0
 
     def test_that_of_a_fixture_is_in_the_angle(self) -> None:
         c = turn()
@@ -80,7 +80,7 @@ class TestSize:
         along = np.einsum("nap,na->np", base, base[..., 0])
         away = np.radians(slips)
         away = away - along @ np.linalg.lstsq(along, away, rcond=None)[0]
-        told = scatter._most_likely(Fit.begin(data).refit(), data, "fixture_scatter")
+        told = scatter._likeliest_size(Fit.begin(data).refit(), data, "fixture_scatter")
         # Some of the base model's columns are fixed by the lengths as well, so that 1 to 4 are used up.
         low, high = (math.sqrt(float(away @ away) / (24 - used)) for used in (0, 4))
         assert 0.95 * low < told < 1.05 * high
@@ -90,8 +90,8 @@ class TestSize:
         own = data.own_covariance.copy()
         own[:5] *= 100.0
         data = replace(data, own_covariance=own, fixture_rad=3e-4)
-        assert scatter._measured(data, "reading_scatter") == pytest.approx(U)
-        assert scatter._measured(data, "fixture_scatter") == pytest.approx(math.hypot(U / G, 3e-4))
+        assert scatter._measured_u(data, "reading_scatter") == pytest.approx(U)
+        assert scatter._measured_u(data, "fixture_scatter") == pytest.approx(math.hypot(U / G, 3e-4))
 
     def test_it_adds_to_the_noise_as_a_variance(self) -> None:
         data = replace(rough(1.0), fixture_rad=3e-4)
@@ -137,7 +137,7 @@ class TestLikelihood:
 
     def test_terms_are_integrated_out_but_where_their_prices_have_it(self) -> None:
         data, (bias, _), selection = biased_and_curved()
-        fit = selection.base.having([bias], [np.zeros(2)]).refit()
+        fit = selection.base.with_terms([bias], [np.zeros(2)]).refit()
         louder = replace(data, own_covariance=4 * data.own_covariance)
         told = [
             scatter._restricted(replace(fit, data=louder).refit(), base_only=alone)
@@ -174,7 +174,7 @@ class TestStatement:
     def stated(self, data: Readings, kind: Any, size: float) -> Scatter:
         base = Fit.begin(data).refit()
         selection = replace(biased_and_curved()[2], base=base, fit=base)
-        return scatter._stated(data, kind, size, selection, 2.5)
+        return scatter._make_scatter(data, kind, size, selection, 2.5)
 
     def test_its_uncertainty_is_that_of_the_curvature_and_p_that_of_the_ratio_of_likelihoods(self) -> None:
         data = rough(1.4)
@@ -243,7 +243,7 @@ class TestRival:
             for term, price in zip(selection.problem.terms, selection.found.prices, strict=True)
         }
         kept = [term for term in terms if term.name in beside]
-        fit = Fit.begin(data).having(kept, [np.zeros(len(term.amplitudes)) for term in kept]).refit()
+        fit = Fit.begin(data).with_terms(kept, [np.zeros(len(term.amplitudes)) for term in kept]).refit()
         gained = 0.5 * (selection.base.chi2 - fit.chi2) - sum(prices[name] for name in beside) + 30.0
         assert told - scatter._restricted(selection.base, base_only=True) == pytest.approx(gained, abs=1e-3)
 
@@ -297,9 +297,9 @@ class TestSettling:
             made.append(SimpleNamespace(fit=selection.fit, size=size))
             return made[-1]
 
-        monkeypatch.setattr(scatter, "_most_likely", most_likely)
-        monkeypatch.setattr(scatter, "_under", choose)
-        size, again = scatter._settled(data, "reading_scatter", selection, terms, 2)
+        monkeypatch.setattr(scatter, "_likeliest_size", most_likely)
+        monkeypatch.setattr(scatter, "_select_with", choose)
+        size, again = scatter._fit_component(data, "reading_scatter", selection, terms, 2)
         assert under == pytest.approx(chosen_under)
         # First beside a bias alone, then beside what was chosen.
         assert beside == [["bias"], ["bias", "cubic"]][: len(sizes)]
@@ -327,21 +327,21 @@ class TestChoice:
     ) -> tuple[Any, Any]:
         """The choice where the model, reading scatter and fixture scatter are worth so much in nats."""
         _, terms, both = biased_and_curved()
-        fit = both.fit.having([terms[k] for k in model], [np.zeros(1) for _ in model])
+        fit = both.fit.with_terms([terms[k] for k in model], [np.zeros(1) for _ in model])
         selection: Any = replace(both, fit=replace(fit, data=data), **others)
         of = {"reading_scatter": worth[1], "fixture_scatter": worth[2]}
         monkeypatch.setattr(
             scatter,
-            "_settled",
+            "_fit_component",
             lambda data, kind, *more: (of[kind], None if math.isnan(of[kind]) else of[kind]),
         )
         monkeypatch.setattr(scatter, "_evidence", lambda one: worth[0] if one is selection else one)
         monkeypatch.setattr(scatter, "_price", lambda data: 1.0)
         monkeypatch.setattr(scatter, "_evidence_of_processes", lambda selection: smooth)
         monkeypatch.setattr(
-            scatter, "_under", lambda data, kind, size, terms, most: (kind, size, len(terms))
+            scatter, "_select_with", lambda data, kind, size, terms, most: (kind, size, len(terms))
         )
-        monkeypatch.setattr(scatter, "_stated", lambda data, kind, size, under, odds: odds)
+        monkeypatch.setattr(scatter, "_make_scatter", lambda data, kind, size, under, odds: odds)
         told, found = with_scatter(selection, terms, most)
         return ("the model" if told is selection else told), found
 

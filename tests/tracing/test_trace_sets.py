@@ -14,7 +14,7 @@ from adis_gonio import load_session, trace
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.tracing.averaging import Averaged, AveragedFit, average
-from adis_gonio.tracing.credible_sets import CredibleSet, judge, one_a_function, set_of, votes
+from adis_gonio.tracing.credible_sets import CredibleSet, judge, merge_by_function, set_of, votes
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.model_search import weigh
 from adis_gonio.tracing.named_candidates import named_terms
@@ -103,13 +103,13 @@ def test_a_name_beside_a_smooth_function_of_its_kind_may_be_a_piece_of_that(sele
         {"quadratic": 0.4, "unnamed: angle": 0.6}
     )
     assert votes(alone, "bias", averaged)[0] == pytest.approx({"bias": 1.0})
-    assert judge(alone, averaged).open == {"quadratic": "may be a piece of the same unnamed cause"}
-    assert judge(alone, averaged).stand == ("bias",)
+    assert judge(alone, averaged).rejected == {"quadratic": "may be a piece of the same unnamed cause"}
+    assert judge(alone, averaged).accepted == ("bias",)
     slow = replace(
         averaged, smooth=next(t for t in nameless_terms(alone.data) if t.covariates == ("time",))
     )
     assert votes(alone, "quadratic", slow)[0] == pytest.approx({"quadratic": 1.0})
-    assert set(judge(alone, slow).stand) == {"bias", "quadratic"}
+    assert set(judge(alone, slow).accepted) == {"bias", "quadratic"}
 
 
 def test_causes_led_by_one_function_without_a_name_have_one_set_and_by_one_name_each_its_own() -> None:
@@ -117,7 +117,7 @@ def test_causes_led_by_one_function_without_a_name_have_one_set_and_by_one_name_
     led = [CredibleSet(cause, ("cross_quadratic", cause), (0.6, 0.4), 1.0) for cause in causes[:2]]
     led += [CredibleSet(cause, ("unnamed: angle",), (1.0,), 1.0) for cause in causes[2:]]
     likelier = {"cubic": "unnamed: angle"}
-    assert [one.cause for one in one_a_function(led, likelier)] == ["bias", "quadratic", "cubic"]
+    assert [one.cause for one in merge_by_function(led, likelier)] == ["bias", "quadratic", "cubic"]
 
 
 def test_a_page_does_not_name_slips_and_a_smooth_function_for_the_same_readings(tmp_path: Path) -> None:
@@ -155,4 +155,4 @@ def test_a_name_is_not_found_where_its_set_holds_a_function_without_one_for_like
     (one,) = result.sets
     assert one.names == ("unnamed: temperature", "misalignment_temperature")
     assert not result.found
-    assert "likelier: unnamed: temperature" in result.reasons["misalignment_temperature"]
+    assert "unnamed: temperature" in result.reasons["misalignment_temperature"]

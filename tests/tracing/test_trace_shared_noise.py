@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.flicker import covariance_of_means, modes
 from adis_gonio.fitting.estimation.readings import Readings, from_means
+from adis_gonio.fitting.estimation.spectrum import covariance_of_means, modes
 from adis_gonio.tracing.linear_problem import linearise, span
 from adis_gonio.tracing.model_search import search
 from adis_gonio.tracing.named_candidates import named_terms
@@ -100,7 +100,7 @@ def test_problem_refit_and_gates_agree_on_chi2() -> None:
     left = target - base @ np.linalg.lstsq(base, target, rcond=1e-10)[0]
     assert left @ left == pytest.approx(fit.chi2, rel=1e-3)
     k = next(i for i, term in enumerate(problem.terms) if term.label == "bias_drift[y]")
-    refitted = fit.having((problem.terms[k],), (np.zeros(1),)).refit()
+    refitted = fit.with_terms((problem.terms[k],), (np.zeros(1),)).refit()
     chi2 = float((span(problem, [k])[1] ** 2).sum())
     assert refitted.chi2 == pytest.approx(chi2, rel=1e-3)
 

@@ -83,7 +83,7 @@ def test_refit_with_a_prior_is_ridge_regression_and_counts_the_freedom_it_uses()
     term = process(data, "bias", (0,), "temperature", 4.0)
     base = Fit.begin(data).refit()
     width = term.columns(data.mean, data.conditions).shape[-1]
-    fit = base.having((term,), (np.zeros(width),)).refit()
+    fit = base.with_terms((term,), (np.zeros(width),)).refit()
     columns, blocks, target = fit.linear()
     design = np.concatenate([columns, blocks[0]], axis=1)
     precision = np.diag([0.0] * columns.shape[1] + [term.shrinkage**-2] * width)
@@ -122,7 +122,7 @@ def test_the_averaged_base_is_the_average_of_the_members_bases() -> None:
             "alone", member.covariates, 0.0, member.where, member.axes, member.basis,
             members=((1.0, member, values),),
         )  # fmt: skip
-        fit = selection.fit.having((alone,), (np.zeros(0),)).refit()
+        fit = selection.fit.with_terms((alone,), (np.zeros(0),)).refit()
         bases.append(weight * fit.values.base)
     np.testing.assert_allclose(averaged.fit.values.base, np.sum(bases, axis=0), atol=2e-6)
 
@@ -134,7 +134,7 @@ def test_a_smooth_function_does_not_run_off_beyond_what_was_measured() -> None:
     for amplitude in AMPLITUDES:
         term = process(inner, "bias", (0,), "temperature", amplitude)
         width = term.columns(inner.mean, inner.conditions).shape[-1]
-        fit = Fit.begin(inner).having((term,), (np.zeros(width),)).refit()
+        fit = Fit.begin(inner).with_terms((term,), (np.zeros(width),)).refit()
         inside, beyond = (
             np.abs(term.added(fit.values.terms[0], d.mean, d.conditions)[:, 0]).max() for d in (inner, data)
         )
@@ -162,4 +162,4 @@ def test_a_lean_that_follows_temperature_by_no_line_is_said_to_be_one() -> None:
     assert result.unnamed is not None
     assert result.unnamed.covariates == ("temperature",)
     assert result.unnamed.form.startswith("misalignment of y follows")
-    assert any("form of what has no name" in line and "temperature" in line for line in result.advice)
+    assert any("form of the unnamed part" in line and "temperature" in line for line in result.advice)

@@ -18,7 +18,7 @@ import pytest
 
 from adis_gonio.base.budget import Budget, within
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.readings import Readings, Unit, in_mg
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.fitting.slips import Diagnosis
@@ -78,7 +78,7 @@ class Told:
             "named_terms": lambda _: (terms, {}),
             "nameless_terms": lambda _: [],
             "average": lambda _: averaged,
-            "guarding": lambda _, fits, fold: errors or [None for _ in fits],
+            "guard_errors": lambda _, fits, fold: errors or [None for _ in fits],
             "error_figures": figures,
             "undecided": lambda _: could,
         }.items():
@@ -207,7 +207,7 @@ class TestResult:
     def average(self, selection: Selection) -> Any:
         """An average beside the names, at the values of their fit."""
         wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
-        fit = selection.fit.having([*selection.terms, wave], [*selection.fit.values.terms, np.zeros(1)])
+        fit = selection.fit.with_terms([*selection.terms, wave], [*selection.fit.values.terms, np.zeros(1)])
         return SimpleNamespace(fit=fit, named=selection.terms, smooth=wave, weight=0.9)
 
     def test_an_average_is_the_result_and_check_dwells_do_not_speak_of_it(self, told: Told) -> None:
@@ -352,7 +352,9 @@ class TestGuard:
 
         to_go = {(): ["wave"], ("wave",): ["line"], ("wave", "line"): []}
         monkeypatch.setattr(stages.TraceRun, "nest", nest)
-        monkeypatch.setattr(stages, "refuted", lambda selection, fits, errors: to_go[selection.gone])
+        monkeypatch.setattr(
+            stages, "refuted_functions", lambda selection, fits, errors: to_go[selection.gone]
+        )
         run = stages.TraceRun(biased(), 3, None)
         run.selection = model()
         with within(Budget(left_out=list(left_out))):
@@ -518,7 +520,7 @@ class TestSessions:
             raise FitError("too few")
 
         with monkeypatch.context() as patched:
-            patched.setattr(stages, "in_context", lambda session, error: f"of this session: {error}")
+            patched.setattr(stages, "failure_message", lambda session, error: f"of this session: {error}")
             patched.setattr(stages, "refuse_too_few", refuse)
             with pytest.raises(FitError, match="of this session: too few"):
                 trace(session())

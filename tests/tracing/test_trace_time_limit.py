@@ -131,7 +131,7 @@ def test_at_once_over_it_still_gives_a_model_and_says_what_was_left_out() -> Non
     said = words.headline(result)
     assert said.startswith("The time limit of 0.5 s ended the trace")
     assert "nothing is called found" in said
-    assert "the error on left-out dwells" in said
+    assert "the error on held-out dwells" in said
     assert result.as_dict()["stopped"]["sentence"] == said
 
 
@@ -177,7 +177,7 @@ def test_a_stage_that_runs_out_of_time_leaves_no_half_of_itself() -> None:
 def test_stages_are_told_in_order(whole) -> None:
     told = whole.told
     assert told[:2] == ["noise of the readings", "the search for effects"]
-    folds = told.index("the error on left-out dwells, effects chosen anew")
+    folds = told.index("the error on held-out dwells, effects chosen again")
     assert folds < told.index("what to measure next")
     assert told[-1] == "the samples inside the dwells"
 

@@ -10,7 +10,12 @@ import pytest
 
 from adis_gonio.tracing.within.faults import spikes
 from adis_gonio.tracing.within.samples import Samples, WithinFinding, scatter
-from adis_gonio.tracing.within.second_pass import correlation_reach, probability, search_within, stands
+from adis_gonio.tracing.within.second_pass import (
+    correlation_reach,
+    counts_as_found,
+    probability,
+    search_within,
+)
 from adis_gonio.tracing.within.tones import density_of
 from tracing.dwell_samples import bartlett, draw
 
@@ -341,9 +346,9 @@ def test_an_axis_of_one_code_shows_nothing(same, code_mg):
 def test_a_finding_is_called_found_from_the_probability_that_any_cause_needs(p_value, called):
     """Prior 1 in 57; evidence of p = 10⁻⁴ is some 120 to 1, of 10⁻³ some 20 to 1."""
     finding = WithinFinding("tone", "tone", ("x",), tuple(range(4)), {}, p_value, "")
-    assert stands(finding) == called
-    assert not stands(replace(finding, positions=(0, 1, 2), p_value=1e-9))
-    assert not stands(replace(finding, effect=None, p_value=1e-9))
+    assert counts_as_found(finding) == called
+    assert not counts_as_found(replace(finding, positions=(0, 1, 2), p_value=1e-9))
+    assert not counts_as_found(replace(finding, effect=None, p_value=1e-9))
 
 
 def test_probability_of_a_p_value_is_the_mean_of_all_alternatives():

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from adis_gonio import load_session, trace
-from adis_gonio.faces.cli.trace import print_trace
+from adis_gonio.faces.cli.trace_commands import print_trace
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.handover.report.page import build_page
+from adis_gonio.handover.calibration_report import build_page
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.within.samples import WithinFinding, samples_of
 from adis_gonio.tracing.within.second_pass import search_within

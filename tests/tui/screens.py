@@ -13,7 +13,7 @@ from rich.console import Console
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.bench import events
-from adis_gonio.faces.tui.bench import BenchApp
+from adis_gonio.faces.tui.bench_screen import BenchApp
 
 RESUME = "adis-gonio calibrate 'serial:' --resume -o today.session"
 

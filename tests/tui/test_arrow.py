@@ -8,8 +8,8 @@ import pytest
 from adis_gonio.bench.events import Paused, PositionAsked
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import Adis16354
-from adis_gonio.faces.tui import words
-from adis_gonio.faces.tui.state import BenchState
+from adis_gonio.faces.tui import screen_text
+from adis_gonio.faces.tui.bench_state import BenchState
 from adis_gonio.record.plans import Position, plan
 from session.hand_bench import QUICK, Hand, HandBus
 
@@ -36,7 +36,7 @@ def test_the_arrow_follows_the_way_asked_and_is_silent_at_its_end_and_while_reco
     for event in runner.run():
         before = state.here
         state.take(event)
-        line, task = words.target(state), words.task(state)
+        line, task = screen_text.target(state), screen_text.task(state)
         asked, now_s = state.position, sensor.bus.now_s()
         if "recording" in task:
             seen["recording"] += 1
@@ -69,7 +69,7 @@ def test_a_turn_of_more_than_half_a_circle_is_counted_on_the_way_asked(tmp_path)
         if state.place == 4 and state.more_deg is not None:
             remaining.append(state.more_deg)
         if isinstance(event, PositionAsked) and event.place == 4:
-            assert "−270°" in words.task(state).replace("-", "−")
+            assert "−270°" in screen_text.task(state).replace("-", "−")
         hand.see(runner, event)
     assert min(remaining) < -250
     assert abs(remaining[-1]) < 1
@@ -84,8 +84,8 @@ def test_past_it_and_back_is_not_called_there(tmp_path):
     hand, state, said = Hand(sensor), BenchState(), []
     for event in runner.run():
         state.take(event)
-        if state.question is not None and "past it and back" in words.task(state):
-            said.append(words.target(state))
+        if state.question is not None and "past it and back" in screen_text.task(state):
+            said.append(screen_text.target(state))
         hand.see(runner, event)
     assert said
     assert not any("there" in line or arrow(line) for line in said)
@@ -101,7 +101,7 @@ def test_a_turn_during_a_pause_is_not_counted_and_not_guessed(ends_at, tmp_path)
     for event in runner.run():
         state.take(event)
         if state.place == 4 and paused and state.question is not None and state.tolerance_deg is not None:
-            said.append(words.target(state))
+            said.append(screen_text.target(state))
         if isinstance(event, Paused):
             hand.turn(ends_at)
             sensor.bus.sleep_s(30)

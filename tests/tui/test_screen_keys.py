@@ -12,10 +12,10 @@ from textual.geometry import Size
 
 from adis_gonio.base.errors import BusTimeoutError, SessionError
 from adis_gonio.bench import events
-from adis_gonio.faces.cli import plain as choosing
-from adis_gonio.faces.tui import bench, words
-from adis_gonio.faces.tui.face import ScreenFace
-from adis_gonio.faces.tui.state import BenchState, Mark
+from adis_gonio.faces.cli import line_prompts as choosing
+from adis_gonio.faces.tui import bench_screen, screen_text
+from adis_gonio.faces.tui.bench_screen import ScreenFace
+from adis_gonio.faces.tui.bench_state import BenchState, Mark
 from tui.screens import RESUME, PlayedRunner, shown
 from tui.states import DWELL, EXTENSION, OPEN, REVERSED, STATES, THREE, TWO, asked, done, look, started
 
@@ -102,7 +102,7 @@ def test_a_question_does_not_take_the_enter_of_a_note():
     """A guard that rises while somebody types waits until the note is done."""
     script = [*ASKED]
 
-    def rise(app: bench.BenchApp) -> None:
+    def rise(app: bench_screen.BenchApp) -> None:
         app.state.take(REVERSED)
         app.tick()
 
@@ -116,7 +116,7 @@ def test_a_question_does_not_take_the_enter_of_a_note():
 def test_two_keys_at_once_close_a_dialog_once(opened):
     from textual.events import Key
 
-    def twice(app: bench.BenchApp) -> None:
+    def twice(app: bench_screen.BenchApp) -> None:
         for _ in range(2):
             app.screen.post_message(Key("q", "q"))
 
@@ -127,7 +127,7 @@ def test_two_keys_at_once_close_a_dialog_once(opened):
 
 
 def test_a_question_that_has_gone_takes_its_dialog_along():
-    def go_on(app: bench.BenchApp) -> None:
+    def go_on(app: bench_screen.BenchApp) -> None:
         app.state.take(events.Paused(1))
         app.tick()
 
@@ -205,7 +205,7 @@ def test_the_position_in_hand_is_always_in_sight(height, place):
     for event in STATES["long_plan"][0][:-1]:
         state.take(event)
     state.place = place
-    rows = words.plan_rows(state, height)
+    rows = screen_text.plan_rows(state, height)
     assert len(rows) <= max(height, 3)
     assert any("▶ now" in line for line, _ in rows)
 
@@ -218,7 +218,7 @@ def test_a_small_terminal_says_what_it_needs_and_the_session_goes_on():
 
 
 def test_silence_is_told():
-    def hush(app: bench.BenchApp) -> None:
+    def hush(app: bench_screen.BenchApp) -> None:
         app._news_s = time.monotonic() - 42
 
     text, _, _ = shown([*THREE, DWELL], before=hush)
@@ -236,8 +236,8 @@ def test_earlier_work_is_remembered():
 
 
 def test_a_change_of_size_that_no_signal_told_of_is_seen(monkeypatch):
-    def shrink(app: bench.BenchApp) -> None:
-        monkeypatch.setattr(bench.BenchApp, "terminal_size", lambda self: Size(60, 20))
+    def shrink(app: bench_screen.BenchApp) -> None:
+        monkeypatch.setattr(bench_screen.BenchApp, "terminal_size", lambda self: Size(60, 20))
         app.tick()
 
     text, app, _ = shown(ASKED, before=shrink)
@@ -248,7 +248,7 @@ def test_a_change_of_size_that_no_signal_told_of_is_seen(monkeypatch):
 # -- the ends ---------------------------------------------------------------------------------------------
 
 
-class Headless(bench.BenchApp):
+class Headless(bench_screen.BenchApp):
     """A screen that draws nowhere."""
 
     def run(self, **options: object) -> None:
@@ -257,8 +257,8 @@ class Headless(bench.BenchApp):
 
 @pytest.fixture
 def headless(monkeypatch):
-    monkeypatch.setattr("adis_gonio.faces.tui.face.BenchApp", Headless)
-    monkeypatch.setattr("adis_gonio.faces.tui.face.remember", lambda state: None)
+    monkeypatch.setattr("adis_gonio.faces.tui.bench_screen.BenchApp", Headless)
+    monkeypatch.setattr("adis_gonio.faces.tui.bench_screen.remember", lambda state: None)
 
 
 @pytest.mark.usefixtures("headless")
@@ -282,7 +282,7 @@ def test_a_bus_that_fails_ends_the_screen_with_how_to_resume(capsys):
 
 @pytest.mark.usefixtures("headless")
 def test_a_screen_that_fails_stops_the_session_and_is_one_line(capsys, monkeypatch):
-    monkeypatch.setattr(words, "task", lambda state: 1 / 0)
+    monkeypatch.setattr(screen_text, "task", lambda state: 1 / 0)
     runner = PlayedRunner(THREE)
     with pytest.raises(SessionError, match=r"the screen failed .*ZeroDivisionError") as caught:
         ScreenFace(runner, RESUME).run()
@@ -302,14 +302,14 @@ def test_a_second_ctrl_c_leaves_a_session_that_does_not_end(monkeypatch):
     runner = Hangs(THREE)
     pressed = threading.Event()
 
-    def press(self: bench.BenchApp) -> None:
+    def press(self: bench_screen.BenchApp) -> None:
         tick(self)
         if runner.played.is_set() and not pressed.is_set():
             pressed.set()
             self.action_stop_now()
             self.action_stop_now()
 
-    tick = bench.BenchApp.tick
+    tick = bench_screen.BenchApp.tick
     monkeypatch.setattr(Headless, "tick", press)
     with pytest.raises(KeyboardInterrupt):
         ScreenFace(runner, RESUME).run()
@@ -369,7 +369,3 @@ def test_without_the_extra_there_are_prompts_and_the_name_of_it(terminal, capsys
     terminal.setattr(choosing.importlib.util, "find_spec", lambda name: None)
     assert chosen() == "prompts"
     assert "pip install 'adis-gonio[bench]'" in capsys.readouterr().err
-
-
-def test_both_know_the_same_least_size():
-    assert bench.LEAST_SIZE == (choosing.LEAST_COLUMNS, choosing.LEAST_ROWS)

@@ -13,8 +13,8 @@ from adis_gonio.bench import events
 from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
-from adis_gonio.faces.tui import whole_turns, words
-from adis_gonio.faces.tui.state import BenchState, Mark
+from adis_gonio.faces.tui import screen_text
+from adis_gonio.faces.tui.bench_state import BenchState, Mark
 from adis_gonio.record.settings import Settings
 from tui.screens import shown
 from tui.states import LAID, NOT_WHOLE, look, turning
@@ -32,8 +32,15 @@ def test_a_turn_is_followed_from_the_mark_back_to_it(tmp_path):
         for event in runner.run():
             state.take(event)
             if isinstance(event, events.TurnProgress):
-                seen.append((event.state, state.angle_deg, words.target(state), words.stillness(state, 40)))
-                assert words.task(state).startswith("1 turn counter-clockwise: ")
+                seen.append(
+                    (
+                        event.state,
+                        state.angle_deg,
+                        screen_text.target(state),
+                        screen_text.stillness(state, 40),
+                    )
+                )
+                assert screen_text.task(state).startswith("1 turn counter-clockwise: ")
                 assert state.lost == 0
     assert [name for k, (name, *_) in enumerate(seen) if not k or name != seen[k - 1][0]] == [
         "rest",
@@ -48,17 +55,17 @@ def test_a_turn_is_followed_from_the_mark_back_to_it(tmp_path):
     assert 80 <= fastest < 300
     assert state.turned.turned_deg == angles[-1]
     assert [state.mark(place) for place in range(2)] == [Mark.DONE, Mark.DONE]
-    assert dict(words.facts(state))["last turn"].startswith("gyro +36")
+    assert dict(screen_text.facts(state))["last turn"].startswith("gyro +36")
 
 
 def test_a_rate_beyond_the_range_is_told_while_it_is_turned():
     state = BenchState()
     for event in [*LAID, turning("turn", 100.0, 90.0, peak=299.9)]:
         state.take(event)
-    assert not whole_turns.too_fast(state)
-    assert "TOO FAST" not in words.stillness(state, 60)
+    assert not screen_text.too_fast(state)
+    assert "TOO FAST" not in screen_text.stillness(state, 60)
     state.take(turning("turn", 200.0, 90.0, peak=300.0))
-    assert words.stillness(state, 60).startswith("TOO FAST")
+    assert screen_text.stillness(state, 60).startswith("TOO FAST")
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from adis_gonio import load_session, trace
 from adis_gonio.base.errors import DataError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.estimation.readings import in_mg
-from adis_gonio.handover.twin import compare, simulate_like
-from adis_gonio.handover.twin.world import noise_of
+from adis_gonio.handover.digital_twin import noise_of, simulate_like
+from adis_gonio.handover.twin_comparison import compare
 from recordings import recording
 
 
@@ -45,7 +45,7 @@ def test_a_model_that_lacks_the_effect_makes_a_twin_that_does_not_agree(measured
     session = load_session(measured)
     final = traced.fits[-1]
     kept = [k for k, term in enumerate(final.terms) if term.name == "bias"]
-    lacking = final.having([final.terms[k] for k in kept], [final.values.terms[k] for k in kept])
+    lacking = final.with_terms([final.terms[k] for k in kept], [final.values.terms[k] for k in kept])
     twin = simulate_like(session, lacking, seed=1)
     assert not compare(session, twin, lacking).agrees
 

@@ -11,7 +11,7 @@ from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.handover.twin import gyro_settings, simulate_like
+from adis_gonio.handover.digital_twin import gyro_settings, simulate_like
 from adis_gonio.model.effects import effect
 from adis_gonio.record.loading import load_session
 from adis_gonio.sim.settings import WorldSettings
@@ -32,7 +32,7 @@ def modelled(session):
     """The base model with a bias, fitted: what a trace of this session ends with."""
     data = readings_of(session)
     bias = NamedTerm("bias", (), 0.0, effect("bias", ("x", "y", "z")[: data.axes]))
-    return Fit.begin(data).having([bias], [np.zeros(data.axes)]).refit()
+    return Fit.begin(data).with_terms([bias], [np.zeros(data.axes)]).refit()
 
 
 def test_the_twin_s_gyros_are_found_with_the_faults_of_the_session_s(measured):

@@ -26,7 +26,7 @@ from adis_gonio.bench.writeback import (
 )
 from adis_gonio.calibrate import Calibration
 from adis_gonio.device.sensor import Adis16354
-from adis_gonio.record.write_journal import operations, remarks_on
+from adis_gonio.record.write_journal import describe_writes, operations
 from fakes.boards import Board
 from writeback.rig import OFFSETS, flash, new_bus, numbers, record
 
@@ -266,7 +266,7 @@ def test_two_positions_a_csv_and_an_open_end_are_refused(tmp_path):
 
 
 def test_a_model_that_lacks_something_is_refused_unless_told(tmp_path):
-    from adis_gonio.model.effects.registry import parse_effect
+    from adis_gonio.model.effects import parse_effect
     from adis_gonio.sim import World, WorldSettings
     from writeback.rig import PowerBus
 
@@ -306,7 +306,7 @@ def test_a_part_whose_register_has_another_lsb_is_set_back(path):
     from adis_gonio.bench.writeback.offset_checks import measure
 
     made._plan, made._before = plan, measure(made.sensor, 0.5, 60.0)
-    with pytest.raises(VerifyError, match=r"not what was planned.*holds the old offsets") as caught:
+    with pytest.raises(VerifyError, match=r"not as planned.*the old offsets") as caught:
         made.write()
     assert "\n" not in str(caught.value)
     assert numbers(bus) == OLD
@@ -592,6 +592,6 @@ def test_after_an_interrupted_write_there_are_no_coefficients(path):
     whole = load_session(path)
     begun = whole.facts["offset_writes"][:2]
     session = replace(whole, facts={**whole.facts, "offset_writes": begun})
-    assert "was interrupted" in remarks_on(operations(begun), dict.fromkeys(OFFSETS, 0))[0]
+    assert "was interrupted" in describe_writes(operations(begun), dict.fromkeys(OFFSETS, 0))[0]
     with pytest.raises(SessionError, match="--status"):
         fit(session).calibration()

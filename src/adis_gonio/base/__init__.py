@@ -1,1 +1,46 @@
-"""Foundations: errors, numbers with units and uncertainty, output files, JSON, a budget of time."""
+"""Foundations: version, errors, numbers with units and uncertainty, output files, JSON, a time budget."""
+
+from __future__ import annotations
+
+import abc
+import importlib
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any, Self
+
+__version__ = "0.1.0"
+
+
+def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return a `__getattr__` for a package that imports its names when they are first used (PEP 562).
+
+    Parameters
+    ----------
+    package : str
+        `__name__` of the package.
+    homes : mapping
+        Module within the package by public name.
+    """
+
+    def get(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module '{package}' has no attribute '{name}'")
+        value = getattr(importlib.import_module(f"{package}.{homes[name]}"), name)
+        vars(sys.modules[package])[name] = value
+        return value
+
+    return get
+
+
+class Closing(abc.ABC):
+    """Context manager that closes itself at the end of the block, also after an exception."""
+
+    @abc.abstractmethod
+    def close(self) -> None:
+        """Release the resources; may be called twice."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()

@@ -1,12 +1,15 @@
-"""Arrays of numbers: their type, angles within a turn, derivatives by differences."""
+"""Arrays of numbers: type, wrapped angles, derivatives, robust scatter, singular matrices."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from functools import wraps
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from adis_gonio.base.errors import FitError
 
 Floats = NDArray[np.float64]
 """Array of floating-point numbers of any shape."""
@@ -14,12 +17,12 @@ Angle = TypeVar("Angle", float, Floats)
 
 
 def wrap_degrees(angle_deg: Angle) -> Angle:
-    """Angle in degrees, a number or an array, brought into [−180, 180)."""
+    """Wrap an angle in degrees, a number or an array, to [−180, 180)."""
     return (angle_deg + 180.0) % 360.0 - 180.0
 
 
 def wrap_radians(angle_rad: Angle) -> Angle:
-    """Angle in radians, a number or an array, brought into [−π, π)."""
+    """Wrap an angle in radians, a number or an array, to [−π, π)."""
     return (angle_rad + np.pi) % (2 * np.pi) - np.pi
 
 
@@ -60,3 +63,40 @@ def central_differences(
         for h, row in zip(steps, rows, strict=True)
     ]
     return np.stack(slopes, axis=-1) if slopes else np.zeros((*np.shape(function(at)), 0))
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def unsolvable(name: str, error: Exception) -> FitError:
+    """Return the `FitError` for a file or command with numbers that give a singular matrix."""
+    return FitError(
+        f"{name}: no fit is possible with these numbers ({error}): check the times, the units and the"
+        " stated uncertainties"
+    )
+
+
+def solvable(compute: F) -> F:
+    """Let a function of a session raise `FitError` instead of numpy's `LinAlgError`.
+
+    Values that are finite one by one can still give a matrix without an inverse, such as times that differ
+    by many orders of magnitude.
+    """
+
+    @wraps(compute)
+    def computed(session: Any, *args: Any, **options: Any) -> Any:
+        try:
+            return compute(session, *args, **options)
+        except np.linalg.LinAlgError as error:
+            raise unsolvable(session.source or "session", error) from error
+
+    return cast(F, computed)
+
+
+MAD_TO_SD = 1.482602218505602
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+def robust_sd(values: Floats) -> float:
+    """Standard deviation from the median absolute deviation, for a normal distribution."""
+    return float(MAD_TO_SD * np.median(np.abs(values - np.median(values))))

@@ -1,9 +1,9 @@
-"""A time budget: long work tells its stages and shares, and ends in an orderly way when its time is over.
+"""A time budget: long work reports its progress, and ends in an orderly way when its time is over.
 
-The budget in use is ambient (a context variable), as a cancel scope is, so that a loop deep inside asks it
-without being handed one. Work asks at its safe points: `spent` where it goes on with the best that it has,
-`check` where what is half done is thrown away. `attempt` runs a stage and gives its substitute where that
-happened; `told` counts through a loop. Without a budget nothing ends early.
+The present budget is a context variable, like a cancel scope, so that an inner loop can check it without an
+argument. Work asks at its safe points: `spent` if it can continue with its best result so far, `check` if
+unfinished work must be discarded. `attempt` runs a stage and returns its substitute in this case;
+`with_progress` reports the progress of a loop. Without a budget nothing ends early.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ T = TypeVar("T")
 
 
 class OutOfTimeError(Exception):
-    """The time is over in the midst of a stage; never leaves `attempt`."""
+    """The time is over within a stage; `attempt` catches it."""
 
 
 def _silent(_what: object) -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 @dataclass
@@ -36,13 +36,13 @@ class Budget:
     limit_s : float
         Seconds from now on; infinite for no limit.
     tell : callable
-        Called with the name of each stage as it begins.
+        Called with the name of each stage at its beginning.
     share : callable
-        Called with how much of the stage is done, 0 to 1, where that is known.
+        Called with the completed fraction of the stage, 0 to 1, if known.
     clock : callable
         Seconds from any origin.
     left_out : list of str
-        Stages that ended early or were not begun, in order.
+        Stages that ended early or did not begin, in order.
     """
 
     limit_s: float = math.inf
@@ -56,20 +56,20 @@ class Budget:
 
     @property
     def elapsed_s(self) -> float:
-        """Seconds since it was made."""
+        """Seconds since its creation."""
         return self.clock() - self._begun
 
     @property
     def over(self) -> bool:
-        """True from the moment on at which something was left out, or the limit is reached."""
+        """True once a stage was omitted or the limit is reached."""
         return bool(self.left_out) or self.elapsed_s >= self.limit_s
 
     def limited(self, limit_s: float) -> Budget:
-        """A new budget that tells the same listeners."""
+        """A new budget with the same callbacks."""
         return replace(self, limit_s=limit_s, left_out=[])
 
     def leave_out(self, what: str) -> None:
-        """Note what ended early."""
+        """Record a stage that ended early."""
         if what not in self.left_out:
             self.left_out.append(what)
 
@@ -79,7 +79,7 @@ _current: ContextVar[Budget | None] = ContextVar("budget", default=None)
 
 @contextmanager
 def within(budget: Budget) -> Iterator[Budget]:
-    """Make a budget the one that is asked."""
+    """Use a budget within the block."""
     before = _current.set(budget)
     try:
         yield budget
@@ -88,18 +88,18 @@ def within(budget: Budget) -> Iterator[Budget]:
 
 
 def current() -> Budget:
-    """The budget in use; one without limit where there is none."""
+    """The present budget, or a budget without limit."""
     return _current.get() or Budget()
 
 
 def spent() -> bool:
-    """True where work has to go on with the best that it has."""
+    """True if work must continue with its best result so far."""
     budget = _current.get()
     return budget is not None and budget.over
 
 
 def check() -> None:
-    """End the stage where the time is over.
+    """End the stage if the time is over.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def check() -> None:
 
 
 def attempt(stage: str, work: Callable[[], T], otherwise: T) -> T:
-    """What `work` gives, or `otherwise` where the time is over before it ends: the stage is left out."""
+    """Result of `work`, or `otherwise` if the time is over before it ends."""
     budget = current()
     budget.tell(stage)
     try:
@@ -122,14 +122,14 @@ def attempt(stage: str, work: Callable[[], T], otherwise: T) -> T:
         return otherwise
 
 
-def told(items: Sequence[T], before: int = 0, total: int | None = None) -> Iterator[T]:
-    """Each item in turn; tells how much of the stage is done.
+def with_progress(items: Sequence[T], before: int = 0, total: int | None = None) -> Iterator[T]:
+    """Yield each item and report the completed fraction of the stage.
 
     Parameters
     ----------
     items : sequence
     before, total : int
-        Items of the stage that came before these, and all of them; by default these are all.
+        Number of items of the stage before these, and of all items; by default these are all.
     """
     share, count = current().share, len(items) if total is None else total
     for done, item in enumerate(items, before):

@@ -1,25 +1,25 @@
-"""Errors, drawn as a tree by who has to act.
+"""The tree of errors, ordered by the person who has to act.
 
-Every message is one line: it names the file, row, register, option or port, and says what to do.
-`exit_code` is what the command line returns: 1 where the job failed, 2 where the call was wrong.
+Every message is one line: it names the file, row, register, option or port, and the action to take.
+`exit_code` is the exit status of the command line: 1 if the job failed, 2 if the call was wrong.
 
-=====================  =================================================================
+=====================  ================================================================
 error                  who acts
-=====================  =================================================================
+=====================  ================================================================
 `UsageError`           the caller: an option, a URL, an argument
-`DataError`            whoever made the file
-`NotInstalledError`    whoever installed the package: an extra is missing
-`CannotOpenError`      whoever set up the machine: permissions, cables, a busy device
+`DataError`            the author of the file
+`NotInstalledError`    the administrator: an extra of the package is missing
+`CannotOpenError`      the administrator: permissions, cables, a busy device
 `ProtocolError`        the bridge: corrupted or short answers
 `BusTimeoutError`      the bridge or the cable: no answer
 `BusClosedError`       the caller: use after close
 `CapabilityError`      the caller: this bus cannot do that
 `ChipError` and below  the sensor, its wiring or its supply
-`FitError` and below   the plan of the session: the data do not determine what was asked
+`FitError` and below   the planner of the session: the data do not determine the result
 `SessionError`         the operator or the archive
-`OutputError`          whoever owns the disk: a file cannot be written
-`FleetError`           whoever runs the machine or the cluster: no worker, no scheduler
-=====================  =================================================================
+`OutputError`          the owner of the disk: a file cannot be written
+`FleetError`           the operator of the machine or cluster: no worker, no scheduler
+=====================  ================================================================
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from __future__ import annotations
 def one_line(text: str) -> str:
     """Return the words of a text with one space between them and `?` for each unprintable letter.
 
-    Text of a file or a device must not steer a terminal. Bytes of a file's name that are no text stay.
+    Text of a file or a device must not control a terminal. Undecodable bytes of a file name are kept.
     """
     words = " ".join(text.split())
     return "".join(c if c.isprintable() or "\udc80" <= c <= "\udcff" else "?" for c in words)
@@ -58,7 +58,7 @@ class NotInstalledError(AdisGonioError):
 
 
 class BusError(AdisGonioError):
-    """Base of what can go wrong between the host and the chip's pins."""
+    """Base class of failures between the host and the chip's pins."""
 
 
 class CannotOpenError(BusError):
@@ -66,7 +66,7 @@ class CannotOpenError(BusError):
 
 
 class ProtocolError(BusError):
-    """The bridge answered, but not what its protocol allows."""
+    """The answer of the bridge violates its protocol."""
 
 
 class BusTimeoutError(BusError, TimeoutError):
@@ -78,11 +78,11 @@ class BusClosedError(BusError):
 
 
 class CapabilityError(BusError):
-    """The bus has not the optional capability that was asked for."""
+    """The bus lacks the requested capability."""
 
 
 class ChipError(AdisGonioError):
-    """Base of what the sensor itself reports or does."""
+    """Base class of errors of the sensor itself."""
 
 
 class SilentChipError(ChipError):
@@ -102,7 +102,7 @@ class StatusError(ChipError):
 
 
 class FitError(AdisGonioError):
-    """The fit cannot give what was asked for."""
+    """The fit cannot give the requested result."""
 
 
 class SingularError(FitError):
@@ -114,8 +114,8 @@ class SessionError(AdisGonioError):
 
 
 class OutputError(AdisGonioError):
-    """A file that was asked for cannot be written; what was there before is as it was."""
+    """An output file cannot be written; an existing file is unchanged."""
 
 
 class FleetError(AdisGonioError):
-    """Nobody is there to work on a fleet: no process can be started, no scheduler answers."""
+    """No worker for a fleet: no process can be started, or no scheduler answers."""

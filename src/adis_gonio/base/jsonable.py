@@ -1,4 +1,4 @@
-"""Values and records in the types that JSON has, and JSON from a file that anybody may have written."""
+"""Values and records in JSON types, and JSON from untrusted files."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ LARGEST_INTEGER = 2**63 - 1
 
 
 HIDDEN = {"hidden": True}
-"""Metadata of a field that the document lacks."""
+"""Metadata of a field that is not in the document."""
 OPTIONAL = {"optional": True}
-"""Metadata of a field that the document lacks if its value is its default, None or not finite."""
+"""Metadata of a field that is omitted if its value is its default, None or not finite."""
 INLINE = {"inline": True}
-"""Metadata of a field that is a record: its entries stand in the document of the outer record."""
+"""Metadata of a record field: its entries become entries of the outer document."""
 NAMED_BY_UNIT = {"named_by_unit": True}
-"""Metadata of a field whose key ends in `_` and the `unit` of its record."""
+"""Metadata of a field with a key that ends in `_` and the `unit` of its record."""
 KEYED_BY_NAME = {"keyed_by_name": True}
-"""Metadata of a field that holds several records: the document has them by their attribute `name`."""
+"""Metadata of a field with several records, which are entries by their attribute `name`."""
 
 
 def key(name: str) -> dict[str, str]:
-    """Metadata of a field whose key in the document is not its name."""
+    """Metadata of a field with a key that differs from its name."""
     return {"key": name}
 
 
 class JsonRecord:
-    """Base class of a dataclass whose JSON document follows from its fields and their metadata.
+    """Base class of dataclasses with a JSON document made from their fields and metadata.
 
     Attributes
     ----------
@@ -86,18 +86,18 @@ def _document(record: Any, names: Iterable[str] = ()) -> dict[str, Any]:
 
 
 def json_value(text: str, **options: Any) -> Any:
-    """Value of a JSON text whose writer is not known.
+    """Value of an untrusted JSON text.
 
     Parameters
     ----------
     options
-        Of `json.loads`; `parse_constant=float` lets NaN pass where a check of the field names it.
+        Options of `json.loads`; `parse_constant=float` accepts NaN for a later check of the field.
 
     Raises
     ------
     ValueError
-        No JSON; NaN or an infinity, which JSON does not have; a number beyond float64 (1e400); an integer
-        of more than 64 bits; lists or objects more than `MOST_DEPTH` deep.
+        Invalid JSON; NaN or an infinity; a number beyond float64 (1e400); an integer of more than 64 bits;
+        lists or objects more than `MOST_DEPTH` deep.
     """
     try:
         strict = {"parse_constant": _refuse, "parse_float": _real, "parse_int": _whole}

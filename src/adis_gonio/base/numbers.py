@@ -1,8 +1,8 @@
-"""Every number that a person reads: quantities with u and unit, shares, p-values, durations, counts, lists.
+"""Numbers as text for people: quantities with u and unit, shares, p-values, durations, counts, lists.
 
 Text for people has the minus sign U+2212, and no-break spaces inside a quantity, so that no line ends
-between a number and its unit. Numbers in files for programs (CSV, JSON, C) have the ASCII hyphen; they are
-not written here.
+between a number and its unit. Numbers in files for programs (CSV, JSON, C) have the ASCII hyphen; other
+modules write them.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from adis_gonio.base.values import Value
+    from adis_gonio.base.uncertainty import Value
 
 NO_BREAK = "\u00a0"
 """Space at which no line ends."""
 DASH = "–"
-"""Stands for a value that does not exist."""
+"""Text for a missing value."""
 UNKNOWN = "u unknown"
 NAMES = {
     "delta_k": "ΔK",
@@ -104,7 +104,7 @@ def label_quantity(name: str, unit: str) -> str:
 
 
 def format_p(p: float) -> str:
-    """`p = 0.004`, or `p < 10⁻¹²` where digits mean nothing."""
+    """`p = 0.004`, or `p < 10⁻¹²` for smaller ones."""
     if p < 1e-12:
         return f"p{NO_BREAK}<{NO_BREAK}10⁻¹²"
     if p < 1e-3:
@@ -113,7 +113,7 @@ def format_p(p: float) -> str:
 
 
 def format_percent(fraction: float) -> str:
-    """Percentage that is never a round 0 or 100 by rounding alone."""
+    """Percentage that is never rounded to 0 or 100."""
     if fraction >= 0.9995:
         return f">{NO_BREAK}99.9{NO_BREAK}%"
     if fraction < 0.0005:
@@ -141,7 +141,7 @@ def format_duration(seconds: float) -> str:
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:
-    """`1 dwell`, `4 dwells`; an irregular noun brings its plural."""
+    """`1 dwell`, `4 dwells`; `plural` is for irregular nouns."""
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 

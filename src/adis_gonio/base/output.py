@@ -1,4 +1,4 @@
-"""Files that are made: written beside and renamed, so that a failure leaves the old file or none."""
+"""Output files: written to a temporary file and renamed, so that a failure leaves the old file or none."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from adis_gonio.base.errors import OutputError, UsageError
 
 
 def ends_in(path: str | Path, *endings: str) -> bool:
-    """True where a file's name has one of these endings, in capitals or not."""
+    """True if a file name has one of these endings, in capitals or not."""
     return Path(path).name.lower().endswith(endings)
 
 
 def exists_error(path: str | Path, cure: str = "choose another name") -> UsageError:
-    """Error of a file that a command or function will not overwrite; `cure` tells what to do."""
+    """Error for a file that must not be overwritten; `cure` is the advice."""
     return UsageError(f"{path}: exists already; {cure} (nothing was changed)")
 
 
 def check_output(
     path: str | Path, *, force: bool = False, cure: str = "choose another name, or --force to replace it"
 ) -> Path:
-    """Refuse before the work a file that could not be written after it.
+    """Check before the work that an output file can be written after it.
 
     Parameters
     ----------
@@ -56,18 +56,18 @@ def check_output(
 def write_utf8(path: Path, text: str) -> int:
     """Write a text as UTF-8 and return the number of bytes; a lone surrogate becomes a question mark.
 
-    UTF-8 has no lone surrogates. A file's name that is no text holds some, and a JSON text may.
+    UTF-8 has no lone surrogates, but an undecodable file name or a JSON text may contain them.
     """
     return path.write_bytes(text.encode("utf-8", "replace"))
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Path beside `path` to write to; it takes the place of `path` when the block ends well.
+    """Temporary path that replaces `path` when the block ends without an exception.
 
-    After an exception of any kind (a full disk, Ctrl-C) it is removed and `path` is what it was before.
-    It has the same ending, so that a writer which goes by that does the same. Through a symbolic link the
-    file behind it is replaced; what is no regular file (`/dev/stdout`, a pipe) is written to as it is.
+    After any exception (a full disk, Ctrl-C) it is removed and `path` is unchanged. It has the ending of
+    `path`, because some writers choose a format by it. For a symbolic link the target is replaced; a
+    special file (`/dev/stdout`, a pipe) is written directly.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def _special(path: Path) -> bool:
 
 
 def _created_beside(target: Path) -> Path:
-    """A new empty file with the permissions of the file that it will replace, else those of any new one."""
+    """Create an empty file with the permissions of the file that it replaces, or default ones."""
     for number in count():
         beside = target.with_name(f".{os.getpid()}-{number}.part-{target.name}")
         try:
@@ -115,7 +115,7 @@ def _created_beside(target: Path) -> Path:
 
 
 def _flushed(path: Path) -> None:
-    """Have the content on the disk before the name: a power cut then leaves the old file or the new one."""
+    """Write the content to the disk before the rename: a power cut leaves the old or the new file."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
@@ -125,5 +125,5 @@ def _unwritten(path: Path, error: OSError) -> OutputError:
 
 
 def _about(error: OSError, beside: Path, target: Path) -> bool:
-    """True for an error of this file, False for one of another that the block opened."""
+    """True for an error of this file, False for an error of another file."""
     return error.filename is None or Path(os.fsdecode(error.filename)) in (beside, target)

@@ -1,4 +1,4 @@
-"""Types and ranges of values from a file: each shape checks one value and names what is wrong with it.
+"""Types and ranges of values from a file: each shape checks one value and names its mistake.
 
 A shape is a function of one value that raises `ShapeError`. The error's message begins with the way to
 the value, such as `.positions[3].angle_deg is 'x': expected a number from -1e+06 to 1e+06`, so that the
@@ -14,7 +14,7 @@ from typing import Any
 Shape = Callable[[Any], None]
 
 LONGEST_TEXT = 100_000
-"""Characters of a note that an operator may have written."""
+"""Most characters of a note of an operator."""
 _SHOWN = 40
 
 
@@ -61,7 +61,7 @@ def text(value: Any) -> None:
 
 
 def truth_value(value: Any) -> None:
-    """True or false."""
+    """Boolean."""
     if type(value) is not bool:
         raise _refuse(value, "true or false")
 
@@ -84,7 +84,7 @@ def moment(value: Any) -> None:
 
 
 def anything(value: Any) -> None:
-    """Any value: nothing computes with it."""
+    """Any value, for entries without computations."""
 
 
 def choice(*allowed: str | int | None) -> Shape:
@@ -126,7 +126,7 @@ def list_of(shape: Shape, least: int, most: int) -> Shape:
 
 
 def mapping_of(shape: Shape) -> Shape:
-    """Object whose values all have a shape, whatever their names."""
+    """Object with any names and values of one shape."""
 
     def check(value: Any) -> None:
         if not isinstance(value, dict):
@@ -145,7 +145,7 @@ def fields(
     Parameters
     ----------
     others : Shape, optional
-        Of values with other names; without it, these are refused.
+        Shape of values with other names; without it, they are refused.
     """
     known = {**required, **(optional or {})}
 
@@ -158,7 +158,7 @@ def fields(
         for key, entry in value.items():
             shape = known.get(key, others)
             if shape is None:
-                raise ShapeError(f" holds {shown(key)}, which is not known")
+                raise ShapeError(f"  contains {shown(key)}, which is not known")
             _inside(_way(key), shape, entry)
 
     return check

@@ -39,7 +39,7 @@ def fold_text(text: str, width: int, indent: int = 0) -> list[str]:
 
 
 def lines_of(entries: Entries) -> list[str]:
-    """Indented lines, one a parameter of a document."""
+    """Indented lines, one for each parameter of a document."""
     return [f"  {name}: {format_uncertain(one['value'], one['u'], one['unit'])}" for name, one in entries]
 
 
@@ -69,7 +69,7 @@ class ParameterTable(JsonRecord):
         return html_table(*self.caption_and_parameters())
 
     def to_pandas(self) -> pd.DataFrame:
-        """Data frame with a row a parameter: value, u, unit, of fits also dof, k and U (extra: pandas).
+        """Data frame with a row for each parameter: value, u, unit, and for fits dof, k, U (extra: pandas).
 
         An unknown number is NaN.
 

@@ -1,9 +1,9 @@
-"""Closing the loop: what has been measured asks for what is measured next.
+"""Advisors: the dwells so far decide which positions are measured next.
 
-A runner asks its advisor whenever its plan is done. The one here traces the session so far and asks for the
-positions that are expected to tell apart what is still possible; it ends when the model is adequate and
-nothing is left that a measurement would decide, or when nothing more is to be expected from further
-positions, or at a limit.
+A runner asks its advisor whenever its plan is done. `TraceAdvisor` traces the session so far and asks for
+the positions that are expected to separate the remaining explanations. It ends when the model is adequate
+and no measurement would decide anything more, when further positions are not expected to help, or at a
+limit.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ if TYPE_CHECKING:
     from adis_gonio.tracing.trace_result import NextDwell, TraceResult
 
 MOST_EXTRA = 24
-"""Positions that are asked for beyond the plan, by default."""
+"""Default limit of positions beyond the plan."""
 FEW = 24
-"""Dwells from which a model that is not adequate asks only for positions that would decide."""
+"""From this number of dwells, only positions that would decide are requested for an inadequate model."""
 AT_ONCE = 4
-"""Most positions of one round: what they show decides which come next."""
+"""Limit of positions in one round; their results decide the next positions."""
 
 
 @dataclass(frozen=True)
 class Advice:
-    """What an advisor says.
+    """Answer of an advisor.
 
     Attributes
     ----------
     positions : tuple of Position
-        To be visited next, in this order; empty where nothing is asked for.
+        Positions to visit next, in this order; empty at the end.
     reasons : tuple of str
-        One sentence each.
+        Reasons for these positions, one sentence each.
     ended : str
-        Why nothing is asked for.
+        Reason why no position is requested.
     summary : dict
-        JSON form of where the session stands.
+        JSON form of the result so far.
     """
 
     positions: tuple[Position, ...]
@@ -50,38 +50,38 @@ class Advice:
 
 
 class Advisor(Protocol):
-    """Who is asked for further positions."""
+    """Source of further positions."""
 
     def advise(self, session: Session, visited: int, reachable: Callable[[Position], bool]) -> Advice:
-        """Say what to measure next.
+        """Choose the next positions.
 
         Parameters
         ----------
         session : Session
-            All dwells so far.
+            Session with all dwells so far.
         visited : int
-            Positions that were asked for before and accepted.
+            Number of positions that were requested before and accepted.
         reachable : callable
             True for a position that can be visited.
         """
 
 
 class TraceAdvisor:
-    """Asks for what the trace of the session says would decide.
+    """Asks for the measurements that a trace of the session proposes.
 
     Parameters
     ----------
     most : int
-        Most positions beyond the plan.
+        Limit of positions beyond the plan.
     max_effects : int
-        As `adis_gonio.trace`.
+        See `adis_gonio.trace`.
 
     Attributes
     ----------
     result : TraceResult or None
         The last trace.
     dwells : int
-        How many dwells it saw.
+        Number of dwells in it.
     """
 
     def __init__(self, most: int = MOST_EXTRA, max_effects: int = 6) -> None:
@@ -101,24 +101,24 @@ class TraceAdvisor:
         except FitError as error:
             return Advice((), ended=f"the session cannot be traced: {error}")
         self.result, self.dwells = result, len(session.dwells)
-        summary = where_it_stands(result, len(session.dwells))
+        summary = summarise_trace(result, len(session.dwells))
         decide = [m for m in result.measurements if m.purpose == "decide"]
         wanted = [m for m in decide if m.separation >= LEAST_SEPARATION]
         if not result.tested:
             wanted = list(result.measurements)
         elif not wanted and not result.adequate and len(session.dwells) < FEW:
-            # Few readings hide what explains the rest behind models that they cannot check.
+            # With few readings the explanation may be a model that they cannot check.
             wanted = decide
         within = [m for m in wanted if reachable(_position(m))]
         left = self.most - visited
         if within and left > 0:
             chosen = within[: min(AT_ONCE, left)]
             return Advice(tuple(_position(m) for m in chosen), sentences(chosen), "", summary)
-        return Advice((), (), _ended(result, wanted, within, visited), summary)
+        return Advice((), (), _reason_to_end(result, wanted, within, visited), summary)
 
 
-def where_it_stands(result: TraceResult, dwells: int) -> dict[str, Any]:
-    """What of a trace is compared before and after further positions."""
+def summarise_trace(result: TraceResult, dwells: int) -> dict[str, Any]:
+    """Summary of a trace, for comparison before and after further positions."""
     return {
         "dwells": dwells,
         "adequate": result.adequate,
@@ -145,15 +145,17 @@ def _position(measurement: NextDwell) -> Position:
     )
 
 
-def _ended(result: TraceResult, wanted: list[NextDwell], within: list[NextDwell], visited: int) -> str:
-    """Why nothing more is asked for."""
+def _reason_to_end(
+    result: TraceResult, wanted: list[NextDwell], within: list[NextDwell], visited: int
+) -> str:
+    """Reason why no further position is requested."""
     from adis_gonio.tracing.advice import sentences
 
     if within:
         return f"the limit of further positions is reached ({visited} were added); not all is decided"
     if wanted:
         return (
-            "the positions have shown what they can; what is still open needs something else: "
+            "further positions would not help; the open questions need another measurement: "
             + "; ".join(sentences(wanted))
         )
     if result.adequate:
@@ -164,13 +166,13 @@ def _ended(result: TraceResult, wanted: list[NextDwell], within: list[NextDwell]
             "see what to measure next"
         )
     return (
-        "the advice is exhausted: no further position is expected to show what explains the rest; "
+        "the advice is exhausted: no further position is expected to explain the residual; "
         "see what to measure next"
     )
 
 
 def _open_names(result: TraceResult) -> str:
-    """Effects of the model that something else with a name could replace, each with the first of these."""
+    """Effects of the model that another known effect could replace, each with the most probable one."""
     from adis_gonio.model.effects import catalogue
 
     known = catalogue().keys() - {step.effect for step in result.steps}
@@ -181,6 +183,3 @@ def _open_names(result: TraceResult) -> str:
         if names[0] in inside and others:
             pairs.setdefault(names[0], others[0])
     return ", and between ".join(f"{name} and {other}" for name, other in pairs.items())
-
-
-__all__ = ["Advice", "Advisor", "TraceAdvisor", "where_it_stands"]

@@ -1,4 +1,4 @@
-"""What an operator says to a running session, from any thread, and how the session asks and hears it."""
+"""Dialogue with the operator: answers from any thread, and the questions of a running session."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from adis_gonio.record.archive_tables import utc_now
 from adis_gonio.record.blocks import Block, join
 
 PAUSE_STEP_S = 0.1
-"""Between two looks for remarks during a pause, on the wall clock."""
+"""Time between two checks for remarks during a pause, on the wall clock."""
 
 KEPT_S = 120.0
-"""What was scanned while a question stands is kept so long, where turns are kept: a turn and its rests."""
+"""Scans during a question are kept so long if turns are recorded: enough for a turn and its rests."""
 
 WAIT_STEP_S = 1.0
-"""Between two looks at the clock and the operator during a wait."""
+"""Time between two checks of the clock and the operator during a wait."""
 
 
 class Reply(StrEnum):
@@ -51,20 +51,20 @@ class Remark:
     Attributes
     ----------
     utc : str
-        Wall clock at which it was given.
+        Time on the wall clock.
     """
 
     text: str
     utc: str
 
 
-class Inbox:
-    """What an operator has said and the session has not heard yet; safe between threads.
+class Operator:
+    """The operator's side of a session; every method may be called from any thread.
 
     Attributes
     ----------
     stopping, pausing, going_on : threading.Event
-        Set while the session is to end, to stand still, not to stand still any more.
+        Set to end the session, to pause it, and to continue it.
     """
 
     def __init__(self) -> None:
@@ -75,30 +75,14 @@ class Inbox:
         self.pausing = threading.Event()
         self.going_on = threading.Event()
 
-    @property
-    def interrupting(self) -> bool:
-        """True where the session is to end or to stand still."""
-        return self.stopping.is_set() or self.pausing.is_set()
-
-    def answer(self, answer: Reply | str) -> None:
-        """Put an answer in; `UsageError` where it is none to the question that stands."""
-        if answer not in self._allowed:
-            asked = ", ".join(sorted(self._allowed)) or "nothing"
-            raise UsageError(f"'{answer}' answers no question that stands (open: {asked})")
-        self._answers.put(Reply(answer))
-
-    def remark(self, text: str) -> None:
-        """Put a remark in."""
-        self._remarks.put(Remark(text, utc_now()))
-
-    def open(self, answers: frozenset[Reply]) -> None:
-        """Let a question stand: what was said to another one is forgotten."""
+    def open_question(self, answers: frozenset[Reply]) -> None:
+        """Allow answers to a question; answers to an earlier question are discarded."""
         while not self._answers.empty():
             self._answers.get_nowait()
         self._allowed = answers
 
-    def given(self) -> Reply | None:
-        """The answer to the question that stands; None while there is none."""
+    def take_answer(self) -> Reply | None:
+        """Take the answer to the open question; None if there is none yet."""
         try:
             answer = self._answers.get_nowait()
         except queue.Empty:
@@ -106,152 +90,146 @@ class Inbox:
         self._allowed = frozenset()
         return answer
 
-    def said(self) -> list[Remark]:
-        """Remarks that have not been taken yet."""
-        remarks = []
+    def take_remarks(self) -> Iterator[Remark]:
+        """Take all new remarks."""
         while not self._remarks.empty():
-            remarks.append(self._remarks.get_nowait())
-        return remarks
-
-
-class Operator:
-    """The operator's side of a session; every method may be called from any thread."""
-
-    def __init__(self) -> None:
-        self._inbox = Inbox()
+            yield self._remarks.get_nowait()
 
     def answer(self, answer: Reply | str) -> None:
-        """Answer the question that stands, by the answer's name; one of `GuardRaised.answers`, say.
+        """Answer the open question by the name of an answer, such as one of `GuardRaised.answers`.
 
         Raises
         ------
         UsageError
-            It is no answer to a question that stands.
+            It does not answer the open question.
         """
         if answer == Reply.STOP:
             self.stop()
             return
-        self._inbox.answer(answer)
+        if answer not in self._allowed:
+            possible = ", ".join(sorted(self._allowed)) or "nothing"
+            raise UsageError(f"'{answer}' does not answer the open question (possible: {possible})")
+        self._answers.put(Reply(answer))
 
     def confirm(self) -> None:
-        """The part is (or the stage may go) where it was asked to be."""
+        """Confirm that the part is in the requested position, or that the stage may go there."""
         self.answer(Reply.CONFIRM)
 
     def skip(self) -> None:
-        """Leave this position out."""
+        """Skip this position."""
         self.answer(Reply.SKIP)
 
     def repeat(self) -> None:
-        """Do the last dwell again; the new one takes its place, the old one stays in the archive."""
+        """Repeat the last dwell; the new dwell replaces the old one, which stays in the archive."""
         self.answer(Reply.REPEAT)
 
     def undo(self) -> None:
-        """Withdraw the newest dwell: it stays in the archive, marked, and its position is asked again."""
+        """Withdraw the newest dwell; it stays in the archive, and its position is asked again."""
         self.answer(Reply.UNDO)
 
     def keep(self) -> None:
-        """Keep what a guard stopped at, as it is; what cannot be right is told at the end."""
+        """Overrule a guard and keep the position or dwell; the result will mention the doubt."""
         self.answer(Reply.KEEP)
 
     def retake(self) -> None:
-        """Go back to the position that a guard stopped at: it is asked for again."""
+        """Take the position again at which a guard stopped."""
         self.answer(Reply.RETAKE)
 
     def reverse(self) -> None:
-        """The stage's angles count the other way: take the whole session so."""
+        """Reverse the whole session: the stage counts angles the other way."""
         self.answer(Reply.REVERSE)
 
     def accept(self) -> None:
-        """Go on with what was offered."""
+        """Accept an offer."""
         self.answer(Reply.ACCEPT)
 
     def decline(self) -> None:
-        """Leave what was offered."""
+        """Decline an offer."""
         self.answer(Reply.DECLINE)
 
     def stop(self) -> None:
-        """End the session now; a dwell in hand is archived as interrupted. It can be resumed."""
-        self._inbox.stopping.set()
+        """End the session now; an unfinished dwell is archived as interrupted. It can be resumed."""
+        self.stopping.set()
 
     def pause(self) -> None:
-        """Close the stream and judge nothing until `unpause`; a dwell in hand is archived as broken off."""
-        self._inbox.going_on.clear()
-        self._inbox.pausing.set()
+        """Close the stream until `unpause`; an unfinished dwell is archived as interrupted."""
+        self.going_on.clear()
+        self.pausing.set()
 
     def unpause(self) -> None:
-        """Go on after a pause: the question is put again."""
-        self._inbox.pausing.clear()
-        self._inbox.going_on.set()
+        """Continue after a pause: the question is asked again."""
+        self.pausing.clear()
+        self.going_on.set()
 
     def note(self, text: str) -> None:
-        """Keep a remark with the session, with its time and place."""
+        """Record a remark in the session, with its time and place."""
         if text.strip():
-            self._inbox.remark(text.strip())
+            self._remarks.put(Remark(text.strip(), utc_now()))
 
 
 class Questions:
-    """Asks, and hears.
+    """Asks the operator and takes the answers.
 
     Attributes
     ----------
     bench, ledger, knowledge
-        Of the session.
+        Parts of the session.
     auto : bool
-        Nobody is there to ask: every question has its default for an answer.
+        True without an operator: every question is answered by its default.
     """
 
     def __init__(
-        self, inbox: Inbox, bench: SessionBench, ledger: Ledger, knowledge: Knowledge, *, auto: bool
+        self, operator: Operator, bench: SessionBench, ledger: Ledger, knowledge: Knowledge, *, auto: bool
     ) -> None:
         self.bench, self.ledger, self.knowledge, self.auto = bench, ledger, knowledge, auto
-        self._inbox = inbox
-        self._seen: list[Block] = []
+        self._operator = operator
+        self._scanned: list[Block] = []
 
-    def take_seen(self) -> list[Block]:
-        """What was scanned while the last question stood, where turns are kept; once.
+    def take_scanned(self) -> list[Block]:
+        """Take the scans read during the last question, if turns are recorded.
 
-        As one block: rows of the file that hold a few scans each would take half as much again.
+        They are one block, because many short blocks would make the file half as large again.
         """
-        seen, self._seen = self._seen, []
+        seen, self._scanned = self._scanned, []
         return [join(seen)] if seen else []
 
     def _keep(self, block: Block) -> None:
-        """Keep scans of a turn that is under way."""
+        """Keep scans of the present turn."""
         if not self.bench.settings.turns or not len(block):
             return
-        self._seen.append(block)
-        while float(block.time_s[-1]) - float(self._seen[0].time_s[-1]) > KEPT_S:
-            del self._seen[0]
+        self._scanned.append(block)
+        while float(block.time_s[-1]) - float(self._scanned[0].time_s[-1]) > KEPT_S:
+            del self._scanned[0]
 
     @property
     def stopped(self) -> bool:
-        """True once the session is to end."""
-        return self._inbox.stopping.is_set()
+        """True if the session is to end."""
+        return self._operator.stopping.is_set()
 
     @property
     def interrupted(self) -> bool:
-        """True where the session is to end or to stand still."""
-        return self._inbox.interrupting
+        """True if the session is to end or to pause."""
+        return self.stopped or self._operator.pausing.is_set()
 
     @property
     def why_interrupted(self) -> str:
-        """The reason of a dwell that this broke off."""
+        """Reason for a dwell that was interrupted by this."""
         return f"{'stopped' if self.stopped else 'paused'} by the operator"
 
     def ask(
         self, question: Event, answers: set[Reply], default: Reply, place: int | None = None
     ) -> Generator[Event, None, Reply]:
-        """Put a question until it is answered; after a pause it is put again."""
+        """Ask a question until it is answered; after a pause it is asked again."""
         if self.ledger.last_place is not None and not isinstance(question, GuardRaised):
             answers = answers | {Reply.REPEAT, Reply.UNDO}
         newest: Floats | None = None
-        self._seen = []
+        self._scanned = []
         try:
             while not self.stopped:
-                self._inbox.open(frozenset(answers))
+                self._operator.open_question(frozenset(answers))
                 yield question
                 while not self.interrupted:
-                    if (answer := self._inbox.given()) is not None:
+                    if (answer := self._operator.take_answer()) is not None:
                         return answer
                     if self.auto:
                         return default
@@ -259,14 +237,14 @@ class Questions:
                     newest = self._look(newest)
                     yield self._watching(newest)
                 newest = None
-                yield from self.heed(place)
+                yield from self.handle_pause(place)
             return Reply.STOP
         finally:
-            self._inbox.open(frozenset())
+            self._operator.open_question(frozenset())
             self.bench.close_stream()
 
     def _look(self, before: Floats | None) -> Floats:
-        """The newest accelerations (n, 3), at most a window of them, while a question stands."""
+        """Newest accelerations (n, 3) during a question, at most one window of samples."""
         newest = np.empty((0, 3)) if before is None else before
         for block in self.bench.scans():
             self.knowledge.see(block)
@@ -285,7 +263,7 @@ class Questions:
     def ask_guard(
         self, guard: Guard, place: int, shown: Guard | None = None
     ) -> Generator[Event, None, Reply]:
-        """Put what a guard stopped at, in the words of `shown` if given; write the answer down."""
+        """Ask the question of a guard, with the message of `shown` if given; record the answer."""
         shown, position = shown or guard, self.ledger.plan.positions[place]
         raised = GuardRaised(
             guard.kind, shown.message, place, position, shown.values, guard.answers, guard.default
@@ -296,29 +274,29 @@ class Questions:
         self.ledger.note("guard", asked)
         return answer
 
-    def heed(self, place: int | None) -> Iterator[Event]:
-        """Keep what the operator has remarked, and pause where that was asked for."""
+    def handle_pause(self, place: int | None) -> Iterator[Event]:
+        """Record the operator's remarks, and pause if this was requested."""
         yield from self.remarks(place)
-        if not self._inbox.pausing.is_set():
+        if not self._operator.pausing.is_set():
             return
-        self._inbox.open(frozenset())
+        self._operator.open_question(frozenset())
         self.bench.close_stream()
         self.ledger.note("paused", place)
         yield Paused(place)
-        while self._inbox.pausing.is_set() and not self.stopped:
+        while self._operator.pausing.is_set() and not self.stopped:
             yield from self.remarks(place)
-            self._inbox.going_on.wait(PAUSE_STEP_S)
+            self._operator.going_on.wait(PAUSE_STEP_S)
         self.ledger.note("unpaused", {"place": place})
         yield Unpaused(place)
 
     def remarks(self, place: int | None) -> Iterator[Event]:
-        """Keep what the operator has remarked."""
-        for remark in self._inbox.said():
+        """Record the operator's remarks."""
+        for remark in self._operator.take_remarks():
             self.ledger.note("remark", {"text": remark.text, "utc": remark.utc, "place": place})
             yield Noted(remark.text)
 
     def wait(self, place: int, length_s: float) -> Generator[Event, None, bool]:
-        """Wait before a dwell; True where the operator stopped or paused it."""
+        """Wait before a dwell; True if the operator stopped or paused the session."""
         end_s = self.bench.now_s + length_s
         while length_s > 0 and (left := end_s - self.bench.now_s) > 0:
             if self.interrupted:
@@ -327,6 +305,3 @@ class Questions:
             yield Waiting(place, length_s - left, length_s)
             self.bench.source.sleep_s(min(left, WAIT_STEP_S))
         return False
-
-
-__all__ = ["Inbox", "Operator", "Questions", "Remark", "Reply"]

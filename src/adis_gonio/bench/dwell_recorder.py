@@ -1,4 +1,4 @@
-"""One dwell, from going to its place until it is complete, given up or left."""
+"""Recorder of dwells: from the move to a position until the dwell is complete, given up or skipped."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from adis_gonio.bench.events import (
 )
 from adis_gonio.bench.guards import (
     Guard,
+    add_repeat_hint,
     drift_guard,
-    insistent,
     judge_dwell,
     judge_shift,
     shock_guard,
@@ -39,9 +39,9 @@ from adis_gonio.record.blocks import (
     SUPPLY_LIMITS_V,
     WITHOUT_NEWS,
     Block,
-    alarms_of,
     count_alarms,
     cut,
+    find_alarms,
     join,
 )
 from adis_gonio.record.plans import Position
@@ -50,19 +50,19 @@ from adis_gonio.record.stillness import Look
 
 @dataclass
 class Recording:
-    """Scans of one attempt, in order; all are kept, those between `begin` and `stop` are the dwell.
+    """Scans of one attempt, in order; scans between `begin` and `stop` are the dwell.
 
-    The dwell begins `settle_s` after the end of the first window that is still, and lasts `dwell_s`. It is
-    complete once a still window covers its last sample.
+    The dwell begins `settle_s` after the end of the first still window and lasts `dwell_s`. It is complete
+    when a still window covers its last sample.
 
     Attributes
     ----------
     dwell_s, settle_s, period_s : float
         Length of the dwell, wait before it, period of the samples, in s.
     earlier : sequence of Block
-        Scans from before the attempt that are kept with it: the turn that led to it.
+        Scans of the turn before the attempt, which are kept with it.
     rested_mg : (3,) float or None
-        Where the part rested when the dwell began.
+        Reading of the part when the dwell began.
     """
 
     place: int
@@ -79,7 +79,7 @@ class Recording:
     why_moving: str = "no data"
     rested_mg: Floats | None = None
     _blocks: list[Block] = field(default_factory=list)
-    # Samples until the end of each block, and scans lost until there.
+    # Number of samples up to the end of each block, and of scans lost up to there.
     _ends: list[int] = field(default_factory=lambda: [0])
     _lost: list[int] = field(default_factory=lambda: [0])
     _still_s: float | None = None
@@ -88,12 +88,12 @@ class Recording:
 
     @property
     def begun(self) -> bool:
-        """True once the dwell has begun."""
+        """True if the dwell has begun."""
         return self.begin is not None
 
     @property
     def is_still(self) -> bool:
-        """True while the part is still and the dwell waits for it to settle."""
+        """True if the part is still; before the dwell begins it has to settle."""
         return self._still_s is not None
 
     @property
@@ -105,7 +105,7 @@ class Recording:
 
     @property
     def lost(self) -> int:
-        """Scans lost within the dwell: what every block lost that holds a sample of it."""
+        """Scans lost within the dwell, in all blocks with a sample of the dwell."""
         if self.begin is None or not self.samples:
             return 0
         first = bisect_right(self._ends, self.begin) - 1
@@ -114,7 +114,7 @@ class Recording:
 
     @property
     def waited_s(self) -> float:
-        """Time from the first scan to the newest one."""
+        """Time from the first scan to the newest scan."""
         return self._samples_time(self._count - 1) - self._samples_time(0) if self._count else 0.0
 
     @property
@@ -133,17 +133,17 @@ class Recording:
             self._find_stop()
 
     def moving(self, why: str) -> None:
-        """A window before the dwell moves: wait on."""
+        """Note that a window before the dwell moves."""
         self._still_s = None
         self.why_moving = why
 
     def still(self, end: int) -> None:
-        """A window that ends before sample `end` is still."""
+        """Note that a window that ends before sample `end` is still."""
         if self._still_s is None:
             self._still_s = self._samples_time(end - 1)
 
     def try_begin(self) -> bool:
-        """Begin the dwell where the part has settled; True when this call began it."""
+        """Begin the dwell if the part has settled; True if this call began it."""
         if self.begun or self._still_s is None:
             return False
         first = self._first_sample(self._still_s + self.settle_s)
@@ -155,7 +155,7 @@ class Recording:
         return True
 
     def complete(self, checked: int) -> bool:
-        """True where the dwell's last sample has come and windows up to sample `checked` were still."""
+        """True if the dwell has its last sample and windows up to sample `checked` were still."""
         return self._stop is not None and checked >= self._stop
 
     def scans(self) -> Block:
@@ -165,7 +165,7 @@ class Recording:
     def attempt(
         self, outcome: Outcome, ended_bus_s: float, reason: str = "", status: int | None = None
     ) -> Attempt:
-        """What the archive keeps."""
+        """Attempt for the archive."""
         return Attempt(
             self.place,
             self.position,
@@ -189,7 +189,7 @@ class Recording:
         self._stop = self._first_sample(self._begin_s + self.dwell_s - 0.5 * self.period_s)
 
     def _first_sample(self, at_s: float) -> int | None:
-        """Index of the first sample at or after a time; None where it has not come yet."""
+        """Index of the first sample at or after a time; None if it has not been read yet."""
         index = self._count
         for block in reversed(self._blocks):
             index -= len(block)
@@ -203,7 +203,7 @@ class Recording:
         return float(self._blocks[at].time_s[sample - self._ends[at]])
 
     def _pieces(self) -> list[tuple[Phase, Block]]:
-        """Blocks cut where the dwell begins and ends; what a cut block lost is counted to the dwell."""
+        """Blocks, split at both ends of the dwell; lost scans of a split block count in the dwell."""
         begin = self._count if self.begin is None else self.begin
         stop = self._count if self._stop is None else self._stop
         pieces: list[tuple[Phase, Block]] = []
@@ -224,40 +224,40 @@ class Recording:
 
 
 MOST_RESTARTS = 5
-"""Interruptions of one dwell after which somebody has to look."""
+"""Number of interruptions of one dwell after which the operator is asked."""
 
 WINDOWS_TO_STILLNESS = 4
-"""Windows that the watch needs before it can say anything; waited for besides the time-out."""
+"""Windows that the watch needs for its first result, in addition to the time-out."""
 
 WARMING_S = 600.0
-"""Wait for another temperature, where the program sets it."""
+"""Wait after the program has set another temperature, in s."""
 
 
 @dataclass(frozen=True)
 class _Broken:
-    """Why a dwell was broken off, and what has to be asked about it."""
+    """Reason for the interruption of a dwell, and the question about it, if any."""
 
     reason: str
     guard: Guard | None = None
 
 
 class DwellRecorder(Recorder):
-    """Makes dwells, one after another."""
+    """Records dwells, one after another."""
 
     def __init__(self, questions: Questions) -> None:
         super().__init__(questions)
-        # Of the dwell in hand: kinds of guards whose question was answered by keeping it, and doubts.
+        # Of the present dwell: kinds of guards that the operator overruled, and doubts about the result.
         self._kept_kinds: set[str] = set()
         self._doubts: list[Guard] = []
         self._stops: Counter[int] = Counter()
 
     def take(self, place: int) -> Iterator[Event]:
-        """Make the dwell of a place; it is begun anew where it is disturbed.
+        """Record the dwell of a place; it is restarted if it is disturbed.
 
         Raises
         ------
         SessionError
-            No dwell is possible, and nobody is there to ask.
+            No dwell is possible, and there is no operator to ask.
         """
         recording = self._new_recording(place)
         self._kept_kinds, self._doubts = set(), []
@@ -285,26 +285,26 @@ class DwellRecorder(Recorder):
         yield from self._complete(recording)
 
     def _gave_up(self, recording: Recording, reason: str, restarts: int) -> Guard | None:
-        """What to ask after so many disturbances; None where the part never came to rest.
+        """Question after repeated disturbances; None if the part never came to rest.
 
         Raises
         ------
         SessionError
-            Nobody is there to ask.
+            There is no operator to ask.
         """
         if self._questions.auto:
             raise SessionError(
                 f"{recording.position}: {reason}; no dwell was possible;"
-                " find what moves the part and resume the session"
+                " find the cause of the motion and resume the session"
             )
         return None if recording.timed_out else shock_guard(reason, restarts)
 
     def _go_to(self, recording: Recording) -> Generator[Event, None, bool]:
-        """Bring about what the position asks for, as far as the program can; False where it was stopped."""
+        """Set conditions and stage for a position, if possible; False if the operator interrupted."""
         place, position, bench = recording.place, recording.position, self._bench
         if bench.sets_conditions and bench.wants_conditions(position):
             wanted = {"temperature_c": position.temperature_c, "supply_v": position.supply_v}
-            # The record's time is the one at which the change begins: nothing may come between.
+            # The change begins at the time of the record, so that no other call may come between.
             self._ledger.note("conditions", wanted)
             bench.set_conditions(**wanted)
             if position.temperature_c is not None and (yield from self._questions.wait(place, WARMING_S)):
@@ -314,7 +314,7 @@ class DwellRecorder(Recorder):
             recording.moves.append(move)
             yield StageMoved(position)
         if (yield from self._questions.wait(place, position.wait_s)):
-            # An attempt without scans keeps the move, which a resumed simulation has to live through.
+            # An attempt without scans keeps the move, which a resumed simulation has to repeat.
             yield self._interrupted(recording, self._questions.why_interrupted)
             return False
         return True
@@ -329,13 +329,13 @@ class DwellRecorder(Recorder):
             bench.settings.dwell_s,
             bench.settle_s,
             bench.period_s,
-            self._questions.take_seen(),
+            self._questions.take_scanned(),
         )
 
     def _record_or_keep(
         self, recording: Recording, rested_mg: Floats | None
     ) -> Generator[Event, None, _Broken | None]:
-        """Record; where that breaks off with an error, keep what there is."""
+        """Record a dwell; after an error the scans so far are archived."""
         try:
             return (yield from self._record(recording, rested_mg))
         except BaseException as error:
@@ -345,7 +345,7 @@ class DwellRecorder(Recorder):
     def _record(
         self, recording: Recording, rested_mg: Floats | None
     ) -> Generator[Event, None, _Broken | None]:
-        """Wait for stillness, then record; return None when complete, else what interrupted it."""
+        """Wait for stillness, then record; return None when complete, else the interruption."""
         bench, questions, knowledge = self._bench, self._questions, self._knowledge
         watch = knowledge.watch()
         patience_s = bench.settings.still_timeout_s + WINDOWS_TO_STILLNESS * bench.window * bench.period_s
@@ -398,7 +398,7 @@ class DwellRecorder(Recorder):
         )
 
     def _disturbance(self, recording: Recording, look: Look) -> _Broken | None:
-        """Tell the recording what was seen of the part; return what disturbed a dwell that had begun."""
+        """Update the recording by a window; return the disturbance of a dwell that had begun, if any."""
         auto = self._questions.auto
         if look.state == "stuck":
             if auto:
@@ -450,7 +450,7 @@ class DwellRecorder(Recorder):
             yield running
 
     def _note_turn(self, number: int) -> None:
-        """Keep the gyros' integral since the dwell before: samples of the time of a question are not."""
+        """Record the gyros' integral since the dwell before; the archive lacks samples during questions."""
         judge, done = self._knowledge.judge, self._ledger.done
         watched = None if judge is None else judge.last_turn()
         if watched is not None and watched[0] in done:
@@ -462,17 +462,17 @@ class DwellRecorder(Recorder):
     # -- guards ---------------------------------------------------------------------------------------
 
     def _note_doubts(self, number: int) -> bool:
-        """Write down what was doubted of a complete dwell; True where there was something."""
+        """Record the doubts about a complete dwell; True if there are any."""
         for guard in self._doubts:
             self._ledger.note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
         self._stops.clear()
         return bool(self._doubts)
 
     def _ask(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
-        """Put what a guard stopped at to the operator; True where the dwell is to go on or to stay."""
+        """Ask the operator the question of a guard; True if the dwell continues or is kept."""
         ledger = self._ledger
         self._stops[place] += 1
-        shown = insistent(guard, self._stops[place] if ledger.done else 1)
+        shown = add_repeat_hint(guard, self._stops[place] if ledger.done else 1)
         answer = yield from self._questions.ask_guard(guard, place, shown)
         if answer is Reply.KEEP:
             self._keep(guard)
@@ -489,7 +489,7 @@ class DwellRecorder(Recorder):
     def _settled(
         self, recording: Recording, mean_mg: Floats, rested_mg: Floats | None
     ) -> Generator[Event, None, Guard | None]:
-        """What cannot be right where the part has come to rest; with nobody to ask it is told."""
+        """Guard against the position of the part at rest; without an operator it becomes a problem."""
         judge, limits, place = self._knowledge.judge, self._knowledge.limits, recording.place
         recording.rested_mg = mean_mg
         if judge is None or limits is None:
@@ -505,17 +505,17 @@ class DwellRecorder(Recorder):
         if not self._questions.auto:
             return guard
         self._keep(guard)
-        yield self._told(guard, recording)
+        yield self._tell_problem(guard, recording)
         return None
 
     def _within(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
-        """Ask about what happened within a dwell; with nobody to ask a problem is told."""
+        """Ask about faults within a dwell; without an operator they are problems."""
         ledger, place = self._ledger, recording.place
         told = {problem.kind for problem in found}
         for guard in judge_dwell(scans, found):
             if self._questions.auto:
                 if guard.kind not in told and not (guard.kind == "over_range" and "alarm" in told):
-                    yield self._told(guard, recording)
+                    yield self._tell_problem(guard, recording)
                 continue
             stays = yield from self._ask(guard, place)
             if self._questions.stopped:
@@ -534,18 +534,18 @@ class DwellRecorder(Recorder):
         if guard.spoils:
             self._doubts.append(guard)
 
-    def _told(self, guard: Guard, recording: Recording) -> Problem:
+    def _tell_problem(self, guard: Guard, recording: Recording) -> Problem:
         problem = Problem(guard.kind, f"{recording.position}: {guard.message}", recording.place)
         return self._ledger.problem(problem)
 
 
 def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
-    """What the operator should know of a dwell; STATUS is None where the sensor has none."""
+    """Problems of a dwell for the operator; STATUS is None if the sensor has no such register."""
     messages = () if status is None else status.messages
     found = [Problem("status", f"STATUS: {message}", place) for message in messages]
-    alarms = alarms_of(scans)
+    alarms = find_alarms(scans)
     if alarms is not None:
-        why = "" if messages else "; it has passed: over-range or the supply, whose bits fall by themselves"
+        why = "" if messages else "; it has passed: the bits of over-range and supply clear automatically"
         found.append(Problem("alarm", f"{alarms}{why}", place))
     if isinstance(scans, ScanBlock) and "SUPPLY_OUT" in scans.registers:
         supply = scans.supply_v

@@ -1,4 +1,4 @@
-"""What a running session tells its front end: typed events, in order; see `runner`.
+"""Events of a running session for its front end; see `runner`.
 
 Places are positions of the plan, counted from 0; accelerations are in mg, x, y, z.
 """
@@ -25,26 +25,26 @@ GuardKind = Literal[
     "temperature",
     "over_range",
 ]
-"""What a guard can stop at."""
+"""Reasons for which a guard stops a session."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """Base of all events."""
+    """Base class of all events."""
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form, with the event's name under `event`."""
+        """JSON form, with the name of the event as `event`."""
         return {"event": type(self).__name__} | asdict(self)
 
 
 @dataclass(frozen=True)
 class Started(Event):
-    """The archive is open.
+    """The session has begun: the archive is open.
 
     Attributes
     ----------
     done : int
-        Positions done before, in a session that is resumed.
+        Number of positions that were done before a resumed session.
     """
 
     path: str
@@ -57,16 +57,16 @@ class Started(Event):
 
 @dataclass(frozen=True)
 class Configured(Event):
-    """The sensor measures as the session's settings say.
+    """The sensor is configured by the session's settings.
 
     Attributes
     ----------
     configuration : dict
         JSON form of the sensor's configuration.
     changed : dict of str to (int, int)
-        Control registers that this changed: number before and after.
+        Control registers that were changed: numbers before and after.
     why_polled : str
-        Why scans are polled; empty where they start at the data-ready edges.
+        Reason why scans are polled; empty if they start at the data-ready edges.
     """
 
     configuration: dict[str, Any]
@@ -76,14 +76,14 @@ class Configured(Event):
 
 @dataclass(frozen=True)
 class NoiseMeasured(Event):
-    """The limits of stillness are known, from the sensor's own noise.
+    """The limits of stillness are known from the sensor's noise.
 
     Attributes
     ----------
     noise_mg : Vector
         Standard deviation of a sample at rest.
     still_below_mg, stuck_below_mg : Vector
-        A window with more than the first moves, one with less than the second is stuck.
+        A window with more than the first limit moves; an axis with less than the second is stuck.
     window_s : float
         Length of a window.
     """
@@ -96,18 +96,18 @@ class NoiseMeasured(Event):
 
 @dataclass(frozen=True)
 class PositionAsked(Event):
-    """The part has to be brought to a position. Answers: confirm, skip, repeat, undo, stop.
+    """The part has to be placed in a position. Answers: confirm, skip, repeat, undo, stop.
 
     Attributes
     ----------
     number, total : int
-        Which one of how many, from 1.
+        Number of the position, from 1, and number of positions.
     can_repeat : bool
-        True where there is a dwell before it that can be repeated.
+        True if there is an earlier dwell that can be repeated.
     time_left_s : float
-        Estimate of how long the rest takes, from how long the dwells so far took.
+        Estimate of the remaining time, from the time of the dwells so far.
     can_undo : bool
-        True where there is a dwell that can be withdrawn.
+        True if there is a dwell that can be withdrawn.
     """
 
     place: int
@@ -133,24 +133,23 @@ class Watching(Event):
     Attributes
     ----------
     state : str
-        `idle` while a question stands, `measuring` the noise, `moving`, or `settling` once still.
+        `idle` during a question, `measuring` the noise, `moving`, or `settling` when still.
     spread_mg : Vector
         Standard deviation within the newest window.
     angle_deg : float or None
-        Live angle by gravity, as the stage counts; None with free attitudes.
+        Live angle by gravity in the sense of the stage; None for free attitudes.
     target_deg : float or None
-        Angle that was asked for; None where none is.
+        Requested angle, if any.
     limit_mg : Vector or None
-        What `spread_mg` has to stay below; None until the noise is known.
+        Limit of `spread_mg` for a part at rest; None until the noise is known.
     waits_for : str
-        What is waited for, in words; empty where nothing is.
+        Text that names the next step of a wait, or empty.
     temperature_c : float or None
-        Of the newest scan; None where it is not in the scan.
+        Temperature in the newest scan; None if scans have no temperature.
     lost : int
         Scans lost since the session was opened.
     tolerance_deg : float or None
-        Distance from `target_deg` within which a guard does not question `angle_deg`; None before the
-        first dwell.
+        Distance from `target_deg` within which no guard questions `angle_deg`; None before the first dwell.
     """
 
     state: Literal["idle", "measuring", "moving", "settling"]
@@ -167,7 +166,7 @@ class Watching(Event):
 
 @dataclass(frozen=True)
 class DwellProgress(Event):
-    """A dwell is under way.
+    """A dwell is being recorded.
 
     Attributes
     ----------
@@ -176,7 +175,7 @@ class DwellProgress(Event):
     accel_mg : Vector
         Mean of the newest window.
     spread_mg, angle_deg, target_deg, limit_mg, waits_for, temperature_c
-        As in `Watching`.
+        See `Watching`.
     """
 
     place: int
@@ -204,7 +203,7 @@ class DwellDone(Event):
     accel_mg : Vector
         Mean of the dwell.
     alarms : int
-        Scans in which an error or alarm stood (EA).
+        Number of scans with an error or alarm (EA).
     """
 
     place: int
@@ -218,7 +217,7 @@ class DwellDone(Event):
 
 @dataclass(frozen=True)
 class DwellInterrupted(Event):
-    """A dwell was broken off; its samples are in the archive, marked as interrupted."""
+    """A dwell was interrupted; its samples are in the archive, marked as such."""
 
     place: int
     position: Position
@@ -229,12 +228,12 @@ class DwellInterrupted(Event):
 
 @dataclass(frozen=True)
 class Problem(Event):
-    """Something that the operator should know; the session goes on.
+    """A problem that the operator should know; the session continues.
 
     Attributes
     ----------
     kind : {"status", "alarm", "supply", "lost", "dropped", "stillness"} or GuardKind
-        With a kind of a guard: what a guard would have asked, where nobody is there to answer.
+        A kind of a guard means a guard that could not ask, because there is no operator.
     """
 
     kind: Literal["status", "alarm", "supply", "lost", "dropped", "stillness"] | GuardKind
@@ -244,19 +243,19 @@ class Problem(Event):
 
 @dataclass(frozen=True)
 class GuardRaised(Event):
-    """Something cannot be right, or not be wanted. Answers: those of `answers`, and stop.
+    """A guard has found a probable error. Answers: one of `answers`, or stop.
 
-    `retake` asks for the position again, `keep` goes on with it as it is, `reverse` takes the whole
-    session as turned the other way.
+    `retake` asks for the position again, `keep` continues without a change, `reverse` reverses the sense of
+    the whole session.
 
     Attributes
     ----------
     values : dict of str to float
-        The numbers behind the message, by names that end in their unit.
+        Numbers in the message, by names that end in their unit.
     answers : tuple of str
-        Names of `Answer`; `runner.answer(name)` gives one.
+        Names of the allowed answers, for `runner.answer(name)`.
     default : str
-        The one of them that is safe.
+        The safe answer.
     """
 
     kind: GuardKind
@@ -270,17 +269,17 @@ class GuardRaised(Event):
 
 @dataclass(frozen=True)
 class TurnMeasured(Event):
-    """How far the part was turned since the position before.
+    """Turn of the part since the position before.
 
     Attributes
     ----------
     asked_deg : float or None
-        Turn that the plan asks for, as the stage counts; None with free attitudes.
+        Turn requested by the plan, in the sense of the stage; None for free attitudes.
     gyro_deg, gyro_u_deg : float or None
-        Integral of the gyro about the axis of rotation, and its standard uncertainty; None where the turn
-        was not watched (the program moved the stage, or there is no gyro).
+        Integral of the gyro about the axis of rotation, and its standard uncertainty; None if the turn was
+        not followed (the program moved the stage, or there is no gyro).
     gravity_deg : float or None
-        The same by gravity, within ±180°; with free attitudes the angle between the two directions.
+        Turn by gravity, within ±180°; for free attitudes the angle between the two directions.
     """
 
     place: int
@@ -297,15 +296,15 @@ class TurnProgress(Event):
     Attributes
     ----------
     state : {"rest", "turn", "after"}
-        Rest before the turns, the turns, and what comes once all were made: rest.
+        Rest before the turns, the turns, and the rest after them.
     turned_deg, rate_dps : float
-        By gravity, counter-clockwise positive: since the beginning, and over the last seconds.
+        Turn since the beginning and rate over the last seconds, by gravity, counter-clockwise positive.
     turn, turns : int
-        Which full turn is under way, from 1, of how many.
+        Number of the present full turn, from 1, and number of full turns.
     rest_s : float
-        How long it has rested by now, where whole turns are followed by the gyros.
+        Duration of the present rest, if whole turns are followed by the gyros.
     peak_dps : float
-        Largest rate of any gyro so far, where they are followed.
+        Largest rate of any gyro so far, if the gyros are followed.
     """
 
     state: Literal["rest", "turn", "after"]
@@ -328,11 +327,11 @@ class TurnDone(Event):
     Attributes
     ----------
     turned_deg : float
-        From where it began to where it ended.
+        Turn from the beginning to the end.
     turns : int
-        Full turns, those back included.
+        Full turns in both directions.
     travelled_deg : float
-        All the way, there and back.
+        Sum of the turns in both directions.
     """
 
     attempt: int
@@ -346,12 +345,12 @@ class TurnDone(Event):
 
 @dataclass(frozen=True)
 class Running(Event):
-    """What the dwells so far give.
+    """Parameters of a fit of the dwells so far.
 
     Attributes
     ----------
     parameters : dict
-        As in the JSON form of a fit: name to value, u and unit.
+        Value, u and unit by name, as in the JSON form of a fit.
     """
 
     parameters: dict[str, dict[str, Any]]
@@ -361,28 +360,28 @@ class Running(Event):
 
 @dataclass(frozen=True)
 class Paused(Event):
-    """The stream is closed and nothing is judged until the operator goes on."""
+    """The session is paused: the stream is closed until the operator continues."""
 
     place: int | None
 
 
 @dataclass(frozen=True)
 class Unpaused(Event):
-    """The session goes on: the question is put again."""
+    """The session continues: the question is asked again."""
 
     place: int | None
 
 
 @dataclass(frozen=True)
 class Noted(Event):
-    """A remark of the operator is in the archive."""
+    """A remark of the operator was written to the archive."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Withdrawn(Event):
-    """A dwell does not count any more; it stays in the archive, marked."""
+    """A dwell was withdrawn; it stays in the archive, marked as such."""
 
     place: int
     position: Position
@@ -391,15 +390,15 @@ class Withdrawn(Event):
 
 @dataclass(frozen=True)
 class RepetitionOffered(Event):
-    """The plan is done, but a fault or alarm stood in some dwells. Answers: accept, decline, repeat, stop.
+    """The plan is done, but some dwells have a fault or alarm. Answers: accept, decline, repeat, stop.
 
-    Accepted, their positions are asked for one by one and measured again; declined, they are kept as they
-    are, and not asked about again.
+    If accepted, their positions are asked for one by one and measured again. If declined, the dwells are
+    kept and not asked about again.
 
     Attributes
     ----------
     places, positions : tuple
-        Where.
+        Places and positions of these dwells.
     """
 
     places: tuple[int, ...]
@@ -408,16 +407,16 @@ class RepetitionOffered(Event):
 
 @dataclass(frozen=True)
 class ExtensionOffered(Event):
-    """The plan is done but does not answer everything. Answers: accept, decline, repeat, stop.
+    """The plan is done and an extension is offered. Answers: accept, decline, repeat, stop.
 
     Attributes
     ----------
     plan : Plan
-        Plan to go on with; it begins with what is done.
+        Extended plan; it begins with the present plan.
     blindness : Blindness or None
-        What two positions cannot see; None where an advisor asks for more.
+        Effect of an undetectable bias; None if an advisor asks for more positions.
     reasons : tuple of str
-        Why an advisor asks, one sentence each.
+        Reasons of the advisor, one sentence each.
     """
 
     plan: Plan
@@ -427,7 +426,7 @@ class ExtensionOffered(Event):
 
 @dataclass(frozen=True)
 class Advising(Event):
-    """The advisor looks at what has been measured, which may take seconds; `Advised` follows.
+    """The advisor analyses the dwells so far, which may take seconds; `Advised` follows.
 
     Attributes
     ----------
@@ -440,18 +439,18 @@ class Advising(Event):
 
 @dataclass(frozen=True)
 class Advised(Event):
-    """What the advisor says; where it asks for positions, `ExtensionOffered` follows.
+    """Answer of the advisor; if it asks for positions, `ExtensionOffered` follows.
 
     Attributes
     ----------
     round : int
-        Which time, from 1.
+        Number of the round, from 1.
     positions : int
-        How many it asks for.
+        Number of requested positions.
     ended : str
-        Why it asks for none; empty where it does.
+        Reason why no position is requested, or empty.
     summary : dict
-        JSON form of where the session stands.
+        JSON form of the result so far.
     """
 
     round: int
@@ -462,7 +461,7 @@ class Advised(Event):
 
 @dataclass(frozen=True)
 class Waiting(Event):
-    """A wait that the plan asks for, before a dwell."""
+    """A wait before a dwell, as the plan requires."""
 
     place: int
     elapsed_s: float
@@ -476,7 +475,7 @@ class Finished(Event):
     Attributes
     ----------
     complete : bool
-        False where positions are still to be done; the session can be resumed.
+        False if positions remain; the session can be resumed.
     """
 
     path: str

@@ -1,7 +1,7 @@
-"""Guards: what cannot be right on the bench, and where the part is by gravity, gyros and declared angles.
+"""Guards: errors on the bench, and the position of the part by gravity, gyros and declared angles.
 
-Each judgement gives a `Guard`, a question with its numbers, or None. Limits are those of the sensor's own
-noise, of the part's data sheet and of the fixture (`expectation`), so that a sane part is not questioned.
+Each judgement gives a `Guard`, a question with its numbers, or None. The limits follow from the sensor's
+noise, the part's data sheet and the fixture (`expectation`), so that a good part is not questioned.
 `Judge` compares declared angles, gravity and the integral of the gyros by `adis_gonio.fitting.slips`, so
 that a recorded session has the same likelihood.
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFind
 from adis_gonio.fitting.slips.position_diagnosis import LARGEST, MEANINGS
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.record.blocks import Block, session_columns
+from adis_gonio.record.blocks import Block, session_columns, session_series
 from adis_gonio.record.expectation import (
     GAIN_LIMIT,
     UNMODELLED_MG,
@@ -39,18 +39,16 @@ from adis_gonio.record.stillness import SHIFT_MG
 if TYPE_CHECKING:
     from adis_gonio.bench.events import Problem
 
-GUARD_KINDS: tuple[str, ...] = get_args(GuardKind)
 
 TILT_LIMIT_DEG = math.degrees(math.acos(1 - GAIN_LIMIT))
-"""Tilt of the rotation axis out of the horizontal that costs as much reading as a gain may be off."""
+"""Tilt of the rotation axis from the horizontal that changes a reading as much as the gain limit."""
 NOT_MOVED_SHARE = 0.1
-"""In space: a pose a tenth of the way to the one asked for shows nothing new."""
+"""In space: a pose after less than this share of the requested turn counts as not moved."""
 OTHER_WAY_UP_DEG = 120.0
-"""In space: nearer than this to the opposite of what was asked is meant the other way up (the attitudes
-between, 60° to 120°, are free to choose)."""
+"""In space: an attitude farther than this from the requested one counts as upside down."""
 STEP_WINDOW_S = 1.0
 TEMPERATURE_STEP_C = 1.0
-"""Change within a second: ten times the fastest self-heating that CHIP tells of (5 °C in one minute)."""
+"""Change within a second: ten times the fastest self-heating by CHIP (5 °C in one minute)."""
 SUPPLY_STEP_V = 0.05
 """Change within a second: a tenth of the specified range of 4.75 to 5.25 V."""
 
@@ -64,11 +62,11 @@ class Guard:
     Attributes
     ----------
     values : dict of str to float
-        Numbers behind the message; names end in their unit.
+        Numbers in the message; names end in their unit.
     answers, default
-        As in `events.GuardRaised`.
+        See `events.GuardRaised`.
     spoils : bool
-        True where a result that holds this dwell as it is cannot be right.
+        True if a result with this dwell, unchanged, would be wrong.
     """
 
     kind: GuardKind
@@ -80,37 +78,37 @@ class Guard:
 
     @property
     def contradicts(self) -> bool:
-        """True where either the part's place or a dwell before is wrong."""
+        """True if either the position of the part or an earlier dwell is wrong."""
         return self.kind in ("not_moved", "reversed", "wrong_axis", "wrong_angle")
 
 
-def insistent(guard: Guard, times: int) -> Guard:
-    """The same guard when it stops at one place for the n-th time: perhaps what was before is wrong."""
+def add_repeat_hint(guard: Guard, times: int) -> Guard:
+    """Add a hint to a guard that stops at one position repeatedly: an earlier dwell may be wrong."""
     if times < 2 or not guard.contradicts:
         return guard
     hint = (
-        f"stopped here {times} times: if the part stands right now, a dwell before does not, or the part"
-        " has slipped since; take the position again and undo what was before"
+        f"stopped here {times} times: if the part is right now, an earlier dwell is wrong, or the part has"
+        " slipped since; take the position again and undo the earlier dwell"
     )
     return replace(guard, message=f"{guard.message}; {hint}", values=guard.values | {"times": float(times)})
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What is known when the part has come to rest at a position in the plane.
+    """Angles of the part when it has come to rest at a position in the plane.
 
     Attributes
     ----------
     asked_deg, here_deg : float
-        Turn that was asked for since the dwell before, and the angle asked for.
+        Requested turn since the dwell before, and requested angle.
     gravity_deg : float
         Turn by gravity since the dwell before, within ±180°.
     off, off_reversed : Off
-        From the angle asked for, if the stage counts as the session has it, or the other way.
+        Deviations from the requested angle, with the sense of the session and with the opposite sense.
     turn : GyroIntegral or None
-        By the gyros.
+        Turn by the gyros.
     sense : int
-        -1 in a session that is taken as reversed.
+        -1 in a reversed session.
     """
 
     asked_deg: float
@@ -123,7 +121,7 @@ class Reading:
 
 
 def judge_turn(reading: Reading) -> Guard | None:
-    """Whether the part was turned as asked, in the plane."""
+    """Check that the part was turned as requested in the plane; None if it was."""
     if reading.off.allowed:
         return None
     values = {
@@ -143,33 +141,33 @@ def judge_turn(reading: Reading) -> Guard | None:
         values |= {"gyro_x_deg": x, "gyro_y_deg": y, "gyro_z_deg": z}
         message = (
             f"turned about {about} (x {x:+.1f}°, y {y:+.1f}°, z {z:+.1f}° by the gyros);"
-            f" {reading.asked_deg:+g}° about z were asked"
+            f" {reading.asked_deg:+g}° about z was requested"
         )
         return Guard("wrong_axis", message, values, spoils=True)
     seen = f"{reading.gravity_deg:+.2f}° by gravity{gyro}"
     if abs(reading.gravity_deg) <= math.degrees(SHIFT_MG / 1000.0):
-        message = f"the part has not moved: {seen}; {reading.asked_deg:+g}° were asked"
+        message = f"the part has not moved: {seen}; {reading.asked_deg:+g}° was requested"
         return Guard("not_moved", message, values, spoils=True)
     if abs(wrap_degrees(reading.gravity_deg + reading.asked_deg)) <= reading.off.limit_deg:
         return _reversed(reading, values, seen)
     message = (
-        f"{reading.off.off_deg:+.2f}° off {reading.here_deg:g}° ({seen}, {reading.asked_deg:+g}° asked);"
-        f" part and fixture explain {reading.off.limit_deg:.2f}° at most"
+        f"{reading.off.off_deg:+.2f}° off {reading.here_deg:g}° ({seen}, {reading.asked_deg:+g}°"
+        f" requested); part and fixture explain {reading.off.limit_deg:.2f}° at most"
     )
     return Guard("wrong_angle", message, values, spoils=True)
 
 
 def _reversed(reading: Reading, values: dict[str, float], seen: str) -> Guard:
-    message = f"turned the wrong way: {seen}; {reading.asked_deg:+g}° were asked"
+    message = f"turned the wrong way: {seen}; {reading.asked_deg:+g}° was requested"
     answers = RETAKE
     if reading.off_reversed is not None and reading.off_reversed.allowed:
-        message += "; if the stage counts the other way, take the whole session as reversed"
+        message += "; if the stage counts the other way, reverse the whole session"
         answers = ("retake", "reverse", "keep", "skip")
     return Guard("reversed", message, values, answers, spoils=True)
 
 
 def _other_axis(turn: GyroIntegral) -> str | None:
-    """The axis that was turned about most, where it is not z and more than the gyros' uncertainty."""
+    """Axis of the largest turn, if it is not z and the turn exceeds the gyros' uncertainty."""
     size = np.abs(turn.angle_deg)
     most = int(np.argmax(size))
     if most == 2 or size[most] <= math.degrees(SHIFT_MG / 1000.0) + K * turn.u_deg:
@@ -178,7 +176,7 @@ def _other_axis(turn: GyroIntegral) -> str | None:
 
 
 def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | None:
-    """Whether the axis of rotation, the part's Z, lies horizontal."""
+    """Check that the axis of rotation, the part's Z, is horizontal."""
     z = float(accel_mg[2])
     limit = gravity_mg * math.sin(math.radians(TILT_LIMIT_DEG)) + K * bias_mg
     if abs(z) <= limit:
@@ -187,22 +185,22 @@ def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | 
     way = "up" if z < 0 else "down"
     message = (
         f"z reads {z:+.0f} mg: the Z arrow points {way}, {tilt:.0f}° out of the horizontal;"
-        f" it is the axis of rotation and lies horizontal (at most {limit:.0f} mg)"
+        f" it is the axis of rotation and has to be horizontal (at most {limit:.0f} mg)"
     )
     values = {"z_mg": z, "limit_mg": limit, "tilt_deg": tilt}
     return Guard("wrong_axis", message, values, spoils=True)
 
 
 def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
-    """Whether the part stands as drawn at the first position; any start angle serves, so it may stay."""
+    """Check that the part is placed as drawn at the first position; any start angle is allowed."""
     x, y = float(accel_mg[0]), float(accel_mg[1])
     angle = -sense * math.degrees(math.atan2(y, x))
     off = wrap_degrees(angle - asked_deg)
     if abs(off) <= 90.0:
         return None
     message = (
-        f"the part is the other way up than drawn: {off:+.0f}° by gravity (x {x:+.0f}, y {y:+.0f} mg);"
-        " any start angle serves, so it may stay if the stage reads what is asked"
+        f"the part is upside down: {off:+.0f}° from the drawing by gravity (x {x:+.0f}, y {y:+.0f} mg);"
+        " any start angle is allowed, so it may stay if the stage shows the requested angle"
     )
     return Guard("upside_down", message, {"off_deg": off, "x_mg": x, "y_mg": y}, default="keep")
 
@@ -210,9 +208,10 @@ def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
 def judge_pose(
     accel_mg: Floats, asked: Floats | None, before_mg: Floats | None, before_asked: Floats | None
 ) -> Guard | None:
-    """Whether a free attitude is new, and not the opposite of what was suggested.
+    """Check that a free attitude is new, and not the opposite of the suggested one.
 
-    What spoils comes first: a part that nobody has moved is often the other way up as well, which may stay.
+    A part that was not moved is checked first, since this spoils the result: it is often also upside down,
+    which is allowed.
     """
     if before_mg is not None:
         turned = angle_between_deg(accel_mg, before_mg)
@@ -220,7 +219,7 @@ def judge_pose(
         if turned <= max(math.degrees(SHIFT_MG / 1000.0), NOT_MOVED_SHARE * wanted):
             message = (
                 f"the part has not moved: {turned:.2f}° since the pose before,"
-                f" about {wanted:.0f}° were asked"
+                f" about {wanted:.0f}° was requested"
             )
             return Guard("not_moved", message, {"gravity_deg": turned, "asked_deg": wanted}, spoils=True)
     if asked is None:
@@ -230,8 +229,8 @@ def judge_pose(
         return None
     x, y, z = (float(value) for value in accel_mg)
     message = (
-        f"the part is the other way up than asked: {off:.0f}° off (x {x:+.0f}, y {y:+.0f},"
-        f" z {z:+.0f} mg; an axis reads + where its arrow points down); any new attitude serves"
+        f"the part is upside down: {off:.0f}° from the requested attitude (x {x:+.0f}, y {y:+.0f},"
+        f" z {z:+.0f} mg; an axis reads + if its arrow points down); any new attitude is allowed"
     )
     values = {"off_deg": off, "x_mg": x, "y_mg": y, "z_mg": z}
     return Guard("upside_down", message, values, default="keep")
@@ -245,7 +244,7 @@ def angle_between_deg(a: Sequence[float] | Floats, b: Sequence[float] | Floats) 
 
 
 def judge_shift(accel_mg: Floats, before_mg: Floats, limit_mg: Floats) -> Guard | None:
-    """Whether the part rests where it did before a dwell was disturbed."""
+    """Check that the part rests in the place in which it was before a dwell was disturbed."""
     shift = np.abs(accel_mg - before_mg)
     limit = np.maximum(limit_mg, SHIFT_MG)
     k = int(np.argmax(shift / limit))
@@ -258,32 +257,32 @@ def judge_shift(accel_mg: Floats, before_mg: Floats, limit_mg: Floats) -> Guard 
 
 
 def drift_guard(why: str, values: dict[str, float] | None = None) -> Guard:
-    """The part moves on, or rests elsewhere, after a dwell began."""
+    """Guard of a part that has moved after a dwell began."""
     message = f"{why}: the part or the stage has moved on; clamp it and take the position again"
     return Guard("drift", message, values or {})
 
 
 def shock_guard(why: str, times: int) -> Guard:
-    """A dwell was disturbed again and again."""
+    """Guard of a dwell that was disturbed repeatedly."""
     return Guard(
         "shock",
-        f"{counted(times, 'dwell')} in a row were disturbed: {why}; find what shakes the part",
+        f"{counted(times, 'dwell')} in a row were disturbed: {why}; find the cause of the disturbance",
         {"times": float(times)},
     )
 
 
 def stuck_guard(why: str) -> Guard:
-    """An axis does not change."""
+    """Guard of an axis that does not change."""
     return Guard("stuck", why, answers=("retake", "skip"), spoils=True)
 
 
 def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
-    """What happened within a complete dwell: faults by its own words, and steps of its surroundings."""
+    """Guards of a complete dwell: its faults, and steps of its temperature and supply."""
     guards = []
     kinds: dict[str, GuardKind] = {"supply": "supply", "alarm": "over_range"}
     found = [problem for problem in problems if problem.kind in kinds]
     if found:
-        # A supply out of range raises EA as well: it is the cause, and comes first.
+        # A supply out of range also sets EA: it is the cause and comes first.
         found.sort(key=lambda problem: list(kinds).index(problem.kind))
         message = "; ".join(problem.message for problem in found)
         alarms = 0 if scans.alarm is None else int(scans.alarm.sum())
@@ -310,38 +309,39 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
 
 
 def greatest_step(time_s: Floats, values: Floats) -> float:
-    """Greatest change within a second, by means of half a second; a shorter dwell is taken in quarters."""
+    """Largest change within a second, by means over half a second or over quarters of a shorter dwell."""
     width_s = min(STEP_WINDOW_S / 2, float(time_s[-1] - time_s[0]) / 4)
     if width_s <= 0:
         return 0.0
+    # Means over slots of equal width; a slot with one sample is left out.
     slot = ((time_s - time_s[0]) / width_s).astype(int)
     means = np.array([values[slot == k].mean() for k in np.unique(slot) if (slot == k).sum() > 1])
-    # From a window to the one after next: a step falls within the one between, at worst.
+    # Compare each window with the window after the next: a step may lie within the window between them.
     return float(np.abs(means[2:] - means[:-2]).max()) if len(means) > 2 else 0.0
 
 
 SCALE_ERROR = 0.01
-"""Relative error of a gyro's gain (an estimate, D: the sheets at hand have none)."""
+"""Relative error of a gyro's gain (an estimate, D: the data sheets state none)."""
 INSTABILITY_DPS = 0.015
-"""What a gyro's bias does between dwells (the simulator's default, D)."""
+"""Change of a gyro's bias between dwells (the simulator's default, D)."""
 G_SENSITIVITY_DPS = 0.05 * math.sqrt(2)
 """Gyro g-sensitivity, 0.05 °/s/g (CHIP, B), times the change of gravity's part at a quarter turn."""
 GYRO_NOISE_DPS = 0.6
-"""Of a sample (CHIP, B); averaging over the turn lowers it."""
+"""Noise of a sample (CHIP, B); the average over the turn has less."""
 
 
 @dataclass(frozen=True)
 class GyroIntegral:
-    """Integral of the three gyros.
+    """Integral of the rates of the three gyros.
 
     Attributes
     ----------
     angle_deg : (3,) float
-        About x, y, z of the part, right-handed about the drawn axes.
+        Angles about x, y, z of the part, right-handed about the drawn axes.
     u_deg : float
-        Standard uncertainty of each.
+        Standard uncertainty of each angle.
     zero_u_deg : float
-        The part of it that noise and the zero have, without the gain.
+        Part of it from noise and the zero rate, without the gain.
     """
 
     angle_deg: Floats
@@ -350,12 +350,12 @@ class GyroIntegral:
 
 
 class Turning:
-    """Follows the part from one dwell to the next.
+    """Integrates the gyros from one dwell to the next.
 
     Parameters
     ----------
     longest_gap_s : float
-        Time without samples after which nobody knows how the part was turned.
+        Longest time without samples; after a longer gap the turn is unknown.
     """
 
     def __init__(self, longest_gap_s: float) -> None:
@@ -370,7 +370,7 @@ class Turning:
         self._broken = False
 
     def rest(self, dwell: Block) -> None:
-        """A dwell has ended: its mean is the gyros' zero, and the next turn begins."""
+        """Begin the next turn: the mean of the ended dwell is the gyros' zero rate."""
         rates = _rates(dwell)
         self._broken = rates is None or not len(dwell)
         if rates is None or not len(dwell):
@@ -380,27 +380,28 @@ class Turning:
         self._angle, self._travel, self._length_s = np.zeros(3), 0.0, 0.0
 
     def see(self, block: Block) -> None:
-        """Follow the part through the next samples; those that a dwell holds already are passed over."""
+        """Integrate the next samples; samples of the ended dwell are skipped."""
         rates = _rates(block)
         if self._bias is None or rates is None or not len(block):
             return
         new = block.time_s > self._last_s
         if not new.any():
             return
+        # Trapezoidal rule, continued from the last sample of the block before.
         time_s = np.concatenate([[self._last_s], block.time_s[new]])
         turning = np.concatenate([[self._last], rates[new] - self._bias])
         steps_s = np.diff(time_s)
         self._broken |= bool(steps_s.max() > self._longest_gap_s)
         means = (turning[1:] + turning[:-1]) / 2
         self._angle = self._angle + (means * steps_s[:, None]).sum(axis=0)
-        # Blocks of samples, so that noise does not add up as travel.
+        # The travel is summed over blocks, so that noise does not add to it.
         self._travel += float(np.abs((means * steps_s[:, None]).sum(axis=0)).max())
         self._length_s += float(time_s[-1] - time_s[0])
         self._period_s = float(np.median(steps_s))
         self._last_s, self._last = float(time_s[-1]), turning[-1]
 
     def turn(self) -> GyroIntegral | None:
-        """The turn so far; None where it was not watched throughout."""
+        """Turn so far; None if it was not followed without a gap."""
         if self._bias is None or self._broken or not self._length_s:
             return None
         wander = math.hypot(INSTABILITY_DPS, G_SENSITIVITY_DPS) * self._length_s
@@ -410,25 +411,24 @@ class Turning:
 
 
 def _rates(block: Block) -> Floats | None:
-    columns = session_columns(block)
-    if not all(name in columns for name in ("gx", "gy", "gz")):
-        return None
-    return np.column_stack([columns[name] for name in ("gx", "gy", "gz")])
+    rates: Floats | None = session_series(session_columns(block))["gyro"]
+    return rates
 
 
 @dataclass(frozen=True)
-class Stand:
-    """Where the part stood, or stands now.
+class PartPosition:
+    """Position of the part in a dwell, or its present position.
 
     Attributes
     ----------
     angle_deg : float or None
-        As the stage counts; None of a dwell that was doubted and kept.
+        Declared angle in the sense of the stage; None for a dwell that was doubted and kept.
     mean_mg : (2 or more,) float
+        Mean reading.
     turn : GyroIntegral or None
-        By the gyros, since the stand before; None where nobody watched it from there.
+        Turn by the gyros since the position before; None if it was not followed from there.
     approach : int
-        Direction from which it was reached, as the stage counts; 0 unknown.
+        Direction from which it was reached, in the sense of the stage; 0 if unknown.
     """
 
     angle_deg: float | None
@@ -437,16 +437,16 @@ class Stand:
     approach: int = 0
 
 
-def diagnosed(stands: Sequence[Stand], spread: PriorKnowledge, sense: int) -> Diagnosis:
-    """What the three angles say of all stands; the last one is where the part is now."""
-    stands = stands[-LARGEST:]
-    n = len(stands)
+def diagnose_positions(positions: Sequence[PartPosition], spread: PriorKnowledge, sense: int) -> Diagnosis:
+    """Diagnosis of all positions by their three angles; the last one is the present position."""
+    positions = positions[-LARGEST:]
+    n = len(positions)
     reading = math.hypot(spread.reading_mg, UNMODELLED_MG)
     declared = np.array(
-        [np.nan if s.angle_deg is None else sense * math.radians(s.angle_deg) for s in stands]
+        [np.nan if s.angle_deg is None else sense * math.radians(s.angle_deg) for s in positions]
     )
     order = np.arange(n, dtype=float)
-    turns = [stand.turn for stand in stands[1:]]
+    turns = [stand.turn for stand in positions[1:]]
     increments = Increments(
         np.radians([np.nan if turn is None else float(turn.angle_deg[2]) for turn in turns]),
         np.radians([np.nan if turn is None else turn.zero_u_deg for turn in turns]),
@@ -457,13 +457,13 @@ def diagnosed(stands: Sequence[Stand], spread: PriorKnowledge, sense: int) -> Di
         Angles(
             tuple(range(n)),
             declared,
-            np.array([stand.mean_mg[:2] for stand in stands]),
+            np.array([stand.mean_mg[:2] for stand in positions]),
             np.tile(reading**2 * np.eye(2), (n, 1, 1)),
             Conditions(
                 time_s=order,
                 angle_rad=declared,
                 order=order,
-                approach=np.array([float(sense * stand.approach) for stand in stands]),
+                approach=np.array([float(sense * stand.approach) for stand in positions]),
             ),
             spread.gravity_mg,
             math.radians(fixture),
@@ -473,16 +473,16 @@ def diagnosed(stands: Sequence[Stand], spread: PriorKnowledge, sense: int) -> Di
     )
 
 
-def with_three_angles(
-    guard: Guard | None, found: Diagnosis, stands: Sequence[Stand], sense: int
+def add_diagnosis(
+    guard: Guard | None, found: Diagnosis, positions: Sequence[PartPosition], sense: int
 ) -> Guard | None:
-    """The guard with what all three angles say; a guard of their own where the present place is accused."""
-    here = min(len(stands), LARGEST) - 1
+    """Add the diagnosis to a guard, or make a guard if only the diagnosis questions the position."""
+    here = min(len(positions), LARGEST) - 1
     last = next((one for one in found.findings if here in (one.position, *one.others)), None)
     if last is None:
         return guard
-    before = [stand.angle_deg for stand in stands[-LARGEST:]]
-    told = _told(last, here, before, sense)
+    before = [stand.angle_deg for stand in positions[-LARGEST:]]
+    told = _diagnosis_text(last, here, before, sense)
     if guard is None:
         return Guard("wrong_angle", told, _values(last, sense), spoils=True)
     if guard.kind != "wrong_angle":
@@ -498,24 +498,26 @@ def _values(found: PositionFinding, sense: int) -> dict[str, float]:
     }
 
 
-def _told(found: PositionFinding, here: int, angles_deg: Sequence[float | None], sense: int) -> str:
+def _diagnosis_text(
+    found: PositionFinding, here: int, angles_deg: Sequence[float | None], sense: int
+) -> str:
     by = "gravity" if found.gyro_deg is None else "gravity and gyro"
     off = f"{sense * found.error_deg[0]:+.2f}° ± {found.error_deg[1]:.2f}°"
     names = " or ".join(dict.fromkeys(MEANINGS[named.name] for named in found.names))
     if found.finding == "gravity_wrong":
-        return f"the gyro turned as asked and gravity does not fit: {names}"
+        return f"the gyro turned as requested, but gravity does not agree: {names}"
     if found.finding == "swapped":
         other = next((k for k in (found.position, *found.others) if k != here), here)
-        return f"by {by} the part stands where {angles_deg[other]:g}° was asked for, and stood here then"
+        return f"by {by} the part is in the place of {angles_deg[other]:g}°, and was here in that dwell"
     angle = angles_deg[found.position]
     since = "a dwell that was kept" if angle is None else f"{angle:g}°"
     where = "" if found.position == here else f" since {since}"
-    return f"by {by} the part stands {off} from what is asked{where}: {names}"
+    return f"by {by} the part is {off} from the requested angle{where}: {names}"
 
 
 @dataclass(frozen=True)
 class _Taken:
-    """A dwell: where it was asked, its mean (3,) in mg, and whether it was doubted and kept."""
+    """A dwell: its position, its mean (3,) in mg, and whether it was doubted and kept."""
 
     place: int
     position: Position
@@ -523,22 +525,22 @@ class _Taken:
     doubted: bool
     turn: GyroIntegral | None = None
     since: int | None = None
-    """Place of the dwell from which `turn` was watched."""
+    """Place of the dwell from which `turn` was followed."""
 
 
 class Judge:
-    """Judges where the part is, position by position.
+    """Judges the position of the part, dwell by dwell.
 
     Parameters
     ----------
     planar : bool
-        False where attitudes are free.
+        False if attitudes are free.
     spread : PriorKnowledge
-        What may be off in a sane part; a fixture of infinite uncertainty is not judged.
+        Tolerances of a good part; its fixture has a finite uncertainty.
     sense : {1, -1}
-        -1 in a session that is taken as reversed.
+        -1 in a reversed session.
     longest_gap_s : float
-        As `Turning`.
+        See `Turning`.
     """
 
     def __init__(self, spread: PriorKnowledge, *, planar: bool, sense: int, longest_gap_s: float) -> None:
@@ -552,7 +554,7 @@ class Judge:
         self._rebuild()
 
     def settled(self, position: Position, accel_mg: Floats) -> Guard | None:
-        """What cannot be right where the part has come to rest; None where all can be."""
+        """Guard against the position in which the part has come to rest; None if it is plausible."""
         if not self._planar or position.angle_deg is None:
             return self._pose(position, accel_mg)
         level = judge_level(accel_mg, self._spread.gravity_mg, self._spread.bias_mg)
@@ -574,11 +576,13 @@ class Judge:
                 self.sense,
             )
         )
-        stands = self._stands(position, accel_mg)
-        return with_three_angles(guard, diagnosed(stands, self._spread, self.sense), stands, self.sense)
+        positions = self._positions(position, accel_mg)
+        return add_diagnosis(
+            guard, diagnose_positions(positions, self._spread, self.sense), positions, self.sense
+        )
 
     def turned(self, place: int, position: Position, accel_mg: Floats) -> TurnMeasured | None:
-        """The turn since the dwell before; None before the first."""
+        """Turn since the dwell before; None before the first dwell."""
         if not self._taken:
             return None
         before, turn = self._taken[-1], self.turning.turn()
@@ -591,7 +595,7 @@ class Judge:
         return TurnMeasured(place, self._asked_deg(position), by_gyro, u_deg, gravity)
 
     def done(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
-        """Learn from a complete dwell; one that was doubted and kept teaches nothing but where it was."""
+        """Learn from a complete dwell; of a doubted dwell only the position is used."""
         mean = np.asarray(scans.accel_mg.mean(axis=0))
         self._taken.append(_Taken(place, position, mean, doubted, *self._turned))
         self._turned = (None, None)
@@ -599,16 +603,16 @@ class Judge:
         self.turning.rest(scans)
 
     def last_turn(self) -> tuple[int, GyroIntegral] | None:
-        """Turn into the newest dwell, and the place from which it was watched; None where nobody did."""
+        """Turn before the newest dwell, and the place at which it began; None if it was not followed."""
         last = self._taken[-1] if self._taken else None
         return None if last is None or last.turn is None or last.since is None else (last.since, last.turn)
 
     def forget_turn(self) -> None:
-        """Nobody has watched the part since the last dwell."""
+        """Forget the turn since the last dwell, which was not followed."""
         self.turning = Turning(self._longest_gap_s)
 
     def withdraw(self, place: int) -> None:
-        """Forget the dwell of a place, as far as it taught something; the part is still where it is."""
+        """Forget the dwell of a place; if it is the last one, its position is kept for the next turn."""
         last = self._taken[-1].place == place if self._taken else False
         kept = [entry for entry in self._taken if entry.place != place]
         if last:
@@ -617,33 +621,33 @@ class Judge:
         self._rebuild()
 
     def reverse(self) -> None:
-        """Take the session as turned the other way, and what was measured so far with it."""
+        """Reverse the sense of the whole session, with the dwells so far."""
         self.sense = -self.sense
         self._rebuild()
 
     def angle_deg(self, accel_mg: Floats) -> float | None:
-        """Live angle by gravity as the stage counts, within ±180°; None with free attitudes."""
+        """Live angle by gravity in the sense of the stage, within ±180°; None for free attitudes."""
         return self._expected.angle_deg(accel_mg) if self._planar else None
 
     def tolerance_deg(self, accel_mg: Floats, angle_deg: float) -> float | None:
-        """Distance from a stage angle within which a reading there is not questioned.
+        """Largest deviation from a stage angle that is not questioned; None before the first dwell.
 
-        It shrinks as dwells show the part's gains, biases and misalignment; None before the first dwell.
+        It becomes smaller when dwells have shown the part's gains, biases and misalignment.
         """
         if not self._planar or not self._expected.begun:
             return None
         return self._expected.off(accel_mg, angle_deg).limit_deg
 
-    def _stands(self, position: Position, accel_mg: Floats) -> list[Stand]:
-        """Where the part stood in all dwells, and stands now."""
-        stands: list[Stand] = []
+    def _positions(self, position: Position, accel_mg: Floats) -> list[PartPosition]:
+        """Positions of the part in all dwells, and its present position."""
+        positions: list[PartPosition] = []
         before: _Taken | None = None
         for taken in self._taken:
             angle = None if taken.doubted else taken.position.angle_deg
             watched = taken.turn if before is not None and taken.since == before.place else None
-            stands.append(Stand(angle, taken.mean_mg, watched, taken.position.approach))
+            positions.append(PartPosition(angle, taken.mean_mg, watched, taken.position.approach))
             before = taken
-        return [*stands, Stand(position.angle_deg, accel_mg, self._turned[0], position.approach)]
+        return [*positions, PartPosition(position.angle_deg, accel_mg, self._turned[0], position.approach)]
 
     def _rebuild(self) -> None:
         self._expected = Expectation(self._spread, self.sense)
@@ -661,7 +665,7 @@ class Judge:
         self._other.add(taken.mean_mg, angle)
 
     def _asked_deg(self, position: Position) -> float:
-        """Turn from the dwell before to a position, the short way."""
+        """Turn from the dwell before to a position, by the shorter way."""
         before = self._taken[-1].position.angle_deg or 0.0
         asked = wrap_degrees((position.angle_deg or 0.0) - before)
         return 180.0 if asked == -180.0 else asked

@@ -1,7 +1,7 @@
-"""What an operator is told: which way is positive, which axis points where, and what to do next.
+"""Instructions for the operator: sense of rotation, directions of the axes, and the next move.
 
-The conventions are those of the plane (U_x = G cos(α − θ), U_y = G sin(α − θ + Δφ)) and of the part's
-arrows: an axis reads +1 g where its drawn arrow points down (lying level with Z up, Z reads −1 g).
+The conventions are the model of the plane (U_x = G cos(α − θ), U_y = G sin(α − θ + Δφ)) and the part's
+arrows: an axis reads +1 g if its drawn arrow points down (lying level with Z up, Z reads −1 g).
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ PLANE = (
     "",
     "  X arrow down (reads +1 g), Y level (0).          X level (0), Y arrow up (reads -1 g).",
     "  Z is the axis of rotation and lies level: it reads about 0 throughout.",
-    "  Positive is counter-clockwise, seen with Z towards you: after +90° X points where Y did.",
+    "  Positive is counter-clockwise, seen with Z towards you: at +90° X points as Y did at 0°.",
 )
 SPACE = (
-    "An axis reads + where its arrow points down, - where it points up, about 0 where it lies level.",
+    "An axis reads + if its arrow points down, - if it points up, about 0 if it is level.",
     "Lying flat with Z up:",
     "",
     "           Z  (reads -1 g)",
@@ -38,9 +38,9 @@ SPACE = (
 
 
 def turn_to_do(turns: int) -> str:
-    """What to do for a free turn of so many full turns, in one line."""
+    """Instruction for a free turn of so many full turns, in one line."""
     if turns > 1:
-        ways = f"{turns} times all around in the time, on and on, or forth and back where a cable wants it"
+        ways = f"{turns} times all around in the time, on and on, or forth and back if a cable requires it"
     else:
         ways = "once all around"
     return (
@@ -50,7 +50,7 @@ def turn_to_do(turns: int) -> str:
 
 
 def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
-    """What to do for whole turns on a table, in one line."""
+    """Instruction for whole turns on a table, in one line."""
     turns = round(abs(turned_deg) / 360)
     times = "once" if turns == 1 else f"{turns} times"
     way = "counter-clockwise" if turned_deg > 0 else "clockwise"
@@ -62,7 +62,7 @@ def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
 
 
 def face(position: Position | None) -> str:
-    """Which arrow points up or down, such as `X arrow up`; empty where no direction is asked for."""
+    """Arrow that points up or down, such as `X arrow up`; empty if the position has no direction."""
     if position is None or position.direction is None:
         return ""
     along, axis = max(zip(position.direction, "XYZ", strict=True), key=lambda pair: abs(pair[0]))
@@ -70,7 +70,7 @@ def face(position: Position | None) -> str:
 
 
 def drawing(plan: Plan) -> tuple[str, ...]:
-    """How to hold the part at the first position, as lines of text (ASCII but for the degree sign)."""
+    """Drawing of the part at the first position, as lines of text (ASCII and the degree sign)."""
     return SPACE if plan.plane == "none" else PLANE
 
 
@@ -82,18 +82,18 @@ def to_do(
     fastest_dps: float = 180.0,
     table: bool = False,
 ) -> str:
-    """What to do next, in one line such as `turn the part +90° (counter-clockwise) to 90°`.
+    """Instruction for the next position, such as `turn the part +90° (counter-clockwise) to 90°`.
 
     Parameters
     ----------
     before : Position or None
-        Where the part is.
+        Present position of the part.
     reverse : bool
-        True in a session that is taken as turned the other way.
+        True in a reversed session.
     fastest_dps : float
-        Of whole turns.
+        Largest rate of whole turns.
     table : bool
-        The part lies on a table, against a mark.
+        True if the part lies on a table, against a mark.
     """
     first = []
     if position.temperature_c is not None:
@@ -139,7 +139,4 @@ def _hold(position: Position, *, table: bool) -> str:
 
 _MUCH = 0.3
 _ROUND_DEG = 10.0
-"""Nearer to the vertical than this an arrow just points up or down."""
-
-
-__all__ = ["drawing", "face", "to_do", "turn_to_do"]
+"""Angle from the vertical below which an arrow is described as up or down."""

@@ -1,11 +1,10 @@
-"""The session of gyro turns: on a level table, whole turns from a mark back to it, about each axis.
+"""Recorder of gyro turns: on a level table, whole turns from a mark back to it, about each axis.
 
-With the X, the Y and the Z arrow up: a dwell, some whole turns counter-clockwise, a dwell, as many
-clockwise, a dwell, and another with the arrow down. The way from one dwell to the
-next is recorded: an attempt whose reason is `TURNED` holds the turn, the dwell after it is
-an attempt like any other. What has been done is judged by the gyros as soon as the part rests again, so
-that a turn that is no good is made again at once. A kill loses the turn in hand; resumed, the session asks
-for it again.
+With the X, the Y and the Z arrow up: a dwell, some whole turns counter-clockwise, a dwell, as many turns
+clockwise, a dwell, and another dwell with the arrow down. The way from one dwell to the next is recorded:
+an attempt with the reason `TURNED` has the scans of the turn, the dwell after it is a normal attempt. Each
+turn is judged by the gyros as soon as the part rests again, so that a bad turn can be repeated at once. A
+kill loses only the unfinished turn; a resumed session asks for it again.
 """
 
 from __future__ import annotations
@@ -26,49 +25,49 @@ from adis_gonio.bench.recorder import FollowedTurn
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.fitting.gyros.turn_integration import Integral, Path, Sampling, integrate
-from adis_gonio.record.blocks import Block, join, session_columns
+from adis_gonio.record.blocks import Block, join, session_columns, session_series
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
 from adis_gonio.record.session_reader import TURNED
 
 ALL_THERMOMETERS = (*DEFAULT_SCAN, "YTEMP_OUT", "ZTEMP_OUT")
-"""What a scan holds so that each gyro has the temperature of its own die."""
+"""Registers of a scan with the temperature of each gyro's die."""
 
 TURNS = 5
-"""Each way: ten turns about an axis. More take so long that the zero rate wanders (docs/gyro_turns.md)."""
+"""Turns each way, ten about an axis; during more turns the zero rate would drift (docs/gyros.md)."""
 MOST_TURNS = 20
-"""A gain of 1 % off is a fifth of a turn: more could not be counted."""
+"""Limit of turns each way: with an error of the gain, more turns could not be counted reliably."""
 REST_S = 1.0
 """Rest before the turn and after it."""
 STOPPED_S = 6.0
-"""Rest within the turn after which it counts as ended, whole or not."""
+"""Rest within the turn after which it counts as ended, even if it is not whole."""
 PATIENCE_S = 300.0
 MOVING_DPS = 2.0
-"""Mean of a block below which the part rests."""
+"""Mean rate of a block below which the part rests."""
 OFF_SHARE, OFF_DEG = 0.03, 5.0
-"""What a gyro's gain and zero rate may make of whole turns."""
+"""Largest deviation from whole turns by a gyro's gain and zero rate."""
 FACE_DEG = 30.0
-"""From the attitude that was asked for."""
+"""Largest angle from the requested attitude."""
 _TILT_SHARE = 0.2
 _ALMOST_DEG = 30.0
 
 _UP = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 _DOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-"""What an ideal sensor reads with its X, Y, Z arrow up, or down."""
+"""Readings of an ideal sensor with its X, Y or Z arrow up, or down."""
 
 
 def gyro_turns_plan(turns: int = TURNS, faces: int = 6) -> Plan:
-    """Each arrow up, with so many whole turns both ways.
+    """Plan with each arrow up and so many whole turns both ways.
 
     Parameters
     ----------
     faces : {6, 3}
-        Each arrow down as well, at rest, which tells zero rates from g-sensitivities and finds the
-        accelerometers' biases, by which the direction of an axis is known; or up alone.
+        6: also each arrow down, at rest, which separates zero rates from g-sensitivities and gives the
+        accelerometers' biases, needed for the direction of an axis. 3: each arrow up only.
 
     Raises
     ------
     UsageError
-        No turn, more than can be counted, or another number of faces.
+        The number of turns or of faces is not allowed.
     """
     if faces not in (3, 6):
         raise UsageError(f"positions is {faces}: take 6 (each arrow up and down) or 3 (each up)")
@@ -89,14 +88,14 @@ class GyroTurn(FollowedTurn):
     Parameters
     ----------
     wanted_deg : float
-        Turn that is asked for, counter-clockwise positive.
+        Requested turn, counter-clockwise positive.
     rest : Block
-        The dwell before.
+        Scans of the dwell before.
 
     Attributes
     ----------
     angle_deg : (3,) float
-        About the part's axes.
+        Turn about the part's axes.
     """
 
     phase = "before"
@@ -115,12 +114,12 @@ class GyroTurn(FollowedTurn):
 
     @property
     def full(self) -> bool:
-        """True once the turn is nearly as far as was asked."""
+        """True if nearly the requested turn was made."""
         return self.moved and abs(self.turned_deg) > abs(self.wanted_deg) - _ALMOST_DEG
 
     @property
     def ended(self) -> str | None:
-        """The part rests after the turn; or it was stopped for long, or nothing came of it."""
+        """Empty if the part rests after the turn or has stopped for long; an error if it never turned."""
         if self.moved and self.rest_s >= (REST_S if self.full else STOPPED_S):
             return ""
         return f"no whole turn within {PATIENCE_S:.0f} s" if self.length_s >= PATIENCE_S else None
@@ -133,12 +132,12 @@ class GyroTurn(FollowedTurn):
 
     @property
     def across_deg(self) -> float:
-        """About any other axis."""
+        """Turn about other axes than the vertical."""
         return float(np.linalg.norm(self.angle_deg - self.turned_deg * self._up))
 
     @property
     def about(self) -> str:
-        """The part's axis that was turned about most."""
+        """The part's axis of the largest turn."""
         return "xyz"[int(np.argmax(np.abs(self.angle_deg)))]
 
     def see(self, block: Block) -> None:
@@ -148,6 +147,7 @@ class GyroTurn(FollowedTurn):
         if self._last_s is None:
             self._last_s = float(time[0])
         span = float(time[-1]) - self._last_s
+        # Integral (3,) of the rates over the block, then its part about the vertical.
         moved = np.diff(np.concatenate([[self._last_s], time])) @ (shown - self._zero)
         self.angle_deg = self.angle_deg + moved
         self.turned_deg = float(self.angle_deg @ self._up)
@@ -161,20 +161,19 @@ class GyroTurn(FollowedTurn):
 
 
 def _rates_and_force(block: Block) -> tuple[Floats, Floats]:
-    columns = session_columns(block)
-    if "gx" not in columns:
-        raise UsageError("gyro turns need the gyros: this sensor's samples hold none")
-    rates = np.column_stack([columns[name] for name in ("gx", "gy", "gz")])
+    rates = session_series(session_columns(block))["gyro"]
+    if rates is None:
+        raise UsageError("gyro turns need the gyros: this sensor's samples have none")
     return rates, block.accel_mg
 
 
 class GyroTurnsRecorder(DwellRecorder):
-    """Records dwells of which some come after a turn that is recorded."""
+    """Records dwells, and the whole turns before some of them."""
 
-    judges_places = False  # a dwell after whole turns lies where the one before did
+    judges_places = False  # whole turns end where they began
 
     def take(self, place: int) -> Iterator[Event]:
-        """Make the dwell of a place, and first the turn to it where one is asked for."""
+        """Record the dwell of a place, and before it the turn that the plan requests."""
         position = self._ledger.plan.positions[place]
         if position.turned_deg is None:
             yield from self._lay(place)
@@ -182,7 +181,7 @@ class GyroTurnsRecorder(DwellRecorder):
             yield from super().take(place)
 
     def _lay(self, place: int) -> Iterator[Event]:
-        """A dwell at the beginning of a set-up, with the right face down."""
+        """Record a dwell in a new attitude, and check that the right face is down."""
         yield from super().take(place)
         asked = self._ledger.plan.positions[place].direction
         number = self._ledger.done.get(place)
@@ -209,10 +208,10 @@ class GyroTurnsRecorder(DwellRecorder):
         return join(archive.blocks(attempt, "dwell"))
 
     def _turn(self, place: int, wanted_deg: float) -> Generator[Event, None, bool]:
-        """Record a turn; True where the dwell after it may follow."""
+        """Record a turn; True if the dwell after it may follow."""
         before = place - 1
         if before not in self._ledger.done:
-            message = "the rest before this turn was skipped: nothing tells the zero of the gyros"
+            message = "the rest before this turn was skipped, so that the zero rates are unknown"
             yield self._ledger.problem(Problem("stillness", message, place))
             self._ledger.skip(place)
             return False
@@ -229,7 +228,7 @@ class GyroTurnsRecorder(DwellRecorder):
         return (yield from self._judged(turn, rest, blocks))
 
     def _judged(self, turn: GyroTurn, rest: Block, blocks: list[Block]) -> Generator[Event, None, bool]:
-        """True where the turn is good, or kept as it is."""
+        """Judge a turn; True if it is good or is kept."""
         place, guard = turn.place, judge_whole_turn(turn, found_in(rest, blocks, self._sampling(rest)))
         if guard is None:
             return True
@@ -246,7 +245,7 @@ class GyroTurnsRecorder(DwellRecorder):
     def _sampling(self, rest: Block) -> Sampling:
         measured = self._bench.configuration.as_dict()
         rates = _rates_and_force(rest)[0]
-        # Of a dwell of seconds the variance of means of a tenth of one is near enough for a judgement.
+        # The variance of means over 0.1 s is accurate enough for this judgement.
         size = max(8, round(0.1 / self._bench.period_s))
         means = rates[: len(rates) // size * size].reshape(-1, size, 3).mean(axis=1)
         return Sampling(
@@ -259,7 +258,7 @@ class GyroTurnsRecorder(DwellRecorder):
 
 
 def found_in(rest: Block, blocks: list[Block], sampling: Sampling) -> Integral | str:
-    """Integral of a turn from its scans; where there can be none, why not."""
+    """Integral of a turn from its scans, or the reason why there is none."""
     blocks = [block for block in blocks if len(block)]
     scans = join(blocks)
     rates, force = _rates_and_force(scans)
@@ -271,7 +270,7 @@ def found_in(rest: Block, blocks: list[Block], sampling: Sampling) -> Integral |
 
 
 def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
-    """What cannot be right of a turn that was to be whole."""
+    """Guard against a turn that was not whole; None if it was."""
     wanted_deg, turned = turn.wanted_deg, turn.turned_deg
     values = {"asked_deg": wanted_deg, "gyro_deg": turned}
     if isinstance(found, str):
@@ -293,25 +292,22 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
         return Guard("wrong_angle", message, values, spoils=True)
     if turned * wanted_deg < 0:
         message = (
-            f"turned {turned:+.0f}°, {way(turned)}; {way(wanted_deg)} was asked: it serves as well if the"
-            " next one goes the other way"
+            f"turned {turned:+.0f}°, {way(turned)}; {way(wanted_deg)} was requested: this is allowed if the"
+            " next turn goes the other way"
         )
         return Guard("reversed", message, values, ("retake", "reverse", "keep", "skip"), "reverse")
     return None
 
 
 def way(angle_deg: float) -> str:
-    """Sense of a turn, seen from above."""
+    """Sense of a turn, seen from above, as text."""
     return "counter-clockwise" if angle_deg > 0 else "clockwise"
 
 
 def _the_other_way(plan: Plan, place: int) -> Plan:
-    """The plan with the turns of a set-up from a place on the other way round."""
+    """Plan in which the remaining turns of an attitude, from a place on, have the opposite sense."""
     positions, k = list(plan.positions), place
     while k < len(positions) and (turned := positions[k].turned_deg) is not None:
         positions[k] = replace(positions[k], turned_deg=-turned)
         k += 1
     return replace(plan, positions=tuple(positions))
-
-
-__all__ = ["GYRO_TURNS", "TURNS", "GyroTurnsRecorder", "gyro_turns_plan"]

@@ -1,13 +1,13 @@
-"""IIO devices: their channels and sample formats, and the ways to one of this machine or by network.
+"""IIO devices: their channels and sample formats, and access to devices of this machine or by network.
 
-A format is written `[be|le]:[s|u]BITS/STORAGE[Xrepeat]>>SHIFT`; a capital sign says that the number fills
-its storage. value = (raw + offset) * scale, in m/s², rad/s, milli-degree Celsius, millivolt. Source: the
-kernel's Documentation/ABI/testing/sysfs-bus-iio.
+A format is written `[be|le]:[s|u]BITS/STORAGE[Xrepeat]>>SHIFT`; a capital letter means that the number
+fills its storage. value = (raw + offset) * scale, in m/s², rad/s, milli-degree Celsius, millivolt. Source:
+the kernel's Documentation/ABI/testing/sysfs-bus-iio.
 
 A local device has attributes in sysfs and scans in /dev: `in_accel_x_raw`, `in_accel_scale` (shared by a
 kind) or `in_accel_x_scale`, `scan_elements/in_accel_x_en|_index|_type`, `buffer/enable`, `buffer/length`.
-While a buffer is open other channels are disabled; at its end all is set back. A device of another machine
-is read by the text protocol of iiod (libiio 0.x).
+While a buffer is open, other channels are disabled; when it is closed, all attributes are restored. A
+device of another machine is read by the text protocol of iiod (libiio 0.x).
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ COLUMNS: dict[str, tuple[str, float]] = {
     "temp_x": ("temp_c", 1e-3),
     "voltage0_supply": ("supply_v", 1e-3),
 }
-"""Column of a session and factor from IIO's unit, by channel; the first temperature there is counts."""
+"""Column of a session and factor from IIO's unit, by channel; the first existing temperature is used."""
 
 ACCELS = ("accel_x", "accel_y", "accel_z")
 
 
 @dataclass(frozen=True)
 class SampleFormat:
-    """Format of a channel's samples in a scan."""
+    """Format of the samples of a channel in a scan."""
 
     big_endian: bool
     signed: bool
@@ -64,12 +64,12 @@ class SampleFormat:
 
     @classmethod
     def parse(cls, text: str) -> SampleFormat:
-        """Format of its text.
+        """Parse the text of a format.
 
         Raises
         ------
         CannotOpenError
-            Not a format, or one that this program does not read (repeated or odd-sized samples).
+            The text is not a format, or an unsupported one (repeated or odd-sized samples).
         """
         found = _FORMAT.fullmatch(text.strip())
         if found is None:
@@ -83,7 +83,7 @@ class SampleFormat:
 
     @property
     def dtype(self) -> np.dtype[np.unsignedinteger]:
-        """The stored word for numpy."""
+        """Data type of numpy for the stored word."""
         return np.dtype(f"{'>' if self.big_endian else '<'}u{self.storage // 8}")
 
     def numbers(self, words: np.ndarray) -> np.ndarray:
@@ -101,11 +101,11 @@ class IioChannel:
     Attributes
     ----------
     id : str
-        Such as `accel_x`; with the label that the kernel appends to a file's name, `voltage0_supply`.
+        Such as `accel_x`, or with the label in the name of the kernel's file, `voltage0_supply`.
     index : int
-        Place in a scan; -1 where it cannot be buffered.
+        Place in a scan; -1 if it cannot be buffered.
     format : SampleFormat or None
-        None where it cannot be buffered.
+        None if it cannot be buffered.
     scale, offset : float
         value = (raw + offset) * scale.
     """
@@ -118,7 +118,7 @@ class IioChannel:
 
     @property
     def column(self) -> str:
-        """Column of a session; empty for a channel that has none."""
+        """Column of a session, or empty."""
         return COLUMNS.get(self.id, ("", 0.0))[0]
 
     def values(self, numbers: np.ndarray) -> Floats:
@@ -128,13 +128,13 @@ class IioChannel:
         return values
 
 
-def wanted(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]:
-    """Channels that a session has columns for, one a column, in the order of the columns.
+def choose_channels(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]:
+    """Channels with a column in a session, one for each column, in the order of the columns.
 
     Raises
     ------
     CannotOpenError
-        Not an accelerometer of three axes.
+        The device is not an accelerometer with three axes.
     """
     found = {channel.id: channel for channel in channels}
     missing = [name for name in ACCELS if name not in found]
@@ -152,10 +152,10 @@ def wanted(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]
 
 
 class BufferLayout:
-    """Where the samples of enabled channels stand in a scan.
+    """Positions of the samples of enabled channels in a scan.
 
-    Each stands at a multiple of its own size, in the order of the index; a scan's size is a multiple of its
-    largest sample.
+    Samples are ordered by the index, and each begins at a multiple of its size; the size of a scan is a
+    multiple of its largest sample.
     """
 
     def __init__(self, channels: Sequence[IioChannel]) -> None:
@@ -191,8 +191,8 @@ class BufferLayout:
         }
 
 
-def number_of(attributes: Mapping[str, str], name: str, default: float, where: str) -> float:
-    """Number of an attribute's text, or a default where there is no such attribute."""
+def parse_number(attributes: Mapping[str, str], name: str, default: float, where: str) -> float:
+    """Number from the text of an attribute, or a default if there is no such attribute."""
     text = attributes.get(name)
     if text is None:
         return default
@@ -205,21 +205,31 @@ def number_of(attributes: Mapping[str, str], name: str, default: float, where: s
     return number
 
 
+def channel_of(name: str, texts: Mapping[str, str], where: str) -> IioChannel:
+    """Channel from the texts of its `scale`, `offset`, `index` and `format`, as far as it has them."""
+    scale = parse_number(texts, "scale", 1.0, where)
+    offset = parse_number(texts, "offset", 0.0, where)
+    index = int(parse_number(texts, "index", -1, where))
+    if index < 0 or "format" not in texts:
+        return IioChannel(name, scale=scale, offset=offset)
+    return IioChannel(name, index, SampleFormat.parse(texts["format"]), scale, offset)
+
+
 TIMESTAMP = "timestamp"
 
 
 @dataclass(frozen=True)
 class DeviceFacts:
-    """What a device says of itself when it is opened.
+    """Facts of a device, read when it is opened.
 
     Attributes
     ----------
     id, name : str
         Such as `iio:device0`, `adxl345`.
     channels : tuple of IioChannel
-        Inputs, the timestamp among them where there is one.
+        Inputs, with the timestamp if there is one.
     rate_hz : float or None
-        None where the device does not say.
+        None if the device does not state it.
     """
 
     id: str
@@ -229,7 +239,7 @@ class DeviceFacts:
 
 
 class IioDevice(Protocol):
-    """A device that can be read; every method raises `BusError` where it fails.
+    """A device that can be read; every method raises `BusError` on failure.
 
     Attributes
     ----------
@@ -243,19 +253,19 @@ class IioDevice(Protocol):
         """Read what the device says of itself."""
 
     def read_raw(self, channel: str) -> float:
-        """Present raw number of a channel."""
+        """Read the present raw number of a channel."""
 
     def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
         """Begin to buffer scans of these channels."""
 
     def read_buffer(self, size: int, timeout_s: float) -> bytes:
-        """At least one scan where `size` is a scan's, at most so many bytes of whole scans."""
+        """Read at most `size` bytes of whole scans, and at least one scan."""
 
     def close_buffer(self) -> None:
-        """End buffering and set back what was changed for it; may be called twice."""
+        """End buffering and undo its changes; may be called twice."""
 
     def close(self) -> None:
-        """Forget the device; may be called twice."""
+        """Close the device; may be called twice."""
 
 
 SYSFS = Path("sys/bus/iio/devices")
@@ -272,12 +282,12 @@ class LocalDevice:
     name : str
         `iio:device0`, `device0`, or the name in its attribute `name`; empty takes the only accelerometer.
     root : path
-        Where /sys and /dev are; another one than / is for containers and tests.
+        Folder with /sys and /dev; another folder than / is for containers and tests.
 
     Raises
     ------
     CannotOpenError
-        No such device, more than one, or it cannot be read.
+        There is no such device or more than one, or it cannot be read.
     """
 
     def __init__(self, name: str, root: Path = Path("/")) -> None:
@@ -299,33 +309,26 @@ class LocalDevice:
         for file in ("sampling_frequency", "in_accel_sampling_frequency", "in_accel_x_sampling_frequency"):
             if not rate and (text := self._text(file)) is not None:
                 rate["sampling_frequency"] = text
-        hz = number_of(rate, "sampling_frequency", 0.0, self.where)
+        hz = parse_number(rate, "sampling_frequency", 0.0, self.where)
         return DeviceFacts(self._folder.name, _name_of(self._folder), channels, hz or None)
 
     def _channel(self, name: str) -> IioChannel:
         kind = re.match(r"[a-z]+", name)
         shared = kind[0] if kind else name
-        attributes = {
-            what: text
-            for what in ("scale", "offset")
-            for text in [self._text(f"in_{name}_{what}") or self._text(f"in_{shared}_{what}")]
-            if text is not None
+        texts = {
+            "scale": self._text(f"in_{name}_scale") or self._text(f"in_{shared}_scale"),
+            "offset": self._text(f"in_{name}_offset") or self._text(f"in_{shared}_offset"),
+            "index": self._text(f"scan_elements/in_{name}_index"),
+            "format": self._text(f"scan_elements/in_{name}_type"),
         }
-        scale = number_of(attributes, "scale", 1.0, self.where)
-        offset = number_of(attributes, "offset", 0.0, self.where)
-        kind_text = self._text(f"scan_elements/in_{name}_type")
-        index_text = self._text(f"scan_elements/in_{name}_index")
-        if kind_text is None or index_text is None:
-            return IioChannel(name, scale=scale, offset=offset)
-        index = number_of({"index": index_text}, "index", -1, self.where)
-        return IioChannel(name, int(index), SampleFormat.parse(kind_text), scale, offset)
+        return channel_of(name, {key: text for key, text in texts.items() if text is not None}, self.where)
 
     def read_raw(self, channel: str) -> float:
         """Present raw number of a channel."""
         text = self._text(f"in_{channel}_raw")
         if text is None:
             raise ProtocolError(f"{self.where}: in_{channel}_raw cannot be read")
-        return number_of({"raw": text}, "raw", 0.0, self.where)
+        return parse_number({"raw": text}, "raw", 0.0, self.where)
 
     # -- the buffer -------------------------------------------------------------------------------
 
@@ -348,12 +351,12 @@ class LocalDevice:
             ) from error
 
     def read_buffer(self, size: int, timeout_s: float) -> bytes:
-        """At most `size` bytes, as many as are there; waits for the first ones."""
+        """Read the available bytes, at most `size`; wait for the first ones."""
         if self._descriptor is None:
             raise ProtocolError(f"{self.where}: no buffer is open")
         ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
         if not ready:
-            if not self._folder.exists():  # the kernel wakes no reader when a device is pulled out
+            if not self._folder.exists():  # the kernel does not wake a reader when a device is removed
                 raise ProtocolError(f"{self.where}: the device is gone")
             raise BusTimeoutError(f"{self.where}: no scan in {timeout_s:.3g} s: is its trigger running?")
         try:
@@ -367,11 +370,11 @@ class LocalDevice:
         return data
 
     def close_buffer(self) -> None:
-        """End buffering and set the attributes back; may be called twice."""
+        """End buffering and restore the attributes; may be called twice."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
-        # The last first: while the buffer is enabled nothing else can be changed.
+        # In reverse order: while the buffer is enabled, no other attribute can be changed.
         while self._found:
             path, before = self._found.pop()
             with contextlib.suppress(OSError):
@@ -388,7 +391,7 @@ class LocalDevice:
             self._found.append((path, before))
 
     def _text(self, name: str) -> str | None:
-        """Text of an attribute; None where it is missing or says nothing."""
+        """Text of an attribute; None if it is missing or cannot be read."""
         try:
             return (self._folder / name).read_text()
         except OSError:
@@ -446,7 +449,7 @@ LINE_LIMIT = 1024
 _RECEIVED = 1 << 16
 _SHORTEST_WAIT_S = 1e-6
 XML_LIMIT = 1 << 22
-"""A context of hundreds of devices is smaller."""
+"""Limit of the context's XML in bytes; hundreds of devices need less."""
 
 _ERRNO = {1: "not permitted", 2: "no such attribute", 5: "input/output error", 13: "permission denied"}
 _ERRNO |= {16: "busy", 19: "no such device", 22: "invalid", 110: "timed out"}
@@ -466,9 +469,9 @@ class NetworkDevice:
     Raises
     ------
     CannotOpenError
-        No server answers there, it has no such device, or more than one where no name is given.
+        No server answers, it has no such device, or it has several and no name is given.
     ProtocolError, BusTimeoutError
-        The server answers, but not as iiod does.
+        The server does not speak the protocol of iiod.
     """
 
     def __init__(self, host: str, port: int, name: str, timeout_s: float = TIMEOUT_S) -> None:
@@ -494,7 +497,7 @@ class NetworkDevice:
             self.close()
             raise
 
-    # -- what there is ----------------------------------------------------------------------------
+    # -- the device -------------------------------------------------------------------------------
 
     def facts(self) -> DeviceFacts:
         """Read what the device says of itself."""
@@ -513,7 +516,7 @@ class NetworkDevice:
             if element.get("id", "").startswith("accel"):
                 rate = rate or {k: v for k, v in attributes.items() if k == "sampling_frequency"}
             channels.append(self._channel(element, attributes))
-        hz = number_of(rate, "sampling_frequency", 0.0, self.where)
+        hz = parse_number(rate, "sampling_frequency", 0.0, self.where)
         name = self._element.get("name") or self._id
         return DeviceFacts(self._id, name, tuple(channels), hz or None)
 
@@ -521,12 +524,8 @@ class NetworkDevice:
         label = element.get("name")
         name = element.get("id", "") + (f"_{label}" if label else "")
         scan = element.find("scan-element")
-        scale = number_of(attributes, "scale", 1.0, self.where)
-        offset = number_of(attributes, "offset", 0.0, self.where)
-        if scan is None:
-            return IioChannel(name, scale=scale, offset=offset)
-        index = number_of(dict(scan.items()), "index", -1, self.where)
-        return IioChannel(name, int(index), SampleFormat.parse(scan.get("format", "")), scale, offset)
+        buffered = {} if scan is None else {"format": "", **dict(scan.items())}
+        return channel_of(name, {**attributes, **buffered}, self.where)
 
     def _attributes_named(self, element: ET.Element, prefix: str, names: tuple[str, ...]) -> dict[str, str]:
         there = {attribute.get("name") for attribute in element.findall("attribute")}
@@ -535,7 +534,7 @@ class NetworkDevice:
     def _find(self, name: str) -> ET.Element:
         content = self._counted("PRINT", XML_LIMIT)
         try:
-            # Entities are not needed and could expand without end.
+            # Entities are not needed and may expand without limit.
             if b"<!ENTITY" in content:
                 raise ProtocolError(f"{self.where}: the context's XML has entities")
             context = ET.fromstring(content.decode("utf-8"))
@@ -556,10 +555,10 @@ class NetworkDevice:
         """Present raw number of a channel."""
         with self._within(self._timeout_s):
             text = self._read(f"INPUT {self._id_of(channel)} raw")
-        return number_of({"raw": text}, "raw", 0.0, self.where)
+        return parse_number({"raw": text}, "raw", 0.0, self.where)
 
     def _id_of(self, channel: str) -> str:
-        """Id in requests; a label is no part of it."""
+        """Id of a channel in requests, without its label."""
         for element in self._element.findall("channel"):
             if channel in (element.get("id"), f"{element.get('id')}_{element.get('name')}"):
                 return element.get("id", "")
@@ -601,7 +600,8 @@ class NetworkDevice:
         """End buffering; may be called twice."""
         if self._buffered:
             self._buffered = False
-            # A break in the middle of an answer leaves bytes behind: only the connection's end is sure.
+            # After an interrupted answer the remaining bytes are lost; then only closing the connection
+            # works.
             with (
                 contextlib.suppress(BusTimeoutError, ProtocolError, BusClosedError),
                 self._within(self._timeout_s),
@@ -668,7 +668,7 @@ class NetworkDevice:
 
     @contextlib.contextmanager
     def _within(self, seconds: float) -> Iterator[None]:
-        """Give an operation one deadline, however many requests and bytes it takes."""
+        """Give an operation one deadline for all its requests and bytes."""
         self._deadline_s = time.monotonic() + seconds
         try:
             yield
@@ -677,9 +677,9 @@ class NetworkDevice:
 
     @contextlib.contextmanager
     def _typed(self) -> Iterator[None]:
-        """Use the socket for the time that the operation has left; errors are of this package."""
+        """Use the socket for the remaining time of the operation; convert its errors."""
         try:
-            # A time-out of 0 would mean a socket that does not wait at all.
+            # A time-out of 0 would make the socket non-blocking.
             self._socket.settimeout(max(self._deadline_s - time.monotonic(), _SHORTEST_WAIT_S))
             yield
         except TimeoutError as error:

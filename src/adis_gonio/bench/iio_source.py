@@ -1,7 +1,7 @@
-"""Any IIO accelerometer as a source of samples for a session: `iio:` URLs.
+"""IIO accelerometers as sources of samples for a session, by `iio:` URLs.
 
-A buffered device gives scans by its own clock, with times where it has a channel `timestamp`; what was lost
-shows as gaps in them. `?poll=HZ` reads single values instead, by the host's clock.
+A buffered device gives scans by its own clock, with times if it has a channel `timestamp`; lost scans show
+as gaps in the times. `?poll=HZ` reads single values instead, by the host's clock.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base import Closing
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.closing import Closing
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.bench.iio_devices import (
@@ -29,8 +29,8 @@ from adis_gonio.bench.iio_devices import (
     IioDevice,
     LocalDevice,
     NetworkDevice,
+    choose_channels,
     local_accelerometers,
-    wanted,
 )
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.record.blocks import GENERIC, ValueBlock
@@ -38,13 +38,13 @@ from adis_gonio.record.settings import Settings
 from adis_gonio.record.source import KnownPart, Measuring, SampleSource
 
 TYPICAL_NOISE_MG = 5.0
-"""Estimate for a sample of an unknown accelerometer; a sample that varies by ten times that moves."""
+"""Estimate for a sample of an unknown accelerometer; ten times this estimate counts as motion."""
 
 TYPICAL_BIAS_MG = 50.0
 """Estimate of an unknown accelerometer's zero-g offset; consumer parts state 20 to 100 mg."""
 
 PATIENCE_S = 5.0
-"""Least time without a scan after which a device is called silent."""
+"""Shortest time without a scan after which a device counts as silent."""
 
 RATES_HZ = (1e-3, 1e6)
 """Sample rates that a device may state: a sample each 17 minutes to one each microsecond."""
@@ -52,8 +52,8 @@ RATES_HZ = (1e-3, 1e6)
 BUFFER_BLOCKS = 4
 """Size of the device's buffer in blocks."""
 
-NO_FAULTS = "the sensor tells of no errors or alarms, so a fault within a dwell is not seen"
-"""IIO has no common word for them."""
+NO_FAULTS = "the sensor reports no errors or alarms, so a fault within a dwell is not detected"
+"""IIO has no common interface for errors and alarms."""
 
 _OPTIONS = ("poll", "rate", "root")
 _NETWORK = re.compile(r"ip:(?P<host>\[[^]]+\]|[^:/]+)(?::(?P<port>\d{1,5}))?(?:/(?P<device>.*))?")
@@ -61,7 +61,7 @@ _NETWORK = re.compile(r"ip:(?P<host>\[[^]]+\]|[^:/]+)(?::(?P<port>\d{1,5}))?(?:/
 
 @dataclass(frozen=True)
 class IioMeasuring(JsonRecord):
-    """How an IIO device measures.
+    """Configuration of an IIO device.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class IioMeasuring(JsonRecord):
     device : str
         Its name.
     buffered : bool
-        False where single values are polled.
+        False if single values are polled.
     scales, offsets : mapping of str to float
         By channel: value = (raw + offset) * scale, in IIO's units.
     """
@@ -94,16 +94,16 @@ class IioSource(SampleSource):
     Parameters
     ----------
     device : IioDevice
-        Belongs to the source from now on: `close` closes it.
+        Closed by `close` of the source.
     poll_hz : float or None
-        Read single values so often instead of scans.
+        Rate at which single values are read instead of scans.
     rate_hz : float or None
-        Samples a second of a device that does not say.
+        Sample rate of a device that does not state it.
 
     Raises
     ------
     CannotOpenError
-        No accelerometer of three axes, no buffer, or no rate.
+        The device is no accelerometer with three axes, or has no buffer or no rate.
     """
 
     kept = ("dwell_s", "settle_s", "still_timeout_s")
@@ -115,7 +115,7 @@ class IioSource(SampleSource):
         self._device = device
         self._zero_s = time.monotonic()
         facts = device.facts()
-        self.channels = wanted(facts.channels, url)
+        self.channels = choose_channels(facts.channels, url)
         self._time = next((c for c in facts.channels if c.id == TIMESTAMP and c.format), None)
         if poll_hz is None and any(channel.format is None for channel in self.channels):
             raise CannotOpenError(f"{url}: {facts.name} has no buffer for all of its axes: add ?poll=HZ")
@@ -151,23 +151,23 @@ class IioSource(SampleSource):
         time.sleep(seconds)
 
     def configure(self, settings: Settings) -> Measuring:
-        """Say how the device measures; it is left as it is."""
+        """Return the configuration of the device, which is not changed."""
         return self.measuring
 
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """Device, rate and scales."""
+        """Device, rate and scales, which must not change."""
         return dict(measuring)
 
     def expected_noise_mg(self, measuring: Measuring) -> float:
-        """An estimate for any accelerometer."""
+        """Estimate for any accelerometer."""
         return TYPICAL_NOISE_MG
 
     def samples(self, settings: Settings, block_samples: int) -> IioStream:
-        """Samples from now on."""
+        """Stream of samples from now on."""
         return self.stream(block_samples)
 
     def stream(self, block_samples: int) -> IioStream:
-        """Samples from now on in blocks of so many."""
+        """Stream of samples from now on, in blocks of `block_samples`."""
         if block_samples < 1:
             raise UsageError(f"block_samples is {block_samples}: take 1 or more")
         if not self.measuring.buffered:
@@ -211,7 +211,7 @@ class IioStream(Closing):
     def _next(self) -> ValueBlock: ...
 
     def _stop(self) -> None:
-        """End what runs at the device."""
+        """Stop the device."""
 
     def _values(self, numbers: Mapping[str, Any], time_s: Floats, lost: int) -> ValueBlock:
         channels = self._source.channels
@@ -241,7 +241,7 @@ class BufferedSamples(IioStream):
         size, patience_s = self._layout.size, max(PATIENCE_S, 3 * self._block * self._period_s)
         while len(self._rest) < self._block * size:
             missing = self._block * size - len(self._rest)
-            # Whole scans are asked for; a device node may still cut one.
+            # Whole scans are requested, but a device node may still split one.
             self._rest += self._device.read_buffer(-(-missing // size) * size, patience_s)
         data, self._rest = self._rest[: self._block * size], self._rest[self._block * size :]
         numbers = self._layout.numbers(data)
@@ -257,12 +257,12 @@ class BufferedSamples(IioStream):
         return self._values(numbers, time_s, lost)
 
     def _times(self, stamps_ns: np.ndarray) -> tuple[Floats, int]:
-        """Times on the source's clock, and how many samples are missing between them."""
+        """Times on the source's clock, and number of missing samples between them."""
         if self._first_ns is None:
             self._first_ns = int(stamps_ns[0])
         before = stamps_ns[:1] if self._last_ns is None else np.array([self._last_ns])
         steps_s = np.diff(np.concatenate([before, stamps_ns])) * 1e-9
-        # The first sample of a stream follows none.
+        # The first sample of a stream has no step before it.
         if (steps_s[1:] <= 0).any() or (self._last_ns is not None and steps_s[0] <= 0):
             raise ProtocolError(
                 f"{self._source.url}: the times of the scans go back: let its current_timestamp_clock be"
@@ -304,14 +304,14 @@ class PolledSamples(IioStream):
 def open_from_url(url: BusUrl) -> IioSource:
     """Open `iio:`, `iio:NAME`, `iio:ip:HOST/NAME` or `iio:ip:HOST:PORT/NAME`, with options `poll`, `rate`.
 
-    NAME is `device0` or what the device calls itself; without it the only accelerometer is taken.
+    NAME is `device0` or the name of the device; without it the only accelerometer is used.
 
     Raises
     ------
     UsageError
-        An unknown option, or an address that is none.
+        An option is unknown, or the address is not valid.
     CannotOpenError
-        As `LocalDevice`, `NetworkDevice`, `IioSource`.
+        See `LocalDevice`, `NetworkDevice`, `IioSource`.
     """
     for name in url.options:
         if name not in _OPTIONS:
@@ -335,7 +335,7 @@ def open_from_url(url: BusUrl) -> IioSource:
 
 
 def find_devices(root: Path = Path("/")) -> list[Device]:
-    """Accelerometers of this machine; those of others are named by their address."""
+    """Accelerometers of this machine; accelerometers of other machines are named by their address."""
     return [
         Device(f"iio:{name.removeprefix('iio:')}", f"IIO accelerometer {label}: samples, no registers")
         for name, label in local_accelerometers(root)

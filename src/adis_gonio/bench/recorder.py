@@ -3,11 +3,11 @@
 A plan chooses its recorder (`runner.RECORDERS`): dwells at positions, one free turn, or dwells between the
 whole turns of gyros. The session around it is the same.
 
-A free turn is one continuous recording, from a rest through turns to a rest. Its plan has one place, whose
-dwell is the whole recording. Every few seconds what was recorded goes into the archive as a piece: attempts
-whose reason is `GOES_ON`, ended by one that is complete or says what broke it off. A kill or a power cut
-loses one piece at most, a session that is resumed asks for a new turn, and
-`record.session_reader.recording_of` gives the best that there is.
+A free turn is one continuous recording, from a rest through turns to a rest. Its plan has one place, and
+the whole recording is its dwell. Every few seconds a piece is archived as an attempt with the reason
+`GOES_ON`; the last attempt is complete or has the reason of the interruption. A kill or a power cut loses
+one piece at most. A resumed session asks for a new turn, and `record.session_reader.recording_of` chooses
+the best one.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.bench.dialogue import Questions
 from adis_gonio.bench.events import Event, Problem, StageMoved, TurnDone, TurnProgress
 from adis_gonio.bench.session_bench import SessionBench
-from adis_gonio.model.sweeps import Sweeps
+from adis_gonio.model.records import Sweeps
 from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase, utc_now
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.plans import Plan, Position
@@ -33,7 +33,7 @@ BROKEN_STREAM = "the stream of scans ended"
 
 
 class FollowedTurn(ABC):
-    """A turn as its scans come in.
+    """A turn that is followed while its scans are read.
 
     Attributes
     ----------
@@ -42,21 +42,21 @@ class FollowedTurn(ABC):
     rest_before_s : float
         Rest before the turn begins.
     piece_s : float
-        Length of the pieces in which it goes into the archive.
+        Length of the pieces in which it is archived.
     limit_s : float
         Longest time of the recording.
     turns : int
-        Full turns to make.
+        Requested full turns.
     blocks, moves : list
-        Scans and moves that are not in the archive yet.
+        Scans and moves that are not archived yet.
     turned_deg, rate_dps : float
-        Counter-clockwise positive: since the beginning, and now.
+        Turn since the beginning and present rate, counter-clockwise positive.
     turns_made : int
         Full turns so far.
     travelled_deg : float
-        Length of the whole way, there and back.
+        Sum of the turns in both directions.
     rest_s, peak_dps : float
-        As in `TurnProgress`.
+        See `TurnProgress`.
     """
 
     phase: ClassVar[Phase] = "dwell"
@@ -75,24 +75,24 @@ class FollowedTurn(ABC):
 
     @abstractmethod
     def see(self, block: Block) -> None:
-        """Follow the turn through scans, of which there is at least one."""
+        """Follow the turn through a block with at least one scan."""
 
     @abstractmethod
     def begin(self, bench: SessionBench) -> bool:
-        """Let the stage begin to turn; False where nothing can be turned."""
+        """Let the stage begin to turn; False if there is no such stage."""
 
     @property
     @abstractmethod
     def full(self) -> bool:
-        """True once the turns were made."""
+        """True if the requested turns were made."""
 
     @property
     @abstractmethod
     def ended(self) -> str | None:
-        """None while the recording goes on; at its end an error message, empty if there is none."""
+        """None during the recording; at its end the error message, which may be empty."""
 
     def add(self, block: Block) -> None:
-        """Take scans."""
+        """Add scans."""
         self.blocks.append(block)
         self.samples += len(block)
         self.lost += block.lost
@@ -102,7 +102,7 @@ class FollowedTurn(ABC):
             self.see(block)
 
     def progress(self, *, begun: bool) -> TurnProgress:
-        """The event of a look at it."""
+        """Event for the present state of the turn."""
         return TurnProgress(
             ("after" if self.full else "turn") if begun else "rest",
             self.length_s,
@@ -118,7 +118,7 @@ class FollowedTurn(ABC):
         )
 
     def done(self, number: int) -> TurnDone:
-        """The event of its end, when it is in the archive as an attempt."""
+        """Event for the end of the turn, which is in the archive as an attempt."""
         return TurnDone(
             number,
             self.turned_deg,
@@ -136,9 +136,9 @@ class Recorder(ABC):
     Attributes
     ----------
     one_recording : bool
-        True where the session is one continuous recording and visits no positions.
+        True if the session is one continuous recording without positions.
     judges_places : bool
-        True where each place is judged by gravity.
+        True if each position is judged by gravity.
     """
 
     one_recording: ClassVar[bool] = False
@@ -153,7 +153,7 @@ class Recorder(ABC):
         """Record a place."""
 
     def _record_turn(self, turn: FollowedTurn) -> Generator[Event, None, str]:
-        """Record a turn until it ends and return why it was broken off, or nothing.
+        """Record a turn until it ends; return the reason if it was broken off, else an empty text.
 
         If an error ends it, the scans so far are archived.
         """
@@ -197,32 +197,32 @@ class Recorder(ABC):
 
 
 def why_broken_off(error: BaseException) -> str:
-    """Reason of an attempt that an error ended."""
+    """Reason for an attempt that was ended by an error."""
     return str(error) if isinstance(error, AdisGonioError) else "the program ended"
 
 
 DURATION_S = 60.0
 TURNS = 2
-"""Each angle is then seen twice, and drift told from calibration."""
+"""With two turns each angle is seen twice, which separates drift from calibration."""
 FASTEST_DPS = 45.0
-"""Mean rate that may be asked for: a hand that takes new grips goes at twice its mean."""
+"""Limit of the mean rate; a hand that changes its grip reaches twice its mean."""
 REST_S = 3.0
 """Rest before the turns and after them."""
 PIECE_S = 5.0
-"""What a kill loses at most."""
+"""Longest part that a kill loses, in s."""
 RESTING_DEG = 0.5
-"""Less than this in `REST_S` is rest."""
+"""Largest turn within `REST_S` that counts as rest."""
 
 PLACE = Position(None, 0)
 
 
 def free_turn_plan(turns: int = TURNS, duration_s: float = DURATION_S) -> Plan:
-    """The plan of a free turn: `turns` full ones within one recording of at most `duration_s`.
+    """Plan of a free turn: `turns` full turns in one recording of at most `duration_s`.
 
     Raises
     ------
     UsageError
-        No turn, or more than a hand can make slowly in the time.
+        There is no turn, or the turns would be too fast.
     """
     if turns < 1:
         raise UsageError(f"turns is {turns}: take 1 or more")
@@ -238,14 +238,14 @@ def free_turn_plan(turns: int = TURNS, duration_s: float = DURATION_S) -> Plan:
 
 @runtime_checkable
 class TurningStage(Protocol):
-    """A stage that a program can turn all around as a hand would, one time or several."""
+    """A stage that the program can turn through full turns as a hand would."""
 
     def turn_freely(self, turns: int = 1) -> float:
-        """Begin, and return the time at which it ends."""
+        """Begin to turn; return the time at which the turns end."""
 
 
 class FreeTurn(FollowedTurn):
-    """A free turn by the angle of gravity.
+    """A free turn, followed by the angle of gravity.
 
     Attributes
     ----------
@@ -264,7 +264,7 @@ class FreeTurn(FollowedTurn):
     def see(self, block: Block) -> None:
         """Follow the turn through scans."""
         x, y, _ = block.accel_mg.mean(axis=0)
-        # Gravity goes backwards through the part: positive is counter-clockwise, as the stage counts.
+        # Gravity turns backwards in the part: with the minus, counter-clockwise is positive.
         angle = -math.degrees(math.atan2(y, x))
         if self._before is not None:
             self.sweeps.see(self.sweeps.angle_deg + wrap_degrees(angle - self._before))
@@ -285,27 +285,27 @@ class FreeTurn(FollowedTurn):
 
     @property
     def full(self) -> bool:
-        """True once as many full turns were made as were wanted."""
+        """True if all requested full turns were made."""
         return self.turns_made >= self.turns
 
     @property
     def resting(self) -> bool:
-        """True where nothing has turned for `REST_S`."""
+        """True if the part has not turned for `REST_S`."""
         angles = [angle for _, angle in self._course]
         long_enough = bool(angles) and self._course[-1][0] - self._course[0][0] > 0.9 * REST_S
         return long_enough and max(angles) - min(angles) < RESTING_DEG
 
     @property
     def ended(self) -> str | None:
-        """The longest time is over, or the turns were made and the part rests after them."""
+        """Empty if the time is over, or if the turns were made and the part rests; else None."""
         return "" if self.length_s >= self.limit_s or (self.full and self.resting) else None
 
 
 class FreeTurnRecorder(Recorder):
-    """Records the whole turn as the dwell of the one place.
+    """Records a free turn as the dwell of the only place.
 
-    `Settings.dwell_s` is the longest time of the recording; it ends earlier once the turns were made
-    and the part has rested after them.
+    `Settings.dwell_s` limits the time of the recording; it ends earlier when the turns were made and the
+    part rests.
     """
 
     one_recording = True
@@ -329,7 +329,7 @@ class FreeTurnRecorder(Recorder):
             raise SessionError(settings)
         number = self._write(turn, "complete", "", None if status is None else status.word)
         ledger.count(place, number)
-        ledger.recorded_s = turn.length_s  # it ends with the turns
+        ledger.recorded_s = turn.length_s  # the recording ends with the turns
         yield turn.done(number)
         if not turn.full:
             yield ledger.problem(Problem("stillness", _too_few(turn), place))
@@ -338,7 +338,7 @@ class FreeTurnRecorder(Recorder):
 
 
 def _too_few(turn: FreeTurn) -> str:
-    """What is said where fewer full turns were seen than were asked for."""
+    """Message for a recording with fewer full turns than requested."""
     if not turn.sweeps.full:
         return f"it went {turn.sweeps.span_deg:.0f}°, no full turn: undo it and turn all around"
     return (

@@ -1,6 +1,6 @@
 """The live session as a state machine without a screen.
 
-A front end iterates over `run()`, which yields typed events (see `events`) and asks by events too:
+A front end iterates over `run()`, which yields typed events (see `events`); questions are events too:
 
     runner = SessionRunner.begin(sensor, "a.session", plan("four-position"))
     for event in runner.run():
@@ -8,15 +8,14 @@ A front end iterates over `run()`, which yields typed events (see `events`) and 
             input(f"Turn the part to {event.position} and press Enter")
             runner.confirm()
 
-A question stands until it is answered. Taking the next event without an answer makes the runner look at
-the sensor once and yield `Watching`: a plain front end prompts and answers before it goes on, a full
-screen goes on and answers from its key handler, in another thread if it likes. `stop()` is heard at any
-time. With `auto` the runner answers for itself, which needs a stage that the program can move.
+A question is open until it is answered. If the next event is taken without an answer, the runner reads the
+sensor once and yields `Watching`: a plain front end prompts and answers before it continues, a full screen
+continues and answers from its key handler, possibly in another thread. `stop()` works at any time. With
+`auto` the runner answers its own questions, which needs a stage that the program can move.
 
-A simulated sensor's time is virtual and its world depends on nothing but the seed, the time and the moves
-of the stage. A resumed session brings a new world to the point where the last complete dwell ended, by the
-archived moves at their archived times, and goes on from there as if nothing had happened: the result is
-the same to the last bit.
+The time of a simulated sensor is virtual, and its world depends only on the seed, the time and the moves of
+the stage. A resumed session brings a new world to the end of the last complete dwell, by the archived moves
+at their archived times, and continues from there: the result is identical to the last bit.
 """
 
 from __future__ import annotations
@@ -49,8 +48,7 @@ from adis_gonio.bench.recorder import FreeTurnRecorder, Recorder
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.session_state import Knowledge, Ledger
 from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, checked_gravity_mps2
 from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position, blindness, extended, extension
@@ -63,7 +61,7 @@ RECORDERS: dict[str, type[Recorder]] = {GYRO_TURNS: GyroTurnsRecorder, FREE_TURN
 """Recorder by the name of the plan; other plans take a `DwellRecorder`."""
 
 SHARE_OF_RANGE = 0.6
-"""Of the gyros' range: a hand that takes new grips is much faster than its mean in between."""
+"""Share of the gyros' range for the mean rate: a hand is much faster than its mean between two grips."""
 
 
 class Visiting:
@@ -74,9 +72,9 @@ class Visiting:
     recorder : Recorder
         Records each place.
     extend : bool
-        The extension of a two-position session is wanted.
+        True to accept the extension of a two-position session.
     advisor : Advisor or None
-        Asked for further positions when the plan is done, until it has none.
+        Source of further positions when the plan is done.
     """
 
     def __init__(
@@ -89,10 +87,10 @@ class Visiting:
         self._first_asked_s: float | None = None
 
     def run(self) -> Iterator[Event]:
-        """Visit until nothing is left to do, or the operator stops."""
+        """Visit places until the plan is done or the operator stops."""
         while not self._questions.stopped:
             place = self._ledger.next_place
-            yield from self._questions.heed(place)
+            yield from self._questions.handle_pause(place)
             if place is None and self._ledger.faulty:
                 answer = yield from self._offer_repetition()
             elif place is None:
@@ -103,7 +101,7 @@ class Visiting:
                 return
 
     def _carry_out(self, answer: Reply, place: int | None) -> Generator[Event, None, bool]:
-        """Do what was answered; False where that ends the session."""
+        """Carry out an answer; False if it ends the session."""
         last = self._ledger.last_place
         if answer is Reply.REPEAT and last is not None:
             yield from self._recorder.take(last)
@@ -133,7 +131,7 @@ class Visiting:
         return (yield from self._questions.ask(asked, {Reply.CONFIRM, Reply.SKIP}, Reply.CONFIRM, place))
 
     def _time_left_s(self) -> float:
-        """How long the positions that are left take, by how long those of this run took."""
+        """Estimate of the time for the remaining positions, from the time for the positions so far."""
         bench, ledger = self._bench, self._ledger
         left = len(ledger.plan) - len(ledger.done) - len(ledger.skipped)
         if self._first_asked_s is None:
@@ -144,7 +142,7 @@ class Visiting:
         return left * each + sum(ledger.plan.positions[k].wait_s for k in ledger.open_places)
 
     def _offer_repetition(self) -> Generator[Event, None, Reply]:
-        """Ask about dwells with a fault: repeat them, or keep them as they are, which is recorded."""
+        """Ask whether dwells with a fault are repeated or kept; the answer is recorded."""
         places = sorted(self._ledger.faulty)
         where = tuple(self._ledger.plan.positions[place] for place in places)
         offer = RepetitionOffered(tuple(places), where)
@@ -160,9 +158,9 @@ class Visiting:
         return answer
 
     def _take_again(self, place: int) -> Generator[Event, None, Reply | None]:
-        """Ask for a position that has a dwell until there is a new one; what else was answered, if so.
+        """Ask for a position with a dwell until there is a new dwell; return another answer, if given.
 
-        Skipped, the dwell that it has is kept as it is.
+        If the position is skipped, its present dwell is kept.
         """
         done, skipped = self._ledger.done, self._ledger.skipped
         before = done.get(place)
@@ -198,7 +196,7 @@ class Visiting:
         return answer
 
     def _ask_advisor(self) -> Generator[Event, None, Reply]:
-        """Let the advisor see the archive, and offer what it asks for."""
+        """Ask the advisor for further positions, and offer them to the operator."""
         ledger = self._ledger
         if self._advisor is None or not ledger.done:
             return Reply.STOP
@@ -225,7 +223,7 @@ class Visiting:
         return (yield from self._offer(ExtensionOffered(longer, None, advice.reasons), True))
 
     def _reachable(self, position: Position) -> bool:
-        """True where somebody, or the program alone with `auto`, can and will bring the part there."""
+        """True if the part can be placed there, by the operator or with `auto` by the program."""
         ledger = self._ledger
         refused = {replace(ledger.plan.positions[place], wait_s=0.0) for place in ledger.skipped}
         if replace(position, wait_s=0.0) in refused:
@@ -236,7 +234,7 @@ class Visiting:
 class SessionRunner(Operator):
     """Runs a session; made by `begin` or `resume`.
 
-    Answers may be given from another thread than the one that iterates over `run()`.
+    Answers may be given from another thread than the thread that iterates over `run()`.
     """
 
     def __init__(
@@ -257,7 +255,7 @@ class SessionRunner(Operator):
         self._ledger = Ledger(archive, lambda: bench.now_s)
         self._recorder_type = RECORDERS.get(self._ledger.plan.name, DwellRecorder)
         self._knowledge = Knowledge(bench, self._ledger, judging=self.judges_places)
-        self._questions = Questions(self._inbox, bench, self._ledger, self._knowledge, auto=auto)
+        self._questions = Questions(self, bench, self._ledger, self._knowledge, auto=auto)
         recorder = self._recorder_type(self._questions)
         self._visiting = Visiting(self._questions, recorder, extend=extend, advisor=advisor)
 
@@ -285,28 +283,28 @@ class SessionRunner(Operator):
         Parameters
         ----------
         sensor : Adis16354 or SampleSource
-            Open; stays open afterwards.
+            Open sensor; it stays open.
         path : path
-            File to make; an existing session is never overwritten.
+            New file; an existing session is never overwritten.
         auto : bool
-            Answer all questions; needs a stage that the program can move.
+            True to answer all questions by default; needs a stage that the program can move.
         extend : bool
-            With `auto`: accept the extension of the plan that a two-position session offers.
+            With `auto`: True to accept the extension that a two-position session offers.
         gravity_mps2 : float
             Local gravity in m/s².
         fixture_sigma_deg : float or None
-            Standard uncertainty of a declared angle in degrees; None where it is not stated.
+            Standard uncertainty of a declared angle in degrees; None if it is not stated.
         title, note, operator, serial, stage : str
-            What the operator wants to keep with it: who measures, the part's serial number, the stage.
+            Notes to keep: the operator's name, the serial number of the part, the stage.
         advisor : Advisor or None
-            Asked for further positions when the plan is done, until it has none.
+            Source of further positions when the plan is done.
 
         Raises
         ------
         UsageError
-            `auto` without a stage, or gravity or fixture out of range.
+            `auto` is set without a stage, or gravity or fixture is out of range.
         SessionError
-            The file exists, or cannot be made.
+            The file exists, or cannot be created.
         """
         checked_gravity_mps2(gravity_mps2, anywhere=True)
         if fixture_sigma_deg is not None and not fixture_sigma_deg >= 0:
@@ -344,18 +342,18 @@ class SessionRunner(Operator):
         extend: bool = False,
         advisor: Advisor | None = None,
     ) -> SessionRunner:
-        """Go on with the positions of a session that are not done yet, with the settings that it has.
+        """Continue with the remaining positions of a session, with its own settings.
 
-        These may be positions that an advisor asked for; a new advisor is asked when they are done.
+        These may be positions that an advisor requested; a new advisor is asked when they are done.
 
         Raises
         ------
         UsageError
-            `auto` without a stage.
+            `auto` is set without a stage.
         DataError
-            Not a session file, damaged, truncated or newer than this program.
+            The file is no session file, damaged, truncated or newer than this program.
         SessionError
-            The file cannot be written, or the sensor is not the one that the session began with.
+            The file cannot be written, or the session began with another sensor.
         """
         archive = Archive.open_existing(path)
         try:
@@ -370,32 +368,32 @@ class SessionRunner(Operator):
 
     @property
     def reversed(self) -> bool:
-        """True where the session is taken as turned the other way."""
+        """True if the session is reversed."""
         return self._knowledge.reversed
 
     @property
     def one_recording(self) -> bool:
-        """True where the session is one continuous recording and visits no positions."""
+        """True if the session is one continuous recording without positions."""
         return self._recorder_type.one_recording
 
     @property
     def on_screen(self) -> bool:
-        """True where the bench screen shows such a session; else plain prompts do."""
+        """True if the bench screen can show this session; otherwise plain prompts are used."""
         return not self.one_recording
 
     @property
     def fastest_dps(self) -> float:
-        """Mean rate at which the part may be turned for its gyros; known once it is configured."""
+        """Largest mean rate of a turn for the range of the gyros; known after the configuration."""
         return SHARE_OF_RANGE * float(self._bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
 
     @property
     def judges_places(self) -> bool:
-        """True where each place is judged by gravity."""
+        """True if each position is judged by gravity."""
         return self._recorder_type.judges_places
 
     @property
     def virtual_time(self) -> bool:
-        """True where the sensor's time stands still while nobody takes the next event."""
+        """True if the sensor's time stops while no event is taken."""
         return self._bench.virtual_time
 
     def run(self) -> Iterator[Event]:
@@ -411,7 +409,7 @@ class SessionRunner(Operator):
         SessionError
             The sensor is stuck, does not come to rest (`auto`), or the archive cannot be written.
         BusError, ChipError
-            As the sensor raises them. Whatever was complete before is in the archive.
+            Errors of the sensor. All dwells completed before are in the archive.
         """
         if self._ran:
             raise UsageError("a runner runs once; resume the session with a new one")
@@ -464,7 +462,7 @@ class SessionRunner(Operator):
         complete = ledger.next_place is None
         for _ in self._questions.remarks(None):
             pass
-        bench.close()  # what was changed for the scans alone is set back first
+        bench.close()  # first undo temporary changes of the registers
         ledger.note("registers-after", bench.source.registers())
         ledger.note(
             "truth", bench.truth(self._archive.dwells(), ledger.recorded_s or bench.settings.dwell_s)
@@ -476,23 +474,23 @@ class SessionRunner(Operator):
 
 
 def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] | None]:
-    """Measure until the part has lain still long enough.
+    """Measure the noise until the part has been still long enough.
 
     Returns
     -------
     list of float or None
-        Standard deviation of a sample on each axis in mg, which the archive has; None where the operator
+        Standard deviation of a sample on each axis in mg, also in the archive; None if the operator
         stopped.
 
     Raises
     ------
     SessionError
-        The part does not come to rest, and nobody is there to be told.
+        The part does not come to rest, and there is no operator.
     """
     bench, ledger = questions.bench, questions.ledger
     noise: Floats | None = None
     while noise is None and not questions.stopped:
-        yield from questions.heed(None)
+        yield from questions.handle_pause(None)
         noise = yield from _meter_noise(questions)
     bench.close_stream()
     ledger.scanning(bench.scanning)
@@ -505,7 +503,7 @@ def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] |
 
 
 def _meter_noise(questions: Questions) -> Generator[Event, None, Floats | None]:
-    """The noise at rest; None where the operator stops or pauses, or has to be told what is wrong."""
+    """Noise at rest; None if the operator stops or pauses, or if the part does not come to rest."""
     bench, ledger, knowledge = questions.bench, questions.ledger, questions.knowledge
     expected = bench.source.expected_noise_mg(bench.configuration)
     meter = NoiseMeter(bench.window, expected)
@@ -514,7 +512,7 @@ def _meter_noise(questions: Questions) -> Generator[Event, None, Floats | None]:
         noise = meter.feed(block.accel_mg)
         knowledge.see(block)
         yield knowledge.view.watching(
-            "measuring", meter.mean_mg, meter.spread_mg, None, "the part to lie still"
+            "measuring", meter.mean_mg, meter.spread_mg, None, "the part to be still"
         )
         if noise is not None or questions.interrupted:
             return noise
@@ -528,6 +526,3 @@ def _meter_noise(questions: Questions) -> Generator[Event, None, Floats | None]:
             yield ledger.problem(Problem("stillness", message, ledger.next_place or 0))
             return None
     return None
-
-
-__all__ = ["Reply", "SessionRunner"]

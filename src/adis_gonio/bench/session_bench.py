@@ -1,4 +1,4 @@
-"""The sensor of a session with its stage and, where it is simulated, its world."""
+"""The sensor of a session, its stage and, if it is simulated, its world."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from adis_gonio.record.source import Measuring, SampleSource, SampleStream, as_s
 from adis_gonio.record.stillness import window_samples
 
 CHECKPOINT_S = 1e-3
-"""Silence that ends in a checkpoint, so that no frame's timing reaches over the point of resuming."""
+"""Time without frames before a checkpoint, so that no frame spans the point of resuming."""
 
 
 class MovableStage(Protocol):
@@ -42,12 +42,12 @@ class SimulatedWorld(Protocol):
     """The simulated surroundings of a sensor; a simulated bus brings one as its attribute `world`."""
 
     def truth(self, time_s: Floats | None = None) -> dict[str, float]:
-        """What the simulation hides, as it was in the mean of some times where these are given."""
+        """True parameters of the simulation, averaged over the given times, if any."""
 
 
 @runtime_checkable
 class WatchedStage(SpatialStage, Protocol):
-    """A stage whose moves can be looked on at: the clock goes on by what is scanned meanwhile."""
+    """A stage with moves that can be scanned: reading scans advances the clock."""
 
     def begin_move(self, angle_deg: float, approach: int = 0) -> float:
         """Begin to go to an angle; return the time at which it ends."""
@@ -58,7 +58,7 @@ class WatchedStage(SpatialStage, Protocol):
 
 @runtime_checkable
 class TurnTable(MovableStage, Protocol):
-    """A stage that can also turn the part about the vertical, while others look on."""
+    """A stage that can also turn the part about the vertical while it is scanned."""
 
     def begin_turn(self, angle_deg: float) -> float:
         """Begin to turn, counter-clockwise positive; return the time at which it ends."""
@@ -75,23 +75,23 @@ class ControlledWorld(SimulatedWorld, Protocol):
 
 
 class SessionBench:
-    """What a session measures with.
+    """Sensor, stage and world of a session, with their configuration.
 
     Parameters
     ----------
     sensor : Adis16354 or SampleSource
-        Open.
+        Open sensor.
     settings : Settings
-        How to measure.
+        Settings of the session.
 
     Attributes
     ----------
     configuration : Measuring
-        How the sensor measures; known after `configure`, and so are the three that follow from it:
+        Configuration of the sensor; like the following three, known after `configure`.
     window : int
         Samples of a window of the watch.
     settle_s : float
-        Wait between stillness and a dwell; never less than the filter needs.
+        Wait between stillness and a dwell, at least the settling time of the filter.
     """
 
     def __init__(self, sensor: Adis16354 | SampleSource, settings: Settings) -> None:
@@ -106,22 +106,22 @@ class SessionBench:
 
     @property
     def simulated(self) -> bool:
-        """True where the truth is known."""
+        """True if the sensor is simulated, so that the truth is known."""
         return self.world is not None
 
     @property
     def virtual_time(self) -> bool:
-        """True where time runs only as far as something is asked of the sensor: a simulated one."""
+        """True for a simulated sensor with a clock that advances only during calls."""
         sensor = getattr(self.source, "sensor", None)
         return bool(getattr(getattr(sensor, "bus", None), "virtual_time", False))
 
     @property
     def now_s(self) -> float:
-        """Clock of the source."""
+        """Time of the source's clock."""
         return self.source.now_s()
 
     def require_auto(self, plan: Plan) -> None:
-        """Raise `UsageError` where a plan cannot be run without an operator."""
+        """Raise `UsageError` if a plan cannot be run without an operator."""
         if self.stage is None:
             raise UsageError(
                 f"{self.source.url}: auto needs a stage that the program can move, such as sim: has;"
@@ -135,19 +135,19 @@ class SessionBench:
             raise UsageError(f"plan '{plan.name}' needs an operator: this stage does not turn a table")
 
     def can_reach(self, position: Position) -> bool:
-        """True where the program alone can bring the part to a position and its conditions."""
+        """True if the program can set a position and its conditions without an operator."""
         if self.wants_conditions(position) and not self.sets_conditions:
             return False
         return self.stage is not None if position.angle_deg is not None else self._spatial is not None
 
     @property
     def sets_conditions(self) -> bool:
-        """True where the program can set temperature and supply."""
+        """True if the program can set temperature and supply."""
         return isinstance(self.world, ControlledWorld)
 
     @staticmethod
     def wants_conditions(position: Position) -> bool:
-        """True where a position comes with a temperature or a supply."""
+        """True if a position requests a temperature or a supply."""
         return position.temperature_c is not None or position.supply_v is not None
 
     def set_conditions(self, temperature_c: float | None, supply_v: float | None) -> None:
@@ -156,7 +156,7 @@ class SessionBench:
             self.world.bring_to(self.now_s, temperature_c, supply_v)
 
     def require_same_sensor(self, archive: ArchiveView) -> None:
-        """Raise `SessionError` where a session was begun with another sensor."""
+        """Raise `SessionError` if a session was begun with another sensor."""
         path, header, url = archive.path, archive.header(), self.source.url
         if self.source.part.name != header.variant:
             raise SessionError(
@@ -172,7 +172,7 @@ class SessionBench:
     # -- configuration ----------------------------------------------------------------------------
 
     def configure(self) -> tuple[dict[str, int], dict[str, int]]:
-        """Set the sensor up as the settings say; return all registers before and after."""
+        """Set the sensor up by the settings; return all registers before and after."""
         settings = self.settings
         before = self.source.registers()
         self.configuration: Measuring = self.source.configure(settings)
@@ -190,9 +190,9 @@ class SessionBench:
         return before, after
 
     def settings_lost(self) -> str:
-        """Say which settings are no longer as configured, and what to do; empty if all of them are.
+        """Message about settings that have changed, with a remedy; empty if none has.
 
-        A difference is read again and checked, because the bus may have falsified the first replies.
+        After a difference the settings are read again and checked, since a bus error may have caused it.
         """
         if self.source.settings_held() == self._held:
             return ""
@@ -211,23 +211,23 @@ class SessionBench:
 
     @property
     def why_polled(self) -> str:
-        """Why scans are polled, in words; empty where they are not."""
+        """Reason why scans are polled, as text, or empty."""
         return self.source.why_polled
 
     @property
     def scanning(self) -> JsonDict:
-        """How scans are got: `how` in words, and a `caveat` where the rows need one; once one was got."""
+        """How scans are read: texts `how` and `caveat`; empty before the first scan."""
         return dict(self._scanning)
 
     def close(self) -> None:
-        """End the stream and set back what was borrowed for the session; may be called twice."""
+        """End the stream and undo temporary changes of the sensor; may be called twice."""
         try:
             self.close_stream()
         finally:
             self.source.give_back()
 
     def require_same_settings(self, archive: ArchiveView, now: dict[str, int]) -> None:
-        """Raise `SessionError` where a control register is not what it was when the session began."""
+        """Raise `SessionError` if a control register has changed since the session began."""
         registers, measuring = archive.last("registers-configured"), archive.last("configuration")
         if registers is None:
             return
@@ -240,7 +240,7 @@ class SessionBench:
                 )
 
     def changes(self, before: dict[str, int], after: dict[str, int]) -> dict[str, tuple[int, int]]:
-        """Settings that differ: number before and after."""
+        """Settings that differ, with the numbers before and after."""
         names = self.source.identity(after, {})
         return {name: (before[name], after[name]) for name in names if before[name] != after[name]}
 
@@ -263,15 +263,15 @@ class SessionBench:
             stream.close()
 
     def move_to(self, position: Position) -> Move | None:
-        """Let the stage go to a position; None where nothing can be moved there."""
-        # A move that was broken off while it was watched goes on, and a stage makes one at a time.
+        """Let the stage go to a position; None if no stage can."""
+        # A move that was interrupted while it was scanned continues; wait for its end.
         if self._moves_until_s > self.now_s:
             self.source.sleep_s(self._moves_until_s - self.now_s)
         move = Move(self.now_s, position.angle_deg, position.approach, position.direction)
         return move if self._carry_out(move) else None
 
     def begin_turn(self, turned_deg: float) -> Move | None:
-        """Let the stage begin to turn about the vertical; None where nothing can be turned."""
+        """Let the stage begin to turn about the vertical; None if no stage can."""
         move = Move(self.now_s, None, 0, turned_deg=turned_deg)
         return move if self._carry_out(move) else None
 
@@ -306,32 +306,32 @@ class SessionBench:
     # -- time -------------------------------------------------------------------------------------
 
     def clock_offset(self, archive: ArchiveView, bus_s: float) -> float:
-        """What makes times on this bus's clock seconds since the session began."""
+        """Offset from this bus's clock to the time since the session began, in s."""
         runs = archive.runs()
         if not runs:
             return -bus_s
         if self.virtual_time:
             return float(runs[0]["clock_offset_s"])
-        # Clocks of two runs have nothing in common but the wall clock, which may have been set back.
+        # The clocks of two runs are related only by the wall clock, which may have been set back.
         since = datetime.now(UTC) - datetime.fromisoformat(archive.header().created_utc)
         ends = [attempt.ended_bus_s + attempt.offset_s for attempt in archive.attempts()]
         return max([since.total_seconds(), *ends]) - bus_s
 
     def checkpoint(self) -> None:
-        """Make the present a point from which a simulated session can go on: silence before it."""
+        """Wait a short time, so that a simulated session can be resumed from this point."""
         self.source.sleep_s(CHECKPOINT_S)
 
     def bring_world_to(self, archive: ArchiveView, attempt: int) -> None:
-        """Let a new simulated world live through what the archived one did.
+        """Bring a new simulated world to the state of the archived world.
 
         Parameters
         ----------
         attempt : int
-            Up to the end of this attempt; 0 up to the end of the measurement of the noise.
+            Last attempt of the replay; 0 for the end of the noise measurement.
         """
         ends = {a.number: a.ended_bus_s for a in archive.attempts()}
         end_s = ends[attempt] if attempt else archive.records("noise")[-1].bus_s
-        # What is set at the time of a move was set before it: a stable sort keeps it so.
+        # Conditions at the time of a move were set before it; the stable sort keeps this order.
         happened: list[Move | Record] = [*archive.conditions_before(attempt)]
         happened += archive.moves_before(attempt)
         for event in sorted(happened, key=lambda event: event.bus_s):
@@ -341,15 +341,15 @@ class SessionBench:
             else:
                 self.set_conditions(event.value["temperature_c"], event.value["supply_v"])
         if attempt:
-            # At its end the dwell's STATUS was read, which clears it: a bit that is left would show as EA.
+            # STATUS was read at the end of the dwell, which clears it; a remaining bit would show as EA.
             self._wait_until(end_s - CHECKPOINT_S / 2)
             self.source.status()
         self._wait_until(end_s)
 
     def take_up(self, archive: ArchiveView, attempt: int) -> None:
-        """Let a simulated part that follows the wall clock lie where an attempt left it.
+        """Place a simulated part that follows the wall clock as an attempt left it.
 
-        Unlike `bring_world_to` this is another power-on at another time, as with a real bench.
+        Unlike `bring_world_to` this is another power-on at another time, as on a real bench.
         """
         for move in archive.moves_before(attempt)[-1:]:
             self._carry_out(move, watched=False)
@@ -361,12 +361,12 @@ class SessionBench:
                 "the simulated sensor is later than it was when the session was recorded (by another"
                 " version of the program?); begin a new session"
             )
-        # The last step is short, hence exact in float64: the clock shows the archived time to the bit.
+        # The last step is short and therefore exact in float64: the clock has exactly the archived time.
         while (ahead := bus_s - source.now_s()) > 0:
             source.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
 
     def truth(self, dwells: Sequence[StoredAttempt] = (), dwell_s: float = 0.0) -> dict[str, float] | None:
-        """What the simulation hides, as it was in the last `dwell_s` of dwells; None for a real sensor."""
+        """True parameters of the simulation in the last `dwell_s` of dwells; None for a real sensor."""
         if self.world is None:
             return None
         spans = [np.linspace(a.ended_bus_s - dwell_s, a.ended_bus_s, 64) for a in dwells]

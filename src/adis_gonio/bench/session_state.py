@@ -1,4 +1,4 @@
-"""What a session has done and knows: its ledger, the noise, where the part is, what the dwells give."""
+"""State of a session: its ledger, the noise, the position of the part, and the running fit."""
 
 from __future__ import annotations
 
@@ -30,28 +30,28 @@ from adis_gonio.record.stillness import (
 
 
 class Ledger:
-    """Begins where the archive ends.
+    """Dwells and decisions of a session; begins with the state in the archive.
 
     Parameters
     ----------
     archive : Archive
     now : callable
-        The sensor's time in s, of records.
+        Gives the sensor's time in s, for records.
 
     Attributes
     ----------
     plan : Plan
+        Plan with its extensions.
     recorded_s : float or None
-        Length of what was recorded, where that is not what the settings say.
-        As it was extended.
+        Length of the recording if it differs from the settings.
     done : dict
         Number of the attempt that counts, by place.
     skipped, faulty : set of int
-        Places left out, and places whose dwell has a fault that nobody accepted.
+        Skipped places, and places with a fault in their dwell that was not accepted.
     last_place : int or None
-        That of the newest dwell.
+        Place of the newest dwell.
     taken : int
-        Dwells of this run.
+        Number of dwells of this run.
     """
 
     def __init__(self, archive: Archive, now: Callable[[], float]) -> None:
@@ -68,17 +68,17 @@ class Ledger:
         self._now = now
 
     def note(self, kind: str, value: Any) -> None:
-        """Write a record, where there is something to write."""
+        """Write a record unless the value is None."""
         if value is not None:
             self.archive.add_record(kind, value, self._now())
 
     def problem(self, problem: Problem) -> Problem:
-        """Write a problem down before it is told."""
+        """Write a problem to the archive before it is shown."""
         self.note("problem", problem.as_dict())
         return problem
 
     def scanning(self, now: dict[str, Any]) -> None:
-        """Write down how scans are got, where that is new."""
+        """Write how scans are read, if that has changed."""
         if now != self._scanning:
             self._scanning = now
             self.note("scanning", now)
@@ -90,23 +90,23 @@ class Ledger:
 
     @property
     def next_place(self) -> int | None:
-        """The first of them."""
+        """First open place, or None."""
         return next(iter(self.open_places), None)
 
     def skip(self, place: int) -> None:
-        """Leave a place out."""
+        """Skip a place."""
         self.note("skipped", place)
         self.skipped.add(place)
 
     def count(self, place: int, number: int) -> None:
-        """An attempt is the dwell of its place."""
+        """Count an attempt as the dwell of its place."""
         self.done[place] = number
         self.taken += 1
         self.skipped.discard(place)
         self.last_place = place
 
     def withdraw(self, place: int) -> Withdrawn:
-        """Take a dwell out of the session: it stays in the archive, marked."""
+        """Remove a dwell from the session; it stays in the archive, marked as withdrawn."""
         number = self.done.pop(place)
         self.note("withdrawn", number)
         self.faulty.discard(place)
@@ -114,12 +114,12 @@ class Ledger:
         return Withdrawn(place, self.plan.positions[place], number)
 
     def keep_faulty(self, places: list[int]) -> None:
-        """Keep dwells with a fault in them as they are, and ask no more about them."""
+        """Accept dwells with a fault; they are not asked about again."""
         self.note("kept", [self.done[place] for place in places])
         self.faulty.difference_update(places)
 
     def extend(self, plan: Plan) -> None:
-        """Go on with a longer plan."""
+        """Replace the plan by a longer one."""
         self.note("plan", plan.as_dict())
         self.plan = plan
 
@@ -128,9 +128,9 @@ class Ledger:
 
 
 PARTS = 8
-"""Parts of a dwell whose means tell how well its mean is known; 7 degrees of freedom a dwell and axis."""
+"""Parts of a dwell, whose scatter gives the uncertainty of its mean with 7 degrees of freedom an axis."""
 EVERY_UP_TO = 36
-"""Dwells up to which each one is followed by a fit; beyond, one whenever a tenth has been added."""
+"""Number of dwells up to which every dwell is followed by a fit; later a fit follows each tenth more."""
 
 
 @dataclass(frozen=True)
@@ -141,10 +141,10 @@ class _Mean:
 
 
 class RunningFit:
-    """Fits the means of the dwells so far, quick enough for after each dwell.
+    """Fits the means of the dwells so far, fast enough to run after each dwell.
 
-    The final fit reads all samples; this one takes each dwell as one averaged reading, with the scatter of
-    the dwell's own parts as its uncertainty.
+    The final fit uses all samples. This fit takes each dwell as one averaged reading, with its uncertainty
+    from the scatter of parts of the dwell.
     """
 
     def __init__(self, header: Header) -> None:
@@ -153,7 +153,8 @@ class RunningFit:
         self._fitted = 0
 
     def add(self, place: int, position: Position, scans: Block) -> None:
-        """Take a dwell; of one place the newest counts."""
+        """Add a dwell; it replaces an earlier dwell of its place."""
+        # The scatter of the means of the parts gives the variance of the mean of the dwell.
         parts = np.array([part.mean(axis=0) for part in np.array_split(scans.accel_mg, PARTS)])
         variance = float(parts.var(axis=0, ddof=1).mean()) / PARTS
         self._means[place] = _Mean(position, np.asarray(scans.accel_mg.mean(axis=0)), variance)
@@ -164,7 +165,7 @@ class RunningFit:
         self._fitted = 0
 
     def result(self, plan: Plan, *, reverse: bool) -> Running | None:
-        """Parameters so far; None where the dwells do not allow a fit, or the last one still serves."""
+        """Parameters so far; None if the dwells do not allow a fit, or the last fit is recent enough."""
         from adis_gonio.fitting import fit
 
         count = len(self._means)
@@ -173,10 +174,10 @@ class RunningFit:
         try:
             result = fit(self._session(plan, reverse=reverse))
         except (AdisGonioError, np.linalg.LinAlgError):
-            # Too few, or not different enough: the next dwell may change that.
+            # Too few dwells or positions; the next dwell may change that.
             return None
         self._fitted = count
-        # Not the whole document: methods beside each other are for the end, and cost a fit for each dwell.
+        # The whole document would compare the methods, with one fit for each of them.
         parameters = {estimate.name: estimate.stated.as_dict() for estimate in result.parameters}
         return Running(parameters, result.method, count)
 
@@ -200,26 +201,26 @@ class RunningFit:
 
 
 LEAST_BIAS_MG = 10.0
-"""Spread of a bias of which a source knows nothing: the ADIS16354's estimate (CHIP, D)."""
+"""Spread of an unknown bias: the estimate for the ADIS16354 (CHIP, D)."""
 
 
 class LiveView:
-    """Makes the events that tell of the sensor from what has been seen of it so far.
+    """Makes events about the sensor from the scans so far.
 
     Attributes
     ----------
     limit_mg : Vector or None
         Standard deviation below which a window is still.
     target : Position or None
-        Where the part is asked to be.
+        Requested position.
     judge : Judge or None
-        Who knows the angle by gravity; None before the noise is known.
+        Source of the angle by gravity; None before the noise is known.
     temperature_c : float or None
         Of the newest scan; None if it is not in the scans.
     lost : int
         Scans lost since the session was opened.
     smoother : SmoothedMeter or None
-        Takes the shaking out of the angle while the part turns, by its gyros; without a lag.
+        Smooths the angle by the gyros while the part turns, without a lag.
     """
 
     def __init__(self) -> None:
@@ -232,7 +233,7 @@ class LiveView:
         self._seen_s = 0.0
 
     def see(self, block: Block) -> None:
-        """Take scans."""
+        """Learn from scans."""
         self.lost += block.lost
         columns = session_columns(block)
         if "temp_c" in columns and len(block):
@@ -242,9 +243,9 @@ class LiveView:
             self._seen_s = float(block.time_s[-1])
 
     def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> tuple[float | None, float | None]:
-        """Angle as the stage counts, on the turn that is nearest to the target, and its tolerance.
+        """Angle in the sense of the stage, within half a turn of the target, and its tolerance.
 
-        By gravity, and by the gyros if there are any. The tolerance is that of `Judge.tolerance_deg`.
+        The angle is measured by gravity and, if there are any, by gyros; see `Judge.tolerance_deg`.
         """
         if self.judge is None:
             return None, None
@@ -256,7 +257,7 @@ class LiveView:
         return target_deg + wrap_degrees(angle - target_deg), tolerance
 
     def _smoothed_mg(self, accel_mg: Floats) -> Floats:
-        """A reading (3,), turned to where the smoothed angle is."""
+        """A reading (3,), turned to the smoothed angle."""
         smoothed = None if self.smoother is None else self.smoother.reading(self._seen_s)
         if smoothed is None:
             return accel_mg
@@ -272,7 +273,7 @@ class LiveView:
         target_deg: float | None,
         waits_for: str,
     ) -> Watching:
-        """The event of a look outside a dwell."""
+        """Event of a look outside a dwell."""
         angle_deg, tolerance_deg = self.angle_deg(accel_mg, target_deg)
         return Watching(
             state,
@@ -295,25 +296,25 @@ def vector(values: Any) -> Vector:
 
 
 class Knowledge:
-    """Learns from scans and dwells; begins with the dwells of the archive.
+    """Knowledge from scans and dwells; begins with the dwells of the archive.
 
     Parameters
     ----------
     bench : SessionBench
     ledger : Ledger
     judging : bool
-        False where no place is declared that the part could be at.
+        False if no positions are declared.
 
     Attributes
     ----------
     view : LiveView
-        What a front end sees of it.
+        Source of events for a front end.
     judge : Judge or None
-        None before the noise is known, and where places are not judged.
+        None before the noise is known, and if positions are not judged.
     limits : StillnessLimits or None
         None before the noise is known.
     reversed : bool
-        True where the session is taken as turned the other way.
+        True if the session is reversed.
     """
 
     def __init__(self, bench: SessionBench, ledger: Ledger, *, judging: bool) -> None:
@@ -328,7 +329,7 @@ class Knowledge:
         self.reversed = bool(ledger.archive.last("reversed"))
 
     def take_noise(self, noise: list[float]) -> NoiseMeasured:
-        """Set the limits of stillness by the noise at rest (mg), and begin to judge."""
+        """Set the limits of stillness by the noise at rest (mg), and make the judge."""
         bench = self._bench
         quantum = bench.source.part.step_mg
         limits = limits_from_noise(np.array(noise), bench.window, quantum)
@@ -337,7 +338,7 @@ class Knowledge:
         self._noise_mg = np.maximum(noise, quantum / math.sqrt(12))
         largest_mg = float(self._noise_mg.max())
         self.judge = self.view.judge = self._new_judge(largest_mg)
-        if self.judge is not None and not bench.virtual_time:  # else nobody sees the part while it turns
+        if self.judge is not None and not bench.virtual_time:  # with virtual time, no part is seen turning
             sensing = sensing_of(bench.configuration, bench.source.part.name, largest_mg)
             self.view.smoother = SmoothedMeter(sensing, lag_s=0.0)
         return NoiseMeasured(
@@ -345,7 +346,7 @@ class Knowledge:
         )
 
     def _new_judge(self, noise_mg: float) -> Judge | None:
-        """Who judges where the part is, with the dwells of a resumed session; None with a loose fixture."""
+        """Judge of the part's position, with the dwells so far; None if the fixture allows any angle."""
         bench, ledger = self._bench, self._ledger
         planar = ledger.plan.plane != "none"
         fixture = ledger.header.fixture_sigma_deg
@@ -369,25 +370,25 @@ class Knowledge:
         return judge
 
     def watch(self) -> StillnessWatch:
-        """A watch over stillness; `UsageError` before the noise is known."""
+        """New watch for stillness; `UsageError` before the noise is known."""
         if self.limits is None:
             raise UsageError("the limits of stillness are not known")
         return StillnessWatch(self.limits, self._noise_mg)
 
     def see(self, block: Block) -> None:
-        """Take scans."""
+        """Learn from scans."""
         self.view.see(block)
         if self.judge is not None:
             self.judge.turning.see(block)
 
     def learn(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
-        """Take a complete dwell."""
+        """Learn from a complete dwell."""
         self._running.add(place, position, scans)
         if self.judge is not None:
             self.judge.done(place, position, scans, doubted=doubted)
 
     def withdraw(self, place: int) -> Withdrawn:
-        """Take a dwell out of the session and forget it."""
+        """Remove a dwell from the session and forget it."""
         withdrawn = self._ledger.withdraw(place)
         self._running.withdraw(place)
         if self.judge is not None:
@@ -395,12 +396,12 @@ class Knowledge:
         return withdrawn
 
     def reverse(self) -> None:
-        """Take the session as turned the other way: all angles count backwards from here on."""
+        """Reverse the sense of the session: all angles change their sign."""
         self.reversed = not self.reversed
         self._ledger.note("reversed", self.reversed)
         if self.judge is not None:
             self.judge.reverse()
 
     def running(self) -> Running | None:
-        """What the dwells give so far; None where they do not allow a fit, or the last one still serves."""
+        """Parameters so far; None if the dwells do not allow a fit, or the last fit is recent enough."""
         return self._running.result(self._ledger.plan, reverse=self.reversed)

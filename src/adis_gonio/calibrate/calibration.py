@@ -1,47 +1,54 @@
-"""`Calibration`: parameters of a fit or a trace, and what they make of a reading.
+"""`Calibration`: parameters of a fit or a trace, and the gravity and angle that they give for a reading.
 
-In the one convention of `model.measurement` a reading is U = diag(K) D g + b + Σ effects(diag(K) D g); here
-it is solved for g. Effects are small against the reading, so that the fixed point of
-a ← U − b − Σ effects(a) is found in a few passes.
+In the convention of `model.measurement` a reading is U = diag(K) D g + b + Σ effects(diag(K) D g). Here
+this equation is solved for g. Effects are small against the reading, so the fixed-point iteration a ← U − b
+− Σ effects(a) converges in a few passes.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats, central_differences, wrap_radians
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.numbers import counted
-from adis_gonio.calibrate.checks import checked_condition, checked_readings
+from adis_gonio.base.jsonable import json_object
+from adis_gonio.base.numbers import counted, join_words
 from adis_gonio.calibrate.coefficients import (
     STEP,
+    VERSION,
     Coefficient,
     Coefficients,
     NotCorrected,
+    checked_condition,
+    checked_numbers,
     checked_offsets,
 )
 from adis_gonio.model.effects import AXES, Conditions, Effect
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_MPS2
-from adis_gonio.record.provenance import Provenance
+from adis_gonio.record.provenance import Covered, Provenance
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
+
 _PASSES = 60
 _SETTLED_MG = 1e-9
+
+_SOURCE = ("title", "serial", "operator", "stage", "source", "sha256", "recorded_utc", "software")
 
 TurnPlane = Literal["xy", "xz", "yz"]
 
 
 @dataclass(frozen=True)
 class EffectTerm:
-    """An effect of the catalogue that is corrected.
+    """An effect of the catalogue that the calibration corrects.
 
     Attributes
     ----------
@@ -53,12 +60,20 @@ class EffectTerm:
     effect: Effect
     parameters: tuple[str, ...]
 
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `effects`."""
+        effect = self.effect
+        choices = {choice: getattr(effect, choice) for choice in effect.choices()}
+        return json_object(
+            effect=effect.name, axes=effect.axes, choices=choices, parameters=self.parameters
+        )
+
 
 @dataclass(frozen=True)
 class AngleReading:
-    """Angles (n,) in degrees, −180 to 180, and their standard uncertainties (n,), NaN where not known.
+    """Angles (n,) in degrees, −180 to 180, and their standard uncertainties (n,), NaN if unknown.
 
-    One reading (axes,) gives arrays without an axis, which are as good as numbers.
+    One reading (axes,) gives arrays of zero dimensions, which can be used as numbers.
     """
 
     angle_deg: Floats
@@ -67,38 +82,38 @@ class AngleReading:
     def __repr__(self) -> str:
         u_deg = np.atleast_1d(self.u_deg)
         known = u_deg[np.isfinite(u_deg)]
-        told = f"{known.max():.4f}°" if known.size else "unknown"
+        u = f"{known.max():.4f}°" if known.size else "unknown"
         if np.ndim(self.angle_deg) == 0:
-            return f"AngleReading({float(self.angle_deg):.4f}°, u {told})"
+            return f"AngleReading({float(self.angle_deg):.4f}°, u {u})"
         n = len(self.angle_deg)
-        return f"AngleReading({counted(n, 'angle')}, u up to {told})"
+        return f"AngleReading({counted(n, 'angle')}, u up to {u})"
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration(Coefficients):
-    """What turns readings of a sensor into gravity and angle.
+    """Calibration of accelerometers: from readings to gravity and angle.
 
     Attributes
     ----------
     method : str
         A method of `fit`, or `trace`.
     provenance : Provenance
-        Sensor, plane, gravity and whatever is known of the session.
+        Sensor, plane, gravity and the known facts about the session.
     parameters : tuple of Coefficient
-        Base parameters (gains, misalignment or skews, biases), in the plane the start angle `alpha` where
-        it is known, then the values of the effects.
+        Base parameters (gains, misalignment or skews, biases; in the plane also the start angle `alpha` if
+        it is known), then the values of the effects.
     covariance : (p, p) float or None
-        In the order and units of `parameters`; None where no noise is known.
+        In the order and units of `parameters`; None if the noise is unknown.
     effects : tuple of EffectTerm
-        Effects of a trace that are functions of the reading, the temperature or the supply.
+        Effects of a trace that depend on the reading, the temperature or the supply.
     not_corrected : tuple of NotCorrected
-        Effects that belong to the bench, or that no single reading shows.
+        Effects of the bench, or effects that need more than one reading.
     assumed : tuple of str
-        Parameters that the session did not determine and that stand at their nominal values.
+        Parameters that the session did not determine; they keep their nominal values.
     counts_per_mg : tuple of float or None
-        Of each axis, rough, where readings are in counts; None where they are in mg.
+        Rough scale of each axis for readings in counts; None for readings in mg.
     gyro : GyroCalibration or None
-        Of the gyros, where the session calibrates them.
+        Calibration of the gyros; None if the session gives none.
     """
 
     method: str
@@ -110,8 +125,9 @@ class Calibration(Coefficients):
     assumed: tuple[str, ...] = ()
     counts_per_mg: tuple[float, ...] | None = None
     gyro: GyroCalibration | None = None
+    schema: ClassVar[str] = "adis-gonio/calibration"
 
-    # -- what it is --------------------------------------------------------------------------------
+    # -- description --------------------------------------------------------------------------------
 
     @property
     def planar(self) -> bool:
@@ -120,12 +136,12 @@ class Calibration(Coefficients):
 
     @property
     def axes(self) -> int:
-        """Axes of a reading that are used: 2 in the plane, 3 in space."""
+        """Number of axes that are used: 2 in the plane, 3 in space."""
         return 2 if self.planar else 3
 
     @property
     def unit(self) -> str:
-        """Unit of the readings that it takes: mg, or counts."""
+        """Unit of the readings: mg or counts."""
         return "counts" if self.provenance.counts else "mg"
 
     @property
@@ -134,28 +150,64 @@ class Calibration(Coefficients):
         return self.provenance.gravity_mps2 * MG_PER_MPS2
 
     def __repr__(self) -> str:
-        where = "in the plane xy" if self.planar else "in space"
-        beside = "".join(f" + {term.effect.name}" for term in self.effects)
-        return f"Calibration({self.provenance.sensor} {where}, {self.method}{beside}, {self._lead()})"
+        space = "in the plane xy" if self.planar else "in space"
+        effects = "".join(f" + {term.effect.name}" for term in self.effects)
+        return f"Calibration({self.provenance.sensor} {space}, {self.method}{effects}, {self._lead()})"
 
     def _lead(self) -> str:
-        from adis_gonio.calibrate.document import derived_delta_k
+        names = ("delta_phi", "skew_xy")
+        first = [self.delta_k, *(self[name] for name in names if name in self)]
+        return ", ".join(str(one) for one in first if one is not None)
 
-        ratio = derived_delta_k(self)
-        first = [self[name] for name in ("delta_phi", "skew_xy") if name in self]
-        return ", ".join(map(str, [ratio, *first] if ratio else first))
+    @property
+    def delta_k(self) -> Coefficient | None:
+        """ΔK = K_x/K_y − 1 with u; None in space."""
+        if not self.planar or "scale_x" not in self:
+            return None
+        k_x = self["scale_x"].value
+        k_y = self["scale_y"].value if "scale_y" in self else 1.0
+        u = None
+        if self.covariance is not None:
+            slopes = {"scale_x": 1 / k_y, "scale_y": -k_x / k_y**2}
+            slope = np.array([slopes.get(name, 0.0) for name in self.names])
+            u = math.sqrt(max(float(slope @ self.covariance @ slope), 0.0))
+        return Coefficient("delta_k", k_x / k_y - 1, u, "1")
 
     def summary(self) -> str:
-        """What it holds in lines of text: origin, parameters with u, effects, and what it does not do."""
-        from adis_gonio.calibrate.document import summary_of
-
-        return summary_of(self)
+        """Describe it in lines of text: origin, parameters with u, and effects that are not corrected."""
+        where = self.provenance
+        lines = [repr(self).removeprefix("Calibration(").removesuffix(")")]
+        facts = [("part", where.serial), ("operator", where.operator), ("stage", where.stage)]
+        facts += [("title", where.title), ("file", where.source), ("recorded", where.recorded_utc)]
+        lines += [f"  {label}: {text}" for label, text in facts if text]
+        lines += [f"  {one}" for one in (self.delta_k, *self.parameters) if one is not None]
+        t = where.temperature_c
+        if t is not None:
+            degrees = f"{t.low:.1f} to {t.high:.1f} °C"
+            lines.append(f"  measured at {degrees}; effects of temperature are zero at 25 °C")
+        lines += [f"  {name}: not determined, taken as nominal" for name in self.assumed]
+        lines += [f"  not corrected: {one.effect}: {one.reason}" for one in self.not_corrected]
+        lines += [] if self.gyro is None else [self.gyro.summary()]
+        return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document."""
-        from adis_gonio.calibrate.document import document_of
-
-        return document_of(self)
+        """JSON document, as `schema/calibration-1.json` describes it."""
+        where, ratio = self.provenance, self.delta_k
+        return json_object(
+            schema=self.schema,
+            version=VERSION,
+            method=self.method,
+            sensor=where.sensor,
+            plane=where.plane,
+            unit=self.unit,
+            counts_per_mg=self.counts_per_mg,
+            gravity_mps2=where.gravity_mps2,
+            derived={} if ratio is None else {"delta_k": ratio},
+            effects=self.effects,
+            **self._entries(where),
+            source={name: getattr(where, name) for name in _SOURCE},
+            **{} if self.gyro is None else {"gyro": self.gyro},
+        )
 
     # -- use ---------------------------------------------------------------------------------------
 
@@ -169,14 +221,14 @@ class Calibration(Coefficients):
         Parameters
         ----------
         accel : (n, 2), (n, 3), (2,) or (3,) float
-            Readings in `unit`, mg as `ScanBlock.accel_mg` gives them; in the plane z takes no part.
+            Readings in `unit`, such as mg from `ScanBlock.accel_mg`; in the plane z is ignored.
         temperature_c, supply_v : (n,) float or float, optional
-            For effects that follow them; without them the session's mean, which holds near it only.
+            For effects that depend on them; the mean of the session by default.
 
         Returns
         -------
         (n, axes) or (axes,) float
-            NaN where a reading lies so far out that the model has no inverse.
+            NaN for a reading so large that the model has no inverse.
 
         Raises
         ------
@@ -192,9 +244,10 @@ class Calibration(Coefficients):
     def readings_of(
         self, gravity: ArrayLike, temperature_c: float | None = None, *, supply_v: float | None = None
     ) -> Floats:
-        """Readings (n, axes) in `unit` of gravity (n, axes) in units of local gravity: `apply` undone."""
+        """Readings (n, axes) in `unit` for gravity (n, axes) in local gravity: the inverse of `apply`."""
         gravity = np.asarray(gravity, dtype=float)
         base, bias = self.natural(self.values)
+        # Matrix of the calibration, by its effect on unit vectors; its inverse gives ideal readings.
         matrix = self.measurement.calibrated(base, np.eye(self.axes))
         ideal = np.asarray(gravity @ np.linalg.inv(matrix))
         conditions = self._conditions(len(gravity), temperature_c, supply_v)
@@ -210,24 +263,24 @@ class Calibration(Coefficients):
         reading_u: float | Sequence[float] | None = None,
         plane: TurnPlane | None = None,
     ) -> AngleReading:
-        """Angle ψ at which gravity stands from the first axis of the plane towards the second.
+        """Angle ψ of gravity from the first axis of the plane towards the second.
 
-        A stage that is turned by θ in the sense of equation (6) lessens it: ψ = α − θ, see `stage_angle`.
+        A turn of the stage by θ in the sense of equation (6) reduces it: ψ = α − θ, see `stage_angle`.
 
         Parameters
         ----------
         accel, temperature_c, supply_v
             As in `apply`.
         reading_u : float or sequence of float, optional
-            Standard uncertainty of a reading on every axis, or axis by axis, in `unit`; by default only
-            the uncertainty of the calibration is stated.
+            Standard uncertainty of a reading, for all axes or for each axis, in `unit`; by default the
+            result has only the uncertainty of the calibration.
         plane : {"xy", "xz", "yz"}, optional
-            Needed for a calibration in space, which has no plane of its own.
+            Required for a calibration in space.
 
         Raises
         ------
         UsageError
-            As `apply`; no plane, or another than the calibrated one; an uncertainty that is negative.
+            As `apply`; a missing plane, or another than the calibrated one; a negative uncertainty.
         """
         i, j = self._plane(plane)
 
@@ -245,7 +298,7 @@ class Calibration(Coefficients):
         supply_v: ArrayLike | None = None,
         reading_u: float | Sequence[float] | None = None,
     ) -> AngleReading:
-        """Angle θ = α − ψ of the session's stage, as its positions were declared, with u.
+        """Angle θ = α − ψ of the session's stage in the sense of the declared positions, with u.
 
         Raises
         ------
@@ -263,23 +316,23 @@ class Calibration(Coefficients):
         return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> Calibration:
-        """Return the calibration for a part whose offset registers hold other numbers.
+        """Return the calibration for a part with other numbers in its offset registers.
 
-        The part adds XACCL_OFF … to its outputs, so a bias that the chip corrects now is not corrected
-        again. An axis without a bias among the parameters gets one that is the difference of the offsets,
-        without an uncertainty.
+        The part adds XACCL_OFF … to its outputs, so the part of a bias that the chip corrects now is
+        removed from the calibration. An axis without a bias among the parameters gets the difference of the
+        offsets as its bias, without an uncertainty.
 
         Raises
         ------
         UsageError
-            The session does not say what the registers held, or the part has none.
+            The contents of the registers are unknown, or the part has no such registers.
         """
         from adis_gonio.device.sensor.variants import VARIANTS
 
         then = self.provenance.offsets_lsb
         if then is None or self.provenance.sensor not in VARIANTS or self.provenance.counts:
             raise UsageError(
-                "the session does not say which offsets stood in the chip while it was recorded"
+                "the session does not state the contents of the offset registers while it was recorded"
             )
         now = checked_offsets(offsets_lsb)
         lsb_mg = VARIANTS[self.provenance.sensor].accel_mg_per_lsb
@@ -290,7 +343,7 @@ class Calibration(Coefficients):
         if covariance is not None:
             covariance = np.pad(covariance, (0, len(new)))
         where = replace(self.provenance, offsets_lsb=now, written_lsb=None)
-        # The gyros feel what the accelerometers read, which the chip has moved.
+        # g-sensitivity of the gyros refers to the readings, which the offsets have moved.
         moved_g = (np.array(now) - np.array(then)) * lsb_mg / 1000
         gyro = None if self.gyro is None else self.gyro.with_force_moved(moved_g)
         return replace(
@@ -316,7 +369,7 @@ class Calibration(Coefficients):
             moved = replace(moved, gyro=gyro.with_offsets(gyro_offsets_lsb))
         return moved
 
-    # -- how ---------------------------------------------------------------------------------------
+    # -- computation ---------------------------------------------------------------------------------------
 
     @property
     def measurement(self) -> Measurement:
@@ -329,7 +382,7 @@ class Calibration(Coefficients):
         return np.ones(self.axes) if self.counts_per_mg is None else np.array(self.counts_per_mg)
 
     def natural(self, values: Floats) -> tuple[Floats, Floats]:
-        """Base parameters in natural units, and biases (axes,) in mg, of parameters (p,) as stated."""
+        """Base parameters in natural units and biases (axes,) in mg, of stated parameters (p,)."""
         at = {one.name: k for k, one in enumerate(self.parameters)}
         per_mg = self.per_mg
         base = self.measurement.nominal
@@ -360,11 +413,17 @@ class Calibration(Coefficients):
         self, n: int, temperature_c: ArrayLike | None, supply_v: ArrayLike | None
     ) -> Conditions:
         needs = {name for term in self.effects for name in term.effect.needs}
+
+        def of_session(name: str, given: ArrayLike | None, covered: Covered | None) -> Floats | None:
+            default = covered.mean if covered is not None and name in needs else None
+            found = checked_condition(name, given, n, default)
+            return None if found is None else found[:, 0]
+
         where = self.provenance
         return Conditions(
             time_s=np.zeros(n),
-            temperature_c=checked_condition("temperature_c", temperature_c, n, where.temperature_c, needs),
-            supply_v=checked_condition("supply_v", supply_v, n, where.supply_v, needs),
+            temperature_c=of_session("temperature_c", temperature_c, where.temperature_c),
+            supply_v=of_session("supply_v", supply_v, where.supply_v),
         )
 
     def _plane(self, plane: str | None) -> tuple[int, int]:
@@ -399,6 +458,7 @@ class Calibration(Coefficients):
         if reading_u is not None:
             u = self._reading_u(reading_u)
             steps = np.maximum(STEP * u, 1e-6)
+            # Derivative of the angle by the reading, for the noise of the reading.
             slopes = central_differences(
                 lambda r: shown(values, r, conditions), readings, steps, np.eye(self.axes), apart
             )
@@ -416,9 +476,10 @@ class Calibration(Coefficients):
 
 
 def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Conditions) -> Floats:
-    """Ideal readings a (n, axes), a + Σ effects(a) = `free`; NaN where the iteration does not settle."""
+    """Solve a + Σ effects(a) = `free` for ideal readings a (n, axes); NaN without convergence."""
     ideal = free
     for _ in range(_PASSES):
+        # Fixed point: subtract the effects at the current ideal readings.
         new = free - sum((e.reading(own, ideal, conditions) for e, own in terms), np.zeros(free.shape))
         moving = np.asarray(~(np.abs(new - ideal) <= _SETTLED_MG).all(axis=1))
         ideal = new
@@ -426,3 +487,51 @@ def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Co
             return ideal
     ideal[moving] = np.nan
     return ideal
+
+
+LEAST_LENGTH = 0.02
+"""Least length of readings in units of gravity: 1 g given in g or in m/s² is shorter (0.001 and 0.0098)."""
+MOST_LENGTH = 2.0
+"""Largest median length of many readings in units of gravity: 1 g is 2140 LSB."""
+MANY = 8
+"""Least number of readings for the test of their median, so that a single shock does not move it."""
+
+
+def checked_readings(accel: ArrayLike, calibration: Calibration) -> tuple[Floats, bool]:
+    """Readings (n, axes), and True if a single reading (axes,) was given.
+
+    Raises
+    ------
+    UsageError
+        Wrong shape, no numbers, NaN or infinity, or another unit.
+    """
+    given = checked_numbers("readings", accel, plural=True)
+    axes, unit = calibration.axes, calibration.unit
+    wanted = (2, 3) if axes == 2 else (3,)
+    if given.ndim not in (1, 2) or given.shape[-1] not in wanted:
+        columns = join_words([*map(str, wanted)], "or")
+        raise UsageError(
+            f"readings have shape {given.shape}; give (n, {columns}) in {unit}, one row a reading"
+        )
+    readings = np.atleast_2d(given)[:, :axes]
+    bad = np.flatnonzero(~np.isfinite(readings).all(axis=1))
+    if bad.size:
+        raise UsageError(f"reading {int(bad[0])} holds NaN or infinity; leave lost scans out")
+    _refuse_other_units(readings, calibration)
+    return readings, given.ndim == 1
+
+
+def _refuse_other_units(readings: Floats, calibration: Calibration) -> None:
+    if calibration.provenance.counts or not len(readings):
+        return
+    length = float(np.median(np.linalg.norm(readings, axis=1))) / calibration.gravity_mg
+    if length < LEAST_LENGTH:
+        raise UsageError(
+            f"readings are {length * calibration.gravity_mg:.3g} long, but gravity is about 1000: give mg "
+            "(1 g = 1000, 1 m/s² = 101.97)"
+        )
+    if length > MOST_LENGTH and len(readings) >= MANY:
+        raise UsageError(
+            f"readings are {length * calibration.gravity_mg:.4g} long, but gravity is about 1000: give "
+            "mg, not words of the sensor (ScanBlock.accel_mg)"
+        )

@@ -1,39 +1,56 @@
-"""Parameters with their covariance: the half that calibrations of accelerometers and gyros share."""
+"""Parameters with their covariance: common base of the calibrations of accelerometers and gyros."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import format_uncertain
+from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.tables import ParameterTable
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
+from adis_gonio.record.provenance import Provenance
+
+if TYPE_CHECKING:
+    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
 STEP = 0.01
-"""Of the central difference along each axis of the covariance, in standard uncertainties."""
+"""Step of central differences along each axis of the covariance, in standard uncertainties."""
+
+
+VERSION = 1
+"""Version of the JSON documents."""
+
+
+def json_text(document: Mapping[str, Any]) -> str:
+    """Format a JSON document; numbers have the fewest digits that restore the same float."""
+    return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
 
 
 @dataclass(frozen=True)
-class Coefficient:
-    """A parameter: value, standard uncertainty (None: not known) and unit.
+class Coefficient(JsonRecord):
+    """A parameter: value, standard uncertainty (None if unknown) and unit.
 
     Attributes
     ----------
     dof : float or None
-        Effective degrees of freedom of u, where the result states them.
+        Effective degrees of freedom of u; None if the result does not state them.
     """
 
-    name: str
+    name: str = field(metadata=HIDDEN)
     value: float
     u: float | None
     unit: str
-    dof: float | None = None
+    dof: float | None = field(default=None, metadata=OPTIONAL)
 
     @classmethod
     def of(cls, name: str, estimate: Any) -> Coefficient:
@@ -47,30 +64,34 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class NotCorrected:
-    """What the model holds and no later reading can be corrected for, with the reason."""
+    """An effect of the model that a calibration cannot correct, with the reason."""
 
     effect: str
     reason: str
 
 
 class Coefficients(ParameterTable):
-    """Base of the calibrations: parameters by name, and what follows from their covariance.
+    """Base of the calibrations: parameters by name, and propagation of their covariance.
 
     Attributes
     ----------
     parameters : tuple of Coefficient
     covariance : (p, p) float or None
-        In the order and units of `parameters`; None where no noise is known.
+        In the order and units of `parameters`; None if the noise is unknown.
     """
 
+    schema: ClassVar[str]
     method: str
     parameters: tuple[Coefficient, ...]
     covariance: Floats | None
+    not_corrected: tuple[NotCorrected, ...]
+    assumed: tuple[str, ...]
     of_session: ClassVar[Callable[[str | Path], Any] | None] = None
-    """Reads a file that may be a session; set by `adis_gonio.tracing.trace_calibrations`."""
+    """Function that loads a calibration file or fits a session; set by
+    `adis_gonio.tracing.trace_calibrations`."""
 
     def __getitem__(self, name: str) -> Coefficient:
-        """Parameter by name; `KeyError` without it."""
+        """Parameter by name; `KeyError` for other names."""
         for one in self.parameters:
             if one.name == name:
                 return one
@@ -97,19 +118,19 @@ class Coefficients(ParameterTable):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Calibration of a JSON file (`save`, `adis-gonio export`), or of a session, which is fitted.
+        """Load a calibration from a JSON file (`save`, `adis-gonio export`), or fit a session file.
 
         Raises
         ------
         DataError
-            The file is neither, is damaged, or is of a newer version.
+            The file is neither of these, is damaged, or has a newer version.
         FitError
-            The file holds no calibration of this part, or the session does not determine it.
+            The file has no calibration of this part, or the session does not determine it.
         """
         if cls.of_session is not None:
             made: Self = cls.of_session(path)
             return made
-        from adis_gonio.calibrate.files import calibration_in
+        from adis_gonio.calibrate.calibration_document import calibration_in
 
         found = calibration_in(path)
         for one in (found, None if found is None else found.gyro):
@@ -118,7 +139,7 @@ class Coefficients(ParameterTable):
         raise DataError(f"{path}: is no such calibration; fit a session by adis_gonio.fit")
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write it as JSON (`schema/calibration-1.json`), bit-exact.
+        """Write it as JSON (`schema/calibration-1.json`); `load` gives exactly the same numbers.
 
         Raises
         ------
@@ -127,12 +148,28 @@ class Coefficients(ParameterTable):
         OutputError
             The file cannot be written.
         """
-        from adis_gonio.calibrate.document import save_document
+        with replacing(check_output(path, force=force)) as temporary:
+            write_utf8(temporary, json_text(self.as_dict()))
 
-        save_document(self.as_dict(), path, force=force)
+    def _entries(self, where: Provenance | GyroCalibration) -> dict[str, Any]:
+        """Entries of the document that both kinds of calibrations share."""
+        covariance = {"names": self.names, "matrix": self.covariance}
+        return {
+            "parameters": {one.name: one for one in self.parameters},
+            "covariance": None if self.covariance is None else covariance,
+            "not_corrected": self.not_corrected,
+            "assumed": self.assumed,
+            "reference": {
+                "temperature_c": REFERENCE_C,
+                "supply_v": REFERENCE_V,
+                "session_temperature_c": where.temperature_c,
+                "session_supply_v": where.supply_v,
+            },
+            "offsets_lsb": where.offsets_lsb,
+        }
 
     def _moved(self, by: Mapping[str, float]) -> tuple[Coefficient, ...]:
-        """Parameters with something added to the values of some."""
+        """Parameters with these amounts added to the values by name."""
         return tuple(replace(one, value=one.value + by.get(one.name, 0.0)) for one in self.parameters)
 
     def _with_variance(
@@ -140,33 +177,35 @@ class Coefficients(ParameterTable):
         function: Callable[[Floats], Floats],
         difference: Callable[[Floats, Floats], Floats] = np.subtract,
     ) -> tuple[Floats, Floats]:
-        """Function of the parameters (p,), and its variance by their covariance, NaN if none is known."""
+        """Value of a function of the parameters (p,), and its variance; NaN without a covariance."""
         value = function(self.values)
         if self.covariance is None:
             return value, np.full(value.shape, np.nan)
         variance = np.zeros(value.shape)
         for direction in _directions(self.covariance):
             step = STEP * direction
+            # Derivative along each principal axis; these contributions are independent.
             rise = difference(function(self.values + step), function(self.values - step))
             variance += (rise / (2 * STEP)) ** 2
         return value, variance
 
 
 def _directions(covariance: Floats) -> Floats:
-    """Principal axes (k, p) of a covariance, each as long as its standard uncertainty."""
+    """Principal axes (k, p) of a covariance, with the length of their standard uncertainty."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(scale > 0, scale, 1.0)
+    # Eigenvectors of the correlation matrix: parameters have different units.
     sizes, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
     return np.asarray((vectors * np.sqrt(np.maximum(sizes, 0.0))).T * unit)
 
 
 def checked_numbers(name: str, given: ArrayLike, *, plural: bool = False) -> Floats:
-    """Argument of a method as an array.
+    """Convert an argument to an array of numbers.
 
     Raises
     ------
     UsageError
-        No numbers.
+        The argument has no numbers.
     """
     try:
         return np.asarray(given, dtype=float)
@@ -175,13 +214,61 @@ def checked_numbers(name: str, given: ArrayLike, *, plural: bool = False) -> Flo
         raise UsageError(f"{name} {verb} to be numbers, not {type(given).__name__}") from None
 
 
-def checked_offsets(offsets_lsb: Sequence[int]) -> tuple[int, int, int]:
-    """Numbers of three offset registers.
+def finite_numbers(name: str, given: ArrayLike) -> Floats:
+    """Convert an argument to an array of finite numbers.
 
     Raises
     ------
     UsageError
-        They are not three.
+        The argument has no numbers, NaN or infinity.
+    """
+    values = checked_numbers(name, given)
+    if not np.isfinite(values).all():
+        raise UsageError(f"{name} holds NaN or infinity")
+    return values
+
+
+def checked_condition(
+    name: str, given: ArrayLike | None, n: int, default: float | None, dies: int = 1
+) -> Floats | None:
+    """Convert a condition, such as a temperature, to one value for each of n readings.
+
+    Parameters
+    ----------
+    given : float, (n,) or (n, dies) float, optional
+        If it is None, all readings get the default.
+
+    Returns
+    -------
+    (n, dies) float or None
+        None if neither it nor a default is given.
+
+    Raises
+    ------
+    UsageError
+        No numbers, wrong shape, NaN or infinity.
+    """
+    if given is None:
+        return None if default is None else np.full((n, dies), default)
+    values = finite_numbers(name, given)
+    if values.ndim < 2 and values.size in (1, n):
+        rows = values.reshape(-1, 1)
+    elif dies > 1 and (values.shape == (n, dies) or (n == 1 and values.shape == (dies,))):
+        rows = values.reshape(n, dies)
+    else:
+        raise UsageError(
+            f"{name} has shape {values.shape}; give one number, or one for each of {n} readings"
+        )
+    return np.broadcast_to(rows, (n, dies)).copy()
+
+
+def checked_offsets(offsets_lsb: Sequence[int]) -> tuple[int, int, int]:
+    """Contents of three offset registers as integers.
+
+    Raises
+    ------
+    UsageError
+        There are not three numbers.
     """
     if len(offsets_lsb) != 3:
         raise UsageError(f"offsets are three numbers (x, y, z), not {len(offsets_lsb)}")

@@ -1,12 +1,13 @@
-"""`GyroCalibration`: what the three gyros of a part are wrong by, and the rate of turn without it.
+"""`GyroCalibration`: errors of the three gyros of a part, and the corrected rate of turn.
 
 In the frame of the accelerometers a gyro reads, in °/s,
 
     rate = (1 + κ ΔT) K D ω + b + β ΔT + β₂ ΔT² + β₃ ΔT³ + G f + G₂ f² + s ΔV,
 
-with ω the true rate, K gains and D unit directions (`sensitivity` = K D), b the zero rate, f what the
-accelerometers **read** in g (level with Z up: z = −1), ΔT = T − 25 °C, ΔV = V − 5 V. f is the reading
-itself, with the accelerometers' own bias in it: nobody corrects these before the gyros are calibrated.
+with the true rate ω, gains K and unit directions D (`sensitivity` = K D), the zero rate b, the force f that
+the accelerometers **read** in g (level with Z up: z = −1), ΔT = T − 25 °C and ΔV = V − 5 V. f is the
+uncorrected reading, including the bias of the accelerometers, because gyros may be calibrated before
+accelerometers.
 """
 
 from __future__ import annotations
@@ -14,28 +15,31 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.jsonable import json_object
 from adis_gonio.calibrate.coefficients import (
+    VERSION,
     Coefficient,
     Coefficients,
     NotCorrected,
-    checked_numbers,
+    checked_condition,
     checked_offsets,
+    finite_numbers,
 )
 from adis_gonio.device.sensor.registers import Kind
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.record.provenance import Covered
 
 GYRO_OFFSET_DPS = VARIANTS["adis16354"].lsb(Kind.GYRO_OFFSET)[0]
-"""LSB of XGYRO_OFF …, the same at every range (DS, A)."""
+"""LSB of XGYRO_OFF …, equal at every range (DS, A)."""
 
 _ONE, _PAIR, _OTHER = "one axis", "two axes", "two different axes"
 _KINDS: dict[str, tuple[str, str]] = {
@@ -50,15 +54,15 @@ _KINDS: dict[str, tuple[str, str]] = {
     "gyro_scale_temperature": (_ONE, "ppm/°C"),
     "gyro_supply": (_ONE, "dps/V"),
 }
-"""Parameters by what stands before their axes: how many axes, and the unit."""
+"""Kinds of parameters, the part of their name before the axes: number of axes, and unit."""
 _NAME = re.compile(r"(?P<kind>[a-z0-9_]+)_(?P<axes>[xyz]{1,2})")
 LEAST_DETERMINANT = 0.1
-"""Of gains and directions; three gyros that work have about 1."""
+"""Least determinant of gains times directions; three working gyros have about 1."""
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Rates of turn (n, 3) in °/s with their standard uncertainties (n, 3), NaN where not known."""
+    """Rates of turn (n, 3) in °/s with their standard uncertainties (n, 3), NaN if unknown."""
 
     rate_dps: Floats
     u_dps: Floats
@@ -66,7 +70,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class _Values:
-    """Values by what they do; arrays (3,) and (3, 3), gyro by row."""
+    """Values of the equation's coefficients; arrays (3,) and (3, 3) with one row for each gyro."""
 
     bias: Floats
     sensitivity: Floats
@@ -79,29 +83,29 @@ class _Values:
 
 @dataclass(frozen=True, eq=False)
 class GyroCalibration(Coefficients):
-    """What turns readings of the three gyros into the rate of turn in the accelerometers' frame.
+    """Calibration of the three gyros: from readings to the rate of turn in the accelerometers' frame.
 
     Attributes
     ----------
     method : str
-        What determined it: `gyro` (the fit), `trace`, or another's name.
+        Method that determined it: `gyro` (the fit), `trace`, or another name.
     parameters : tuple of Coefficient
-        `gyro_bias_x …` (dps), and what was determined of `gyro_scale_x …` (1), `gyro_misalignment_xy …`
-        (deg; the gyro, and the axis towards which it is misaligned), `g_sensitivity_xy …` (dps/g; the
+        `gyro_bias_x …` (dps), and if determined `gyro_scale_x …` (1), `gyro_misalignment_xy …` (deg; the
+        gyro, and the axis towards which it is misaligned), `g_sensitivity_xy …` (dps/g; the
         gyro, and the axis of force), `g2_sensitivity_xy …` (dps/g²), `gyro_bias_temperature_x …` (dps/°C;
         …2, …3 of its square and cube), `gyro_scale_temperature_x …` (ppm/°C), `gyro_supply_x …` (dps/V).
     covariance : (p, p) float or None
-        In the order and units of `parameters`; None where no noise is known.
+        In the order and units of `parameters`; None if the noise is unknown.
     assumed : tuple of str
-        Parameters that were not determined and stand at their nominal values.
+        Parameters that were not determined; they keep their nominal values.
     not_corrected : tuple of NotCorrected
-        What was found and no single reading shows, such as a drift by the session's clock.
+        Effects that a calibration cannot correct, such as a drift in time.
     temperature_c, supply_v : Covered or None
-        What the session covered.
+        Range in the session.
     offsets_lsb : tuple of int or None
-        Numbers in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF with which the biases hold; None where unknown.
+        Numbers in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF for which the biases are valid; None if unknown.
     source : str
-        File of the session, without its folder; empty where it is none.
+        Name of the session's file without its folder; empty without a file.
     """
 
     method: str
@@ -113,6 +117,7 @@ class GyroCalibration(Coefficients):
     supply_v: Covered | None = None
     offsets_lsb: tuple[int, int, int] | None = None
     source: str = ""
+    schema: ClassVar[str] = "adis-gonio/gyro-calibration"
 
     @classmethod
     def of(
@@ -128,17 +133,17 @@ class GyroCalibration(Coefficients):
         Parameters
         ----------
         estimates : mapping of str to objects with `value`, `u`, `unit` (and `dof`)
-            Names that are no parameters of a gyro are left alone.
+            Other names than parameters of a gyro are ignored.
         covariance : (names, (p, p) float), optional
-            Of more parameters, in any order; by default that of the u.
+            Covariance of these and perhaps other parameters in any order; by default diagonal, from u.
         about
-            Further attributes.
+            Further attributes of the calibration.
 
         Raises
         ------
         FitError
-            A gyro has no zero rate, a parameter another unit than it has to have, or gains and directions
-            are those of no three gyros.
+            A gyro has no zero rate, a parameter has a wrong unit, or gains and directions are impossible
+            for three gyros.
         """
         known = [name for name in estimates if kind_of(name) and _determined(estimates[name])]
         missing = [f"gyro_bias_{axis}" for axis in AXES if f"gyro_bias_{axis}" not in known]
@@ -154,7 +159,7 @@ class GyroCalibration(Coefficients):
         return made
 
     def check(self) -> None:
-        """Refuse what no three gyros are: `FitError`."""
+        """Raise `FitError` for a wrong unit, or for gains and directions that are impossible."""
         for one in self.parameters:
             kind = kind_of(one.name)
             if kind is None or one.unit != _KINDS[kind][1]:
@@ -162,10 +167,10 @@ class GyroCalibration(Coefficients):
         misalignment = self._matrix("gyro_misalignment", self._stated())
         if (np.abs(misalignment) >= 45).any() or abs(np.linalg.det(self.sensitivity)) < LEAST_DETERMINANT:
             raise FitError(
-                "gains and directions are those of no three gyros: one hardly turns with the part"
+                "gains and directions are impossible for three gyros: one hardly responds to a turn"
             )
 
-    # -- what it is ---------------------------------------------------------------------------------
+    # -- description ---------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
         biases = ", ".join(str(self[f"gyro_bias_{axis}"]) for axis in AXES)
@@ -178,17 +183,17 @@ class GyroCalibration(Coefficients):
 
     @property
     def sensitivity(self) -> Floats:
-        """Gains times directions (3, 3), a row a gyro; the identity where they are perfect."""
+        """Gains times directions (3, 3), one row for each gyro; the identity for perfect gyros."""
         return self._values(self.values).sensitivity
 
     @property
     def g_sensitivity_dps_per_g(self) -> Floats:
-        """What force adds (3, 3) in °/s/g: row the gyro, column the axis of force."""
+        """g-sensitivity (3, 3) in °/s/g: one row for each gyro, one column for each axis of force."""
         return self._values(self.values).per_g
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Conditions that it depends on: `force_g`, `temperature_c`, `supply_v`."""
+        """Conditions that the correction depends on: `force_g`, `temperature_c`, `supply_v`."""
         found = {kind_of(one.name) for one in self.parameters}
         wanted = {
             "force_g": {"g_sensitivity", "g2_sensitivity"},
@@ -198,17 +203,24 @@ class GyroCalibration(Coefficients):
         return tuple(name for name, kinds in wanted.items() if found & kinds)
 
     def summary(self) -> str:
-        """What it holds in lines of text."""
+        """Describe it in lines of text."""
         lines = [f"gyros by method {self.method}", *(f"  {one}" for one in self.parameters)]
         lines += [f"  not determined, taken as nominal: {', '.join(self.assumed)}"] if self.assumed else []
         lines += [f"  not corrected: {one.effect}: {one.reason}" for one in self.not_corrected]
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document."""
-        from adis_gonio.calibrate.document import gyro_document_of
-
-        return gyro_document_of(self)
+        """JSON document; `derived` follows from the parameters."""
+        derived = ("bias_dps", "sensitivity", "g_sensitivity_dps_per_g")
+        return json_object(
+            schema=self.schema,
+            version=VERSION,
+            method=self.method,
+            unit="dps",
+            derived={name: getattr(self, name) for name in derived},
+            **self._entries(self),
+            source=self.source,
+        )
 
     # -- use ----------------------------------------------------------------------------------------
 
@@ -227,11 +239,12 @@ class GyroCalibration(Coefficients):
         rate_dps : (n, 3) or (3,) float
             Readings of the gyros in °/s (`ScanBlock.gyro_dps`).
         force_g : (n, 3) or (3,) float, optional
-            What the accelerometers read then, in g; needed where a g-sensitivity is known.
+            Readings of the accelerometers in g; required if a g-sensitivity is known.
         temperature_c : float, (n,) or (n, 3) float, optional
-            One, or one for each gyro's die ((3,) of one reading); without it the session's mean.
+            One value, or one for each gyro's die ((3,) for one reading); the mean of the session by
+            default.
         supply_v : float or (n,) float, optional
-            Without it the session's mean.
+            The mean of the session by default.
 
         Returns
         -------
@@ -241,7 +254,7 @@ class GyroCalibration(Coefficients):
         Raises
         ------
         UsageError
-            Wrong shape, NaN or infinity, or no force where it counts.
+            Wrong shape, NaN or infinity, or a required force is missing.
         """
         rate, single = _rows("rate_dps", rate_dps)
         conditions = self._conditions(len(rate), force_g, temperature_c, supply_v)
@@ -256,7 +269,7 @@ class GyroCalibration(Coefficients):
         *,
         supply_v: ArrayLike | None = None,
     ) -> Rates:
-        """As `correct`, with the standard uncertainty that the calibration lends to each rate."""
+        """Like `correct`, with the standard uncertainty of each rate from the calibration."""
         return self._rates(_corrected, rate_dps, (force_g, temperature_c, supply_v))
 
     def readings_of(
@@ -267,7 +280,7 @@ class GyroCalibration(Coefficients):
         *,
         supply_v: ArrayLike | None = None,
     ) -> Rates:
-        """What the gyros read of a true rate, with u: `correct` undone; the zero rate of a rate of zero."""
+        """Readings of the gyros for a true rate, with u: the inverse of `correct`."""
         return self._rates(_read, rate_dps, (force_g, temperature_c, supply_v))
 
     def _rates(
@@ -276,14 +289,14 @@ class GyroCalibration(Coefficients):
         rate_dps: ArrayLike,
         felt: tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None],
     ) -> Rates:
-        """A function of the parameters and the rates, with the u that the parameters lend to it."""
+        """A function of the parameters and the rates, with its u from the parameters."""
         rate, single = _rows("rate_dps", rate_dps)
         conditions = self._conditions(len(rate), *felt)
         value, u = self._with_u(lambda values: function(self._values(values), rate, *conditions))
         return Rates(value[0], u[0]) if single else Rates(value, u)
 
     def force_part(self, force_g: ArrayLike) -> tuple[Floats, Floats]:
-        """What force (3,) in g adds to the zero rates (3,) in °/s, and its standard uncertainty."""
+        """Zero rates (3,) in °/s from force (3,) in g, and their standard uncertainty."""
         force = _spread("force_g", force_g, 1)
         value, u = self._with_u(
             lambda values: np.asarray(
@@ -293,23 +306,23 @@ class GyroCalibration(Coefficients):
         return value[0], u[0]
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> GyroCalibration:
-        """The same for a part whose XGYRO_OFF … hold other numbers than while it was calibrated.
+        """Return the calibration for a part with other numbers in XGYRO_OFF ….
 
-        The part adds them to its outputs, so that what the chip corrects now has left the zero rate.
+        The part adds them to its outputs, so the part of a zero rate that the chip corrects now is removed.
 
         Raises
         ------
         UsageError
-            The session does not say what the registers held.
+            The contents of the registers during the session are unknown.
         """
         if self.offsets_lsb is None:
-            raise UsageError("the session does not say which gyro offsets stood in the chip")
+            raise UsageError("the session does not state the contents of the gyro offset registers")
         now = checked_offsets(offsets_lsb)
         moved = GYRO_OFFSET_DPS * (np.array(now) - np.array(self.offsets_lsb))
         return replace(self._with_bias_moved(moved), offsets_lsb=now)
 
     def with_force_moved(self, moved_g: ArrayLike) -> GyroCalibration:
-        """The same where the accelerometers read so much more (3,) in g, as by their offset registers."""
+        """Return the calibration for accelerometers that read (3,) g more, as by their offsets."""
         moved = np.asarray(moved_g, dtype=float)
         return self._with_bias_moved(-self.g_sensitivity_dps_per_g @ moved)
 
@@ -317,7 +330,8 @@ class GyroCalibration(Coefficients):
         added = {f"gyro_bias_{axis}": float(by) for axis, by in zip(AXES, by_dps, strict=True)}
         return replace(self, parameters=self._moved(added))
 
-    # -- how ----------------------------------------------------------------------------------------
+    # -- computation
+    # ----------------------------------------------------------------------------------------
 
     def _stated(self) -> dict[str, float]:
         return {one.name: one.value for one in self.parameters}
@@ -331,6 +345,7 @@ class GyroCalibration(Coefficients):
     def _values(self, values: Floats) -> _Values:
         held = {one.name: float(v) for one, v in zip(self.parameters, values, strict=True)}
         misalignment = np.sin(np.radians(self._matrix("gyro_misalignment", held)))
+        # Component along the own axis, so that each direction is a unit vector.
         own = np.sqrt(np.maximum(1 - (misalignment**2).sum(axis=1), 0.0))
         gains = self._vector("gyro_scale", held, 1.0)
         return _Values(
@@ -353,11 +368,21 @@ class GyroCalibration(Coefficients):
         """Force (n, 3), temperature above 25 °C (n, 3), supply above 5 V (n, 1)."""
         needs = self.needs
         if force_g is None and "force_g" in needs:
-            raise UsageError("these gyros feel force: give force_g, what the accelerometers read in g")
+            raise UsageError(
+                "these gyros are sensitive to force: give force_g, the readings of the accelerometers in g"
+            )
         force = np.zeros((n, 3)) if force_g is None else _spread("force_g", force_g, n)
-        warm = _condition("temperature_c", temperature_c, n, self.temperature_c, REFERENCE_C, needs)
-        volts = _condition("supply_v", supply_v, n, self.supply_v, REFERENCE_V, needs)
-        return force, warm - REFERENCE_C, volts - REFERENCE_V
+
+        def above(
+            name: str, given: ArrayLike | None, covered: Covered | None, zero: float, dies: int
+        ) -> Floats:
+            default = covered.mean if covered is not None and name in needs else zero
+            found = checked_condition(name, given, n, default, dies)
+            assert found is not None
+            return found - zero
+
+        warm = above("temperature_c", temperature_c, self.temperature_c, REFERENCE_C, 3)
+        return force, warm, above("supply_v", supply_v, self.supply_v, REFERENCE_V, 1)
 
     def _with_u(self, function: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
         value, variance = self._with_variance(function)
@@ -365,7 +390,7 @@ class GyroCalibration(Coefficients):
 
 
 def kind_of(name: str) -> str | None:
-    """What stands before the axes of a gyro's parameter; None for other names."""
+    """Kind of a gyro's parameter, the part of its name before the axes; None for other names."""
     match = _NAME.fullmatch(name)
     if match is None or match["kind"] not in _KINDS:
         return None
@@ -389,7 +414,7 @@ def _assumed(known: Sequence[str]) -> tuple[str, ...]:
 
 
 def _determined(estimate: Any) -> bool:
-    """False where a result states a value that its session does not determine."""
+    """True if value and uncertainty of an estimate are finite."""
     return bool(np.isfinite(estimate.value)) and (estimate.u is None or bool(np.isfinite(estimate.u)))
 
 
@@ -406,12 +431,14 @@ def _taken(
     given, matrix = list(covariance[0]), np.asarray(covariance[1], dtype=float)
     taken: Floats = np.diag([float(one.u or 0.0) ** 2 for one in parameters])
     inside = [k for k, name in enumerate(names) if name in given]
+    # Replace the diagonal by the given covariance for the parameters in it.
     rows = [given.index(names[k]) for k in inside]
     taken[np.ix_(inside, inside)] = (matrix[np.ix_(rows, rows)] + matrix[np.ix_(rows, rows)].T) / 2
     return taken
 
 
 def _corrected(v: _Values, rate: Floats, force: Floats, warm: Floats, volts: Floats) -> Floats:
+    # Solve the equation of the module docstring for the true rate.
     free = (rate - _zero(v, force, warm, volts)) / (1 + v.scale_per_c * warm)
     return np.asarray(free @ np.linalg.inv(v.sensitivity).T)
 
@@ -421,13 +448,13 @@ def _read(v: _Values, rate: Floats, force: Floats, warm: Floats, volts: Floats) 
 
 
 def _zero(v: _Values, force: Floats, warm: Floats, volts: Floats) -> Floats:
-    """What is read of no turn (n, 3)."""
+    """Zero rates (n, 3) at these conditions."""
     by_warmth = sum((c * warm ** (k + 1) for k, c in enumerate(v.per_c)), np.zeros(warm.shape))
     return np.asarray(v.bias + force @ v.per_g.T + force**2 @ v.per_g2.T + by_warmth + v.per_v * volts)
 
 
 def _rows(name: str, given: ArrayLike) -> tuple[Floats, bool]:
-    values = _numbers(name, given)
+    values = finite_numbers(name, given)
     if values.ndim not in (1, 2) or values.shape[-1] != 3:
         raise UsageError(f"{name} has shape {values.shape}; give (n, 3), one row a reading")
     return np.atleast_2d(values), values.ndim == 1
@@ -438,35 +465,3 @@ def _spread(name: str, given: ArrayLike, n: int) -> Floats:
     if len(rows) not in (1, n):
         raise UsageError(f"{name} has {len(rows)} rows for {n} readings")
     return np.broadcast_to(rows, (n, 3))
-
-
-def _condition(
-    name: str,
-    given: ArrayLike | None,
-    n: int,
-    covered: Covered | None,
-    nominal: float,
-    needs: Sequence[str],
-) -> Floats:
-    """Condition (n, 3) as given, else the session's mean where it counts, else the nominal one."""
-    if given is None:
-        return np.full((n, 3), covered.mean if covered is not None and name in needs else nominal)
-    values = _numbers(name, given)
-    if values.shape in ((), (1,)):
-        return np.full((n, 3), float(values.reshape(-1)[0]))
-    if values.shape == (3,) and n == 1 and name == "temperature_c":
-        return values[None, :]
-    if values.shape == (n,):
-        return np.repeat(values[:, None], 3, axis=1)
-    if values.shape != (n, 3) or name != "temperature_c":
-        raise UsageError(
-            f"{name} has shape {values.shape}; give one number, or one for each of {n} readings"
-        )
-    return values
-
-
-def _numbers(name: str, given: ArrayLike) -> Floats:
-    values = checked_numbers(name, given)
-    if not np.isfinite(values).all():
-        raise UsageError(f"{name} holds NaN or infinity")
-    return values

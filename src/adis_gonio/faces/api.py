@@ -1,4 +1,4 @@
-"""`adis_gonio.fit` and `adis_gonio.trace`: as in their packages, of any part, and of a path too."""
+"""`adis_gonio.fit` and `adis_gonio.trace`: for accelerometers and gyros, for a session or a file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting import fit as _fit
-from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO, known_part
+from adis_gonio.fitting.estimation.readings import ACCELEROMETER, GYRO, known_part
 from adis_gonio.fitting.gyros.gyro_fit import METHOD as GYRO_METHOD
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro
 from adis_gonio.model import Session
@@ -61,36 +61,37 @@ def fit(
     accelerometers: Calibration | None = None,
     gyros: GyroCalibration | str | PathLike[str] | None = None,
 ) -> FitResult | GyroFit:
-    """`adis_gonio.fitting.fit` of a session, or of a file that holds one.
+    """Fit a session, or the session in a file; see `adis_gonio.fitting.fit`.
 
     Parameters
     ----------
     part : {"accelerometer", "gyro"}
         Part of the sensor; gyros have one method, `gyro`.
     accelerometers : Calibration, optional
-        With gyros: of the same part's accelerometers, for the directions of axes (`fit_gyro`).
+        With `part="gyro"`: calibration of this sensor's accelerometers, for the directions of axes
+        (`fit_gyro`).
     gyros : GyroCalibration or path, optional
-        Of the same part's gyros, made of another session, or a file that `load_gyro_calibration` reads: for
-        poses in space between which the part was turned.
+        For poses in space between which the sensor was turned: calibration of its gyros from another
+        session, or a file for `load_gyro_calibration`.
 
     Raises
     ------
     UsageError
-        Neither a session nor a path; no such method, or part; a calibration of another part, or gyros that
-        the session cannot use.
+        Neither a session nor a path; an unknown method or part; a calibration of another sensor, or gyros
+        that the session cannot use.
     DataError, FitError, SingularError
-        As `adis_gonio.fitting.fit`.
+        See `adis_gonio.fitting.fit`.
     """
     if known_part(part) != GYRO:
         if accelerometers is not None:
             raise UsageError("a calibration of the accelerometers goes with part='gyro'")
-        given = session_of(session, "fit")
-        return _fit(given, method=method, gyros=_gyros_beside(given, gyros))
+        given = _load(session, "fit")
+        return _fit(given, method=method, gyros=_load_gyros(given, gyros))
     if gyros is not None:
         raise UsageError("a calibration of gyros serves a fit of the accelerometers; part is gyro")
     if method not in (None, GYRO_METHOD):
         raise UsageError(f"gyros have no method '{method}'; theirs is {GYRO_METHOD}")
-    return fit_gyro(session_of(session, "fit"), accelerometers)
+    return fit_gyro(_load(session, "fit"), accelerometers)
 
 
 def trace(
@@ -99,22 +100,22 @@ def trace(
     time_limit: float | None = None,
     part: str = "accelerometer",
 ) -> TraceResult:
-    """`adis_gonio.tracing.trace` of a session, or of a file that holds one.
+    """Trace a session, or the session in a file; see `adis_gonio.tracing.trace`.
 
     Raises
     ------
     UsageError
         Neither a session nor a path; a time limit that is not positive.
     DataError, FitError
-        As `adis_gonio.tracing.trace`.
+        See `adis_gonio.tracing.trace`.
     """
-    return _trace(session_of(session, "trace"), max_effects, time_limit, part)
+    return _trace(_load(session, "trace"), max_effects, time_limit, part)
 
 
-def _gyros_beside(
+def _load_gyros(
     session: Session, given: GyroCalibration | str | PathLike[str] | None
 ) -> GyroCalibration | None:
-    """Gyros of the session's part, read where a path is given; not those of the session itself."""
+    """Return the calibration, read from its file if it is a path; it must not be the session itself."""
     if not isinstance(given, str | PathLike):
         return given
     from adis_gonio.record.provenance import provenance_of
@@ -122,14 +123,13 @@ def _gyros_beside(
 
     if session.source and Path(given).resolve() == Path(session.source).resolve():
         raise UsageError(
-            f"{given}: its gyros are calibrated by the turns that they shall serve for; give another"
-            " session"
+            f"{given}: its gyros would be calibrated by the turns that they explain; give another session"
         )
     return load_gyro_calibration(Path(given), provenance_of(session))
 
 
-def session_of(given: Any, what: str) -> Session:
-    """The session itself, or that of a file; `UsageError` for anything else."""
+def _load(given: Any, what: str) -> Session:
+    """Return the session, or load it from a path; `UsageError` for anything else."""
     if isinstance(given, Session):
         return given
     if isinstance(given, str | PathLike):

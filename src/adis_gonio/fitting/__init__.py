@@ -1,4 +1,4 @@
-"""Estimators and their uncertainty: `fit(session, method)`; pure numpy, no files, no devices.
+"""Estimators and their uncertainty: `fit(session, method)`; no files, no devices.
 
 Names are imported when first used: a guard at the bench needs a part of this package and no scipy.
 """
@@ -7,32 +7,23 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from adis_gonio.base.lazy_names import lazily
+from adis_gonio.base import lazily
 
 _HOMES = {
     "METHODS": "methods",
-    "Estimate": "result",
-    "FitResult": "result",
+    "Estimate": "fit_result",
+    "FitResult": "fit_result",
     "applicable_methods": "methods",
     "fit": "methods",
     "fit_readings": "methods",
 }
 
-__all__ = [
-    "METHODS",
-    "Estimate",
-    "FitResult",
-    "applicable_methods",
-    "fit",
-    "fit_readings",
-]
-
 if TYPE_CHECKING:
+    from adis_gonio.fitting.fit_result import Estimate as Estimate
+    from adis_gonio.fitting.fit_result import FitResult as FitResult
     from adis_gonio.fitting.methods import METHODS as METHODS
     from adis_gonio.fitting.methods import applicable_methods as applicable_methods
     from adis_gonio.fitting.methods import fit as fit
     from adis_gonio.fitting.methods import fit_readings as fit_readings
-    from adis_gonio.fitting.result import Estimate as Estimate
-    from adis_gonio.fitting.result import FitResult as FitResult
 
 __getattr__ = lazily(__name__, _HOMES)

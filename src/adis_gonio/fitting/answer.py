@@ -7,41 +7,51 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.numbers import HEAD, QuantityRow, counted
+from adis_gonio.base.numbers import (
+    DASH,
+    HEAD,
+    NAMES,
+    QuantityRow,
+    counted,
+    format_number,
+    format_percent,
+    format_uncertain,
+    with_unit,
+)
 from adis_gonio.base.tables import align_columns, fold_text
-from adis_gonio.base.values import Value
-from adis_gonio.fitting.result import FitResult
-from adis_gonio.fitting.scores import Score
-from adis_gonio.fitting.standing import Recommendation, Standing
-from adis_gonio.fitting.tables import budget_table, parameter_row, score_table
-from adis_gonio.fitting.uncertainty_budget import BudgetRow
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.fitting.fit_result import FitResult
+from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
+from adis_gonio.fitting.uncertainty import BudgetRow
 
 _SPATIAL = ("scale", "skew", "bias")
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a session says, in one place.
+    """The result of a session: values, scores, recommendation and their text.
 
     Attributes
     ----------
     result : FitResult
-        Of the method that is shown in full.
-    standing : Standing
-        All methods beside each other.
+        Result of the method that is shown in full.
+    comparison : MethodComparison
+        Comparison of all methods.
     recommended : Recommendation
         Method and, if a trace ran and its model predicts as well, the effects that the trace found.
     scores : mapping of str to Score
-        Of all methods on the same dwells.
+        Scores of all methods on the same dwells.
     """
 
     result: FitResult
-    standing: Standing
+    comparison: MethodComparison
     recommended: Recommendation
     scores: dict[str, Score]
 
@@ -54,17 +64,17 @@ class Answer:
         result : FitResult
             Result of any method.
         own : bool
-            Show this result, else the recommended one.
+            Show this result, otherwise the recommended one.
         """
-        standing = result.standing
-        if standing is None:
+        comparison = result.comparison
+        if comparison is None:
             raise ValueError("this result was not made by adis_gonio.fit: its session is not known")
-        shown = result if own else with_notes(standing.best, result)
-        return cls(shown, standing, standing.recommended, standing.scores)
+        shown = result if own else with_notes(comparison.best, result)
+        return cls(shown, comparison, comparison.recommended, comparison.scores)
 
     @cached_property
     def values(self) -> dict[str, Value]:
-        """What is wanted: `delta_k`, `delta_phi` and `angle`; in space gains, skews and biases."""
+        """Main values: `delta_k`, `delta_phi` and `angle`; in space gains, skews and biases."""
         found = {**self.model_parameters, **self._angle()}
         if "delta_k" in found or "delta_phi" in found:
             return {name: found[name] for name in ("delta_k", "delta_phi", "angle") if name in found}
@@ -104,7 +114,7 @@ class Answer:
 
     @property
     def why(self) -> str:
-        """Why this method, one sentence; why another one is recommended, where it was asked for."""
+        """Reason for the recommended method, in one sentence."""
         text = self.recommended.why
         if self.shows_another_method:
             return f"Why {self.recommended.method}: {text}."
@@ -122,15 +132,15 @@ class Answer:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What has to be said of the values, such as a gravity or zero that they refer to."""
+        """Remarks on the values, such as the temperature at which they are valid."""
         temperature = self.reference_temperature_c
         if temperature is None or {"delta_k", "delta_phi"} & set(self.values):
             return ()
-        return (f"Parameters hold at {temperature:.1f} °C, the mean of the session.",)
+        return (f"Parameters are valid at {temperature:.1f} °C, the mean of the session.",)
 
     @property
     def reference_temperature_c(self) -> float | None:
-        """Temperature at which the parameters hold."""
+        """Temperature at which the parameters are valid."""
         return self.result.reference_temperature_c
 
     def text(self, width: int = 80) -> str:
@@ -151,7 +161,7 @@ class Answer:
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document of `fit` with what this answer adds: scores, the recommendation, the values."""
+        """JSON document of `fit` with the scores, the recommendation and the values of this answer."""
         return self.result.as_dict() | json_object(
             recommended=self.recommended,
             scores=self.scores,
@@ -162,59 +172,77 @@ class Answer:
 
     @property
     def has_more(self) -> bool:
-        """True where there are parameters beside the headline's."""
+        """True if there are parameters that the headline does not show."""
         return len(self.parameter_rows()) > len([name for name in self.values if name != "angle"])
 
-    # -- what faces show, as texts -----------------------------------------------------------------
+    # -- tables and lines of text -----------------------------------------------------------------
 
     def parameter_rows(self) -> list[list[str]]:
         """All parameters: name, unit, value, u, U, k, ν."""
         return [parameter_row(name, value) for name, value in self.parameters.items()]
 
-    def budget_rows(self) -> tuple[list[str], list[list[str]]]:
-        """Head and rows of the uncertainty budget; empty without one."""
-        return budget_table(self.budget)
+    def budget_rows(self) -> tuple[list[str], Rows]:
+        """Head, and one row for each source of uncertainty with its share of each quantity's variance."""
+        if not self.budget:
+            return [], []
+        names = [name if name == "angle" else NAMES.get(name, name) for name in self.budget]
+        rows = []
+        for each in zip(*self.budget.values(), strict=True):
+            first = each[0]
+            u = DASH if first.u is None else with_unit(format_number(first.u, 2), first.unit)
+            shares = [format_share(row.share) for row in each]
+            rows.append([first.source, first.kind, first.distribution, u, *shares])
+        return ["source", "type", "distribution", "u of it", *names], rows
 
     @property
     def scored_as(self) -> str:
         """Name of the answer's model among the scores."""
         return self.result.method
 
-    def score_rows(self) -> tuple[list[str], list[list[str]]]:
-        """Head and rows of all methods on the same dwells, the answer's first."""
-        return score_table(self.scores, self.scored_as)
+    def score_rows(self) -> tuple[list[str], Rows]:
+        """Head, and the errors of each method on the same dwells, the answer's first; no empty columns."""
+        order = sorted(self.scores, key=lambda name: name != self.scored_as)
+        columns = {
+            "angle, rms / °": [self.scores[name].angle_rms_deg for name in order],
+            "largest / °": [self.scores[name].angle_max_deg for name in order],
+            "residual, rms / mg": [self.scores[name].residual_rms_mg for name in order],
+            "largest / mg": [self.scores[name].residual_max_mg for name in order],
+        }
+        shown = {head: column for head, column in columns.items() if any(c is not None for c in column)}
+        rows = [[name, *(format_number(c[k]) for c in shown.values())] for k, name in enumerate(order)]
+        return ["method", *shown], rows
 
     @property
     def scored_on(self) -> str:
-        """What the scores are of."""
+        """Sentence about the dwells on which the scores are computed."""
         dwells = max((score.dwells for score in self.scores.values()), default=0)
         if not dwells:
             return "Methods cannot be compared: no dwell can be left out of a fit."
         same = counted(dwells, "dwell")
-        return f"Every method on the same {same}, each left out of the fit where it was in it:"
+        return f"Errors of every method on the same {same}, each left out of its fit:"
 
     def facts(self) -> list[str]:
-        """What the recommended fit left, in a line or two."""
+        """Residual and links of the fit, in one or two lines."""
         r = self.result
         if r.dof:
             left = f"residual {r.residual_rms_mg:.3g} mg rms, χ² {r.chi2:.1f} at {r.dof} degrees of freedom"
         else:
-            left = "no degree of freedom is left to test the model by"
+            left = "no degree of freedom remains for a test of the model"
         return [left, *([] if r.links is None else [r.links.line])]
 
     def warnings(self, *, everything: bool = False) -> list[str]:
-        """Warnings of the method that is shown, without its doubts; of all methods, with their names."""
+        """Warnings of the shown method without its doubts, or of all methods with their names."""
         if not everything:
             return [text for text in self.result.warnings if text not in self.result.doubts]
-        said: dict[str, list[str]] = {}
-        for result in self.standing.results:
+        methods: dict[str, list[str]] = {}
+        for result in self.comparison.results:
             for warning in result.warnings:
-                said.setdefault(warning, []).append(result.method)
-        return [*self.result.session_notes, *(f"{', '.join(m)}: {w}" for w, m in said.items())]
+                methods.setdefault(warning, []).append(result.method)
+        return [*self.result.session_notes, *(f"{', '.join(m)}: {w}" for w, m in methods.items())]
 
 
 def with_notes(best: FitResult, given: FitResult) -> FitResult:
-    """The recommended result with the session's notes before its own warnings, as `fit` gives it."""
+    """Recommended result with the session's notes before its own warnings, as `fit` gives it."""
     if best.method == given.method:
         return given
     notes = given.session_notes
@@ -226,3 +254,43 @@ def with_notes(best: FitResult, given: FitResult) -> FitResult:
         position_findings=given.position_findings,
         links=given.links,
     )
+
+
+Rows = list[list[str]]
+_METHOD_WIDTH = 24
+"""Largest width of a method in the wide table, in columns."""
+
+
+def parameter_row(name: str, value: Value) -> list[str]:
+    """Name, unit, value, u, U, k, ν."""
+    line = QuantityRow.of(name, value)
+    return [name, *line.cells[1:], format_dof(value.dof) if value.u is not None else "–"]
+
+
+def format_dof(dof: float) -> str:
+    """Format degrees of freedom; above 10⁴ only the limit."""
+    if math.isinf(dof):
+        return "∞"
+    return "> 10⁴" if dof > 1e4 else f"{dof:.{0 if dof >= 10 else 1}f}"
+
+
+def method_tables(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str], Rows]]:
+    """Tables of all parameters of all methods, value ± u; as many as the width requires."""
+    names = list(dict.fromkeys(e.name for result in results for e in result.parameters))
+    units = {e.name: e.unit for result in results for e in result.parameters}
+    columns = max(1, (width - 26) // _METHOD_WIDTH)
+    for start in range(0, len(results), columns):
+        part = results[start : start + columns]
+        rows = [[name, units[name], *(_cell(result, name) for result in part)] for name in names]
+        rows.append(["residual, rms", "mg", *(f"{r.residual_rms_mg:.3f}" for r in part)])
+        rows.append(["χ² / dof", "", *(f"{r.chi2:.1f} / {r.dof}" if r.dof else "none left" for r in part)])
+        yield ["", "unit", *(f"{result.method}, ± u" for result in part)], rows
+
+
+def _cell(result: FitResult, name: str) -> str:
+    return format_uncertain(result[name].value, result[name].u) if name in result else ""
+
+
+def format_share(fraction: float) -> str:
+    """Format a share in percent; a dash for zero."""
+    return format_percent(fraction) if fraction > 0 else DASH

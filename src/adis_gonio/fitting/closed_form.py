@@ -24,11 +24,17 @@ from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.likelihood import angle_errors
-from adis_gonio.fitting.noise import NoiseAssumptions, settle
-from adis_gonio.fitting.outputs import estimates, left_to_the_stage, outputs_of, variances
-from adis_gonio.fitting.result import FitResult, Origin
-from adis_gonio.fitting.sources import Sources, Unseen, sources_of
+from adis_gonio.fitting.fit_result import (
+    FitResult,
+    Origin,
+    angle_errors,
+    estimates,
+    outputs_of,
+    stage_warnings,
+    variances,
+)
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions, settle
+from adis_gonio.fitting.uncertainty import Sources, Unseen, sources_of
 from adis_gonio.model.effects import effect
 
 ALPHA, SCALE_X, SCALE_Y, DELTA_PHI, BIAS_X, BIAS_Y = range(6)
@@ -41,10 +47,10 @@ TWO, FOUR = (0, 90), (0, 90, 180, 270)
 """Declared angles of the closed forms."""
 
 LEAST_MMPM = 9
-"""Positions that `mmpm` asks for: its definition."""
+"""Fewest positions of `mmpm`, by its definition."""
 
 _FAR_FROM_POLE = 0.5
-"""cos(2 alpha + delta_phi) from which it is not the pole at 45° that spoils equation 12."""
+"""cos(2 alpha + delta_phi) above which the pole of equation 12 at 45° is not the cause of an error."""
 _NEAR_POLE = 0.2
 _LEAST_READING = 1e-6
 """U_x1 and U_y2, in local gravity, below which equations 5 and 12 divide by zero."""
@@ -60,7 +66,7 @@ class _Linear:
 
 
 def rows_at(readings: Readings, angles_deg: tuple[int, ...]) -> list[NDArray[np.intp]]:
-    """Dwells at each of the angles (modulo 360°); an empty array where there are none."""
+    """Dwells at each of the angles (modulo 360°); an empty array if there are none."""
     degrees = np.degrees(readings.angle_rad)
     with np.errstate(invalid="ignore"):
         return [np.flatnonzero(np.abs(wrap_degrees(degrees - a)) <= TOLERANCE_DEG) for a in angles_deg]
@@ -74,7 +80,7 @@ def fit_positions(readings: Readings, method: str, angles_deg: tuple[int, ...]) 
     Raises
     ------
     FitError
-        If a position is missing, or the readings are in counts and there is no zero to be known.
+        A position is missing, or the readings are in counts, which have no known zero.
     """
     chosen, weights = _grouped(readings, method, angles_deg)
     linear = _linear(chosen, weights, bias=len(angles_deg) > 2)
@@ -90,7 +96,7 @@ def fit_mmpm(readings: Readings) -> FitResult:
     FitError
         If fewer than nine dwells have a declared angle.
     SingularError
-        If they stand at fewer than three different angles.
+        They are at fewer than three different angles.
     """
     rows = np.flatnonzero(np.isfinite(readings.angle_rad))
     if len(rows) < LEAST_MMPM:
@@ -103,24 +109,30 @@ def fit_mmpm(readings: Readings) -> FitResult:
     return _finish(chosen, "mmpm", linear, _noise(readings, chosen), [])
 
 
-def model_without(method: str, rest: Readings, noise: NoiseAssumptions) -> Fit:
-    """Model of a closed form from dwells that are left, at the first place of the turn where it can be had.
+def refit_mmpm(readings: Readings, made: Origin) -> Fit:
+    """Model of `mmpm` on other readings, or on some of the dwells."""
+    chosen = readings.rows(np.flatnonzero(np.isfinite(readings.angle_rad)))
+    return _fit(readings, _linear(chosen, np.eye(len(chosen)), bias=True).beta, bias=True)
+
+
+def refit_four(readings: Readings, made: Origin) -> Fit:
+    """Model of `four-position` on other readings, or on some of the dwells: three positions are enough."""
+    groups = rows_at(readings, FOUR)
+    present = tuple(angle for angle, rows in zip(FOUR, groups, strict=True) if len(rows))
+    chosen, weights = _grouped(readings, "four-position", present)
+    return _fit(readings, _linear(chosen, weights, bias=True).beta, bias=True)
+
+
+def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
+    """Model of `paper` or `two-position` on other readings, at the first quarter turn that has both.
 
     Raises
     ------
     FitError
-        They do not hold the positions that the method needs, at any quarter of the turn.
+        The readings have no two positions 90° apart.
     """
-    data = noise.applied(rest)
-    if method == "mmpm":
-        chosen = rest.rows(np.flatnonzero(np.isfinite(rest.angle_rad)))
-        return _fit(data, _linear(chosen, np.eye(len(chosen)), bias=True).beta, bias=True)
-    if method == "four-position":
-        present = tuple(a for a, rows in zip(FOUR, rows_at(rest, FOUR), strict=True) if len(rows))
-        chosen, weights = _grouped(rest, method, present)
-        return _fit(data, _linear(chosen, weights, bias=True).beta, bias=True)
     for quarter in range(4):
-        turned = replace(rest, angle_rad=rest.angle_rad - quarter * math.pi / 2)
+        turned = replace(readings, angle_rad=readings.angle_rad - quarter * math.pi / 2)
         if all(len(rows) for rows in rows_at(turned, TWO)):
             chosen, weights = _grouped(turned, method, TWO)
             linear = _linear(chosen, weights, bias=False)
@@ -131,7 +143,7 @@ def model_without(method: str, rest: Readings, noise: NoiseAssumptions) -> Fit:
                     continue
             beta = linear.beta.copy()
             beta[ALPHA] += quarter * math.pi / 2
-            return _fit(data, beta, bias=False)
+            return _fit(readings, beta, bias=False)
     raise FitError(f"no two positions 90° apart are left for method {method}")
 
 
@@ -145,9 +157,9 @@ def fit_paper(readings: Readings) -> FitResult:
     FitError
         If 0° or 90° is missing.
     SingularError
-        Near α = 45°, where a + b vanishes: there the noise-free answer is Δφ/cos(2α + Δφ). It is refused
-        where Δφ itself and the uncertainty of 2α + Δφ together exceed a fifth of the distance from that
-        pole, because the quotient is then linear in neither and no uncertainty holds.
+        α is near 45°, where a + b vanishes: the noise-free answer is Δφ/cos(2α + Δφ). The method fails if
+        Δφ and the uncertainty of 2α + Δφ together exceed a fifth of the distance from that pole, because
+        the quotient is then not linear in either and no uncertainty is valid.
     """
     chosen, weights = _grouped(readings, "paper", (0, 90))
     exact = _linear(chosen, weights, bias=False)
@@ -156,6 +168,7 @@ def fit_paper(readings: Readings) -> FitResult:
     spread = _sources(replace(chosen, sensor="generic"), exact, noise).covariance
     alpha, phi = float(exact.beta[ALPHA]), float(exact.beta[DELTA_PHI])
     at = 2 * alpha + phi
+    # Uncertainty of 2α + Δφ; its cosine is the distance from the pole.
     gradient = np.zeros(6)
     gradient[ALPHA], gradient[DELTA_PHI] = 2.0, 1.0
     u_at = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
@@ -164,7 +177,7 @@ def fit_paper(readings: Readings) -> FitResult:
     if math.hypot(phi, u_at) > _NEAR_POLE * distance or min(abs(first[0]), abs(second[1])) < _LEAST_READING:
         if distance > _FAR_FROM_POLE:
             raise SingularError(
-                f"method paper does not hold here: delta_phi would be {math.degrees(phi):.1f} ± "
+                f"method paper is not valid here: delta_phi would be {math.degrees(phi):.1f} ± "
                 f"{math.degrees(u_at):.1g}°, and its equations are for small angles; use two-position"
             )
         times = f"{1 / distance:.0f} times" if distance > 1e-6 else "more than a million times"
@@ -180,13 +193,13 @@ def fit_paper(readings: Readings) -> FitResult:
     warnings.append(
         f"equation 5 is exact at alpha = 0° only: at {math.degrees(alpha):.2f}° this result is off by "
         f"{off_k:+.2g} in delta_k and {off_phi:+.2g}° in delta_phi from method two-position on the same "
-        "readings, which its uncertainty does not hold"
+        "readings, and its uncertainty does not include this"
     )
     return _finish(chosen, "paper", linear, noise, warnings, ("delta_k", "delta_phi", "alpha"))
 
 
 def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
-    """Equations 5 to 12 with the start angle and the gain of X of the closed form; (ΔK, Δφ).
+    """Parameters by equations 5 to 12, with start angle and gain of X by the closed form; (ΔK, Δφ).
 
     Raises
     ------
@@ -200,6 +213,7 @@ def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linea
     beta = exact.beta.copy()
     beta[DELTA_PHI] = values[1]
     beta[SCALE_Y] = beta[SCALE_X] / (1 + values[0])
+    # Derivatives of Δφ and K_y = K_x/(1 + ΔK) by the printed equations replace the exact ones.
     derivatives = exact.derivative.copy()
     derivatives[DELTA_PHI] = derivative[1]
     derivatives[SCALE_Y] = (
@@ -216,18 +230,19 @@ def _a_plus_b(first: Floats, second: Floats) -> float:
 
 
 def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
-    """(ΔK, Δφ in rad) by equations 5 to 12 of the readings at 0° and 90°; numbers or arrays, also complex.
+    """(ΔK, Δφ in rad) by equations 5 to 12 from readings at 0° and 90°: numbers or arrays, also complex.
 
-    NaN where sin Δφ would exceed 1, infinite at the pole.
+    NaN if sin Δφ would exceed 1, infinite at the pole.
     """
     gain = x1 / -y2
-    # Numerator and denominator of equation 12 times U_x1 U_x2: α = 0, where U_x2 vanishes, is harmless.
+    # Equation 12 with numerator and denominator times U_x1 U_x2, which allows U_x2 = 0 at α = 0.
     sine = (x1 * x2 + gain * gain * y1 * y2) / (gain * (y1 * x2 + y2 * x1))
     return gain - 1, np.arcsin(sine)
 
 
 def _paper(first: Floats, second: Floats, weights: Floats) -> tuple[Floats, Floats]:
     """(ΔK, Δφ) and their derivatives (2, n, 2) by the readings, by complex step."""
+    # Complex step: the imaginary part over the step is the derivative without cancellation.
     point = np.array([first[0], first[1], second[0], second[1]], dtype=np.complex128)
     values = np.array(as_printed(*point.tolist()), dtype=np.complex128)
     stepped = [np.array(as_printed(*(point + 1e-30j * unit).tolist())) for unit in np.eye(4)]
@@ -242,7 +257,7 @@ def turn_parameters(harmonics: Floats) -> Floats:
     Parameters
     ----------
     harmonics : (…, 3, 2) or (…, 2, 2) float
-        A and B of X and Y in local gravity, and the biases where the fit has them (else 0).
+        A and B of X and Y in local gravity, then the biases if the fit has them (otherwise 0).
     """
     a_x, b_x, a_y, b_y = (harmonics[..., k, axis] for axis in (0, 1) for k in (0, 1))
     parameters = np.zeros((*harmonics.shape[:-2], 6))
@@ -256,7 +271,7 @@ def turn_parameters(harmonics: Floats) -> Floats:
 
 
 def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tuple[Readings, Floats]:
-    """Dwells at the angles and the weights (angles, n) that average those of one angle."""
+    """Dwells at the angles, and weights (angles, n) that average the dwells of each angle."""
     groups = rows_at(readings, angles_deg)
     missing = [str(a) for a, rows in zip(angles_deg, groups, strict=True) if not len(rows)]
     if missing:
@@ -278,6 +293,7 @@ def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tu
 def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
     """Fit of cosine, sine and (with `bias`) a constant to each axis of the averaged readings."""
     natural = chosen.mean / chosen.gravity_mg
+    # Mean declared angle of each group, as the direction of the mean unit vector.
     turn = weights @ np.exp(1j * chosen.angle_rad)
     theta = np.angle(turn)
     columns = [np.cos(theta), np.sin(theta)] + ([np.ones_like(theta)] if bias else [])
@@ -287,6 +303,7 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
             "the declared angles do not determine cosine, sine and zero of a turn; spread the positions "
             "over it (0°, 90°, 180°, 270°)"
         )
+    # Pseudo-inverse times averaging: harmonics are linear in the readings.
     inverse = np.linalg.pinv(design) @ weights
     harmonics = inverse @ natural
     (a_x, a_y), (b_x, b_y) = harmonics[:2]
@@ -295,6 +312,7 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
     k_x, k_y = beta[SCALE_X], beta[SCALE_Y]
     if min(k_x, k_y) < 1e-3:
         raise SingularError("an axis does not follow the rotation; check the declared angles and the plane")
+    # Derivatives of atan2 and hypot of the harmonics, by the chain rule.
     derivative[ALPHA, :, 0] = (a_x * inverse[1] - b_x * inverse[0]) / k_x**2
     derivative[DELTA_PHI, :, 0] = -derivative[ALPHA, :, 0]
     derivative[DELTA_PHI, :, 1] = (a_y * inverse[1] - b_y * inverse[0]) / k_y**2
@@ -306,7 +324,7 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
 
 
 def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
-    """Noise as the whole session settles it, where it has positions to spare."""
+    """Noise by a fit of the whole session if it has enough positions, otherwise as stated."""
     try:
         return settle(readings).noise
     except FitError:
@@ -314,7 +332,7 @@ def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
             return NoiseAssumptions(
                 sigma_rad=readings.fixture_rad,
                 known=False,
-                notes=("nothing states the noise of a reading: no uncertainty can be given",),
+                notes=("the noise of a reading is unknown: no uncertainty can be given",),
             )
         stated = ("fixture_sigma_deg is not stated: declared angles were taken as exact",)
         return NoiseAssumptions(
@@ -323,12 +341,12 @@ def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
 
 
 def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
-    """The base model, with a bias or without, at these parameters and declared angles."""
+    """Base model, with or without a bias, at these parameters and the declared angles."""
     term = NamedTerm("bias", (), 0.0, effect("bias", ("x", "y")))
     fit = Fit.begin(data, with_prior=False)
     values = replace(fit.values, base=beta[:BIAS_X].copy())
     terms, own = ((term,), (beta[BIAS_X:] * data.gravity_mg,)) if bias else ((), ())
-    return replace(fit, values=values).having(terms, own)
+    return replace(fit, values=values).with_terms(terms, own)
 
 
 def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Sources:
@@ -339,7 +357,8 @@ def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Source
 
 
 def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:
-    """What a bias does to two positions, and what to do about it where the session has not done so."""
+    """Warning about the influence of a bias on two positions, with a remedy."""
+    # A bias of 1 mg adds to all readings of an axis.
     moved = linear.derivative.sum(axis=1) / chosen.gravity_mg
     phi = np.degrees(moved[DELTA_PHI])
     k = (
@@ -347,7 +366,11 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
         - moved[SCALE_Y] * linear.beta[SCALE_X] / linear.beta[SCALE_Y] ** 2
     )
     held = chosen.sensor in VARIANTS
-    stated = "the uncertainty holds the part's figure for it" if held else "no uncertainty here holds that"
+    stated = (
+        "the uncertainty includes the part's figure for it"
+        if held
+        else "the uncertainty does not include it"
+    )
     remedy = _bias_of_four(readings, chosen)
     if remedy is None:
         remedy = (
@@ -363,7 +386,7 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
 
 
 def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
-    """Describe the bias that the session's four positions show, and what it does to two positions.
+    """Describe the bias that the session's four positions show, and its influence on two positions.
 
     Returns
     -------
@@ -405,7 +428,7 @@ def _finish(
     ]
     sources = _sources(chosen, linear, noise) if noise.known else None
     found = estimates(outputs, sources)
-    warnings = [*warnings, *left_to_the_stage(found, noise.sigma_rad)]
+    warnings = [*warnings, *stage_warnings(found, noise.sigma_rad)]
     assumed = NoiseAssumptions(scale=noise.scale, sigma_rad=noise.sigma_rad).applied(chosen)
     fit = _fit(assumed, linear.beta, bias=linear.has_bias)
     dof = 2 * len(chosen) - (6 if linear.has_bias else 4)
@@ -414,7 +437,7 @@ def _finish(
         method=method,
         parameters=found,
         covariance=None if sources is None else variances(outputs, sources.covariance),
-        # An unweighted fit leaves residuals that are not χ² distributed; the least χ² of the same model is.
+        # Residuals of an unweighted fit are not χ² distributed; the smallest χ² of this model is.
         chi2=fit.refit(200, 1e-12).chi2 if dof else 0.0,
         dof=dof,
         residual_mg=fit.misfit,

@@ -1,8 +1,8 @@
-"""What a session determines: directions without information, and what is held for want of it.
+"""Determination: directions without information, and parameters held because a session lacks information.
 
-Parameters are compared in natural units (1 rad, a gain of 1, a bias of local gravity), and their standard
-uncertainty with what it may be at most (`limits`). The stage's declared angles are information like any
-other: a wide fixture makes the start angle less sure and not unknown.
+Parameters are expressed in natural units (1 rad, a gain of 1, a bias of local gravity), and their standard
+uncertainty is compared with the largest allowed one (`limits`). The declared angles of the stage count as
+information: a wide fixture makes the start angle less certain, but not unknown.
 """
 
 from __future__ import annotations
@@ -23,34 +23,35 @@ from adis_gonio.model.measurement import SENSOR_SPREAD
 
 LIMIT = 0.1
 """Largest standard uncertainty of a gain (of 1) and a bias (of local gravity) that counts as determined. At
-0.1 terms of second order are a tenth of the first: beyond it neither the value nor a linearised uncertainty
-means anything, and physically a bias of 100 mg or a gain off by 10 % is no news."""
+0.1 terms of second order are a tenth of the first-order terms. Above it neither the value nor a linearised
+uncertainty is meaningful, and a bias within 100 mg or a gain within 10 % is known without a measurement."""
 ANYWHERE_RAD = math.pi / math.sqrt(3)
-"""The same of the start angle: standard deviation of an angle that is anywhere on a turn. A part that is
-turned as a whole reads the same, exactly: what the stage says of its zero holds as far as that."""
+"""Largest standard uncertainty of the start angle: standard deviation of an angle anywhere on a turn.
+Turning
+the whole part changes no reading, so the declared zero of the stage alone determines the start angle."""
 _SPREAD = 0.5
-"""Prior standard deviation (natural units) of a bias while directions are looked for: a valley without a
-bottom has one with it, and its floor shows what is lost."""
+"""Prior standard deviation (natural units) of a bias during the search for undetermined directions: with it
+a flat valley of χ² has a minimum, where the undetermined directions can be found."""
 _PARTICIPATES = 1e-4
-"""Least squared share of a parameter in the undetermined space for it to be counted as affected."""
+"""Least squared component in the undetermined space from which a parameter counts as affected."""
 _ITERATIONS = 200
 _CONVERGED = 1e-12
-"""Fall of χ² at which a fit has converged: 1e-6 of a standard uncertainty."""
+"""Decrease of χ² at which a fit has converged: 1e-6 of a standard uncertainty."""
 
 
 @dataclass(frozen=True)
 class Determination:
-    """The base model with a bias, fitted; what had to be held, and what is left undetermined.
+    """Fit of the base model with a bias, its held parameters and its undetermined directions.
 
     Attributes
     ----------
     fit : Fit
     free : (p,) bool
-        False for parameters that are held, and for those that no dwell shows.
+        False for held parameters, and for parameters that no dwell shows.
     held : tuple of int
-        Parameters held at their nominal value because the session cannot see them.
+        Parameters held at their nominal value because the session does not show them.
     null : (p, k) float
-        Orthonormal directions, in natural units, that remain without information.
+        Orthonormal directions without information, in natural units.
     """
 
     fit: Fit
@@ -64,20 +65,25 @@ class Determination:
         return names_of(self.fit.data)
 
     @property
+    def dof(self) -> int:
+        """Degrees of freedom of the residual."""
+        return int(self.fit.equations - self.free.sum() + self.null.shape[1])
+
+    @property
     def fisher(self) -> Floats:
         """Information (p, p) of all parameters in natural units."""
         return information(self.fit)
 
     def on(self, data: Readings) -> Determination:
-        """The same values under other noise."""
+        """Copy with the same values and readings of other noise."""
         return replace(self, fit=replace(self.fit, data=data))
 
     def determined_by(self, fit: Fit) -> bool:
-        """True where the readings of `fit` determine as much as those that were looked at."""
+        """True if the readings of `fit` determine at least as many directions as the original readings."""
         return bool(_null_space(fit, self.free).shape[1] <= self.null.shape[1])
 
     def refitted(self, data: Readings) -> Fit:
-        """Fit of the same free parameters under other noise, from these values."""
+        """Fit of the same free parameters to readings with other noise, starting from these values."""
         fit = replace(self.fit, data=data)
         return fit.refit(_ITERATIONS, _CONVERGED, _directions(fit, self.free, self.null))
 
@@ -95,7 +101,7 @@ def natural_units(data: Readings) -> Floats:
 def limits(data: Readings) -> Floats:
     """Largest standard uncertainty (p,), in natural units, at which a parameter is determined.
 
-    That of an angle between two axes is what is known of any part that is sold as a sensor.
+    The limit of the angle between two axes is the spread of this angle among sensors on the market.
     """
     most = {"alpha": ANYWHERE_RAD, "delta_phi": SENSOR_SPREAD}
     return np.array([most.get(name, LIMIT) for name in names_of(data)])
@@ -110,27 +116,28 @@ def information(fit: Fit) -> Floats:
 def determine(data: Readings, held: Sequence[int] = ()) -> Determination:
     """Fit base model and bias, and find what the session cannot determine.
 
-    Directions whose information is too small (`limits`) are looked for in the spectrum of the information
-    matrix in these units. As long as there are any, parameters that a session may lack (in the plane the
-    biases, in space the skews) and that take part in them are held at their nominal values. What remains
-    then is `null`.
+    Directions with too little information (`limits`) are eigenvectors of the information matrix in these
+    units. While such directions exist, the affected parameters that a session may lack (biases in the
+    plane, skews in space) are held at their nominal values. The remaining directions are `null`.
 
     Parameters
     ----------
     held : sequence of int
-        Parameters that are held already.
+        Parameters that are already held.
     """
     free = np.concatenate([data.visible, np.ones(data.axes, dtype=bool)])
     if not data.planar:
-        free[:] = True  # what a pose cannot show is looked for here, and said
+        free[:] = True  # undetermined parameters of poses are found below and reported
         data = replace(data, fitted=np.ones(len(data.model.parameters), dtype=bool))
     free[list(held)] = False
     may_hold = _may_hold(data)
     out = list(held)
     while True:
+        # A prior on the bias keeps this search from running along directions without information.
         rough = _start(data)
         rough = rough.refit(_ITERATIONS, 1e-6, _directions(rough, free, np.zeros((len(free), 0))))
         null = _null_space(rough, free)
+        # Parameters that may be held and that take part in an undetermined direction.
         lost = [k for k in may_hold if free[k] and (null[k] ** 2).sum() > _PARTICIPATES]
         if not lost:
             break
@@ -145,7 +152,7 @@ def _may_hold(data: Readings) -> list[int]:
     names = names_of(data)
     if not data.planar:
         return [k for k, name in enumerate(names) if name.startswith("skew")]
-    # A zero in counts has no nominal value that it could be held at.
+    # A zero in counts has no nominal value to hold it at.
     return [k for k, name in enumerate(names) if name.startswith("bias")] if data.unit.known else []
 
 
@@ -156,19 +163,20 @@ def _bias(data: Readings, spread: float | None = None) -> NamedTerm:
 
 def _start(data: Readings) -> Fit:
     term = _bias(data, _SPREAD * data.gravity_mg)
-    return Fit.begin(data).having((term,), (np.zeros(data.axes),))
+    return Fit.begin(data).with_terms((term,), (np.zeros(data.axes),))
 
 
 def _directions(fit: Fit, free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Directions (p, k), in the fit's units, in which parameters may move."""
+    """Directions (p, k) in which parameters may move, in the units of the fit."""
     return np.asarray(natural_units(fit.data)[:, None] * _complement(free, null))
 
 
 def _complement(free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Orthonormal basis (p, k) of the free parameters beside `null`."""
+    """Orthonormal basis (p, k) of the free parameters, normal to `null`."""
     basis = np.eye(len(free))[:, free]
     if not null.shape[1]:
         return basis
+    # Project the undetermined directions out of the free ones.
     left, values, _ = np.linalg.svd(basis - null @ (null.T @ basis), full_matrices=False)
     return np.asarray(left[:, values > 0.5])
 
@@ -176,19 +184,22 @@ def _complement(free: NDArray[np.bool_], null: Floats) -> Floats:
 def _null_space(fit: Fit, free: NDArray[np.bool_]) -> Floats:
     index = np.flatnonzero(free)
     most = limits(fit.data)[index]
+    # Scaled by the limits, an eigenvalue below 1 is an uncertainty above the limit.
     values, vectors = np.linalg.eigh(information(fit)[np.ix_(index, index)] * np.outer(most, most))
     poor = values < max(1.0, 1e-14 * float(values[-1]) if len(values) else 0.0)
     null = np.zeros((len(free), int(poor.sum())))
+    # Back to natural units, orthonormal again.
     null[index] = np.linalg.qr(most[:, None] * vectors[:, poor])[0]
     return null
 
 
 def covariance(fisher: Floats, free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Covariance (p, p) of the parameters, zero for those held and along `null`; natural units.
+    """Covariance (p, p) of the parameters in natural units, zero for held parameters and along `null`.
 
-    Only functions of the parameters whose gradient is orthogonal to `null` may be propagated with it.
+    It is valid only for functions of the parameters with a gradient orthogonal to `null`.
     """
     basis = _complement(free, null)
+    # Invert the information within the determined directions, scaled to a unit diagonal.
     inner = basis.T @ fisher @ basis
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     inverse = np.linalg.inv(inner / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -196,22 +207,23 @@ def covariance(fisher: Floats, free: NDArray[np.bool_], null: Floats) -> Floats:
 
 
 def is_determined(gradient: Floats, null: Floats) -> bool:
-    """True where a function with this gradient (p,) does not change along `null`."""
+    """True if a function with this gradient (p,) does not change along `null`."""
     size = float(gradient @ gradient)
     along = gradient @ null
     return float(along @ along) <= _PARTICIPATES * size
 
 
 def shift_by_held(determination: Determination, held: int) -> Floats:
-    """∂β/∂(held parameter), (p,): how the fitted parameters follow the value that one is held at."""
+    """∂β/∂(held parameter), (p,): derivative of the fitted parameters by the held value."""
     fisher = determination.fisher
     return np.asarray(-covariance(fisher, determination.free, determination.null) @ fisher[:, held])
 
 
-def in_words(null: Floats, names: Sequence[str]) -> list[str]:
-    """Each undetermined direction as a combination of parameters, in natural units."""
+def format_directions(null: Floats, names: Sequence[str]) -> list[str]:
+    """Format each undetermined direction as a combination of parameters, in natural units."""
     words = []
     for direction in null.T:
+        # Largest components first; the first one gets a positive sign.
         order = np.argsort(-np.abs(direction))
         parts = [k for k in order.tolist() if abs(direction[k]) > 0.1]
         lead = math.copysign(1.0, direction[parts[0]])

@@ -1,6 +1,7 @@
-"""What a free turn must be for its estimate to hold, and what is said where it is not.
+"""One slow continuous turn without declared angles: angle and calibration from gyro and gravity.
 
-`fit` of a free turn: from a continuous recording to a `FitResult`.
+`fit` of such a recording returns a `FitResult`. The checks here state the conditions of the estimate, and a
+message says what to do if the turn does not meet them.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import DataError, FitError
-from adis_gonio.base.intervals import effective_dof, factor_over
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value, effective_dof, factor_over
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.estimation.shown import gradient_of_base
+from adis_gonio.fitting.estimation.readings import mg_per_unit
+from adis_gonio.fitting.fit_result import Estimate, FitResult
 from adis_gonio.fitting.free_turn_estimate import (
     NAMES,
     LeastSquaresProblem,
@@ -26,33 +27,33 @@ from adis_gonio.fitting.free_turn_estimate import (
     Windows,
     solve,
 )
-from adis_gonio.fitting.result import Estimate, FitResult
-from adis_gonio.fitting.scores import Score
-from adis_gonio.fitting.standing import Recommendation, Standing
-from adis_gonio.fitting.uncertainty_budget import BudgetRow
-from adis_gonio.model.records import Session
-from adis_gonio.model.sweeps import Sweeps
+from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
+from adis_gonio.fitting.uncertainty import BudgetRow, gradient_of_base
+from adis_gonio.model.records import MG_PER_MPS2, Session, Sweeps
 from adis_gonio.record.provenance import provenance_of
 
+__all__ = ["METHOD", "FreeTurnResult", "fit_free_turn"]
+
 LEAST_S = 10.0
-"""A recording shorter than this holds no slow turn."""
+"""A shorter recording contains no slow turn."""
 FASTEST_DPS = 90.0
-"""Beyond it a window holds more than an eighth of a turn, and a lever arm of 0.1 m brings 25 mg."""
+"""At a higher rate a window covers more than an eighth of a turn, and a lever arm of 0.1 m adds 25 mg."""
 LEAST_TURN_DEG = 180.0
-"""Of less than half a turn a bias and a gain are nearly the same."""
+"""In less than half a turn a bias and a gain are nearly equivalent."""
 WOBBLE_DEG = 0.5
-"""Tilt (rms) out of the plane that shortens gravity's part in it by 0.04 mg, what a session can tell."""
+"""Tilt (rms) out of the plane that shortens gravity's part in it by 0.04 mg, the resolution of a
+session."""
 LEANING_DEG = 10.0
 MOST_LOST = 0.2
-"""Part of the time without samples."""
+"""Largest share of the time without samples."""
 REST_DPS = 0.5
-"""Mean rate in a window below which the part is taken as at rest."""
+"""Mean rate in a window below which the part is at rest."""
 
 _AGAIN = "turn once more"
 
 
 def require_recording(series: TurnRecording) -> None:
-    """Raise `FitError` where a recording is too short, broken, too fast or not about Z."""
+    """Raise `FitError` if a recording is too short or broken."""
     if series.length_s < LEAST_S:
         raise FitError(
             f"the recording has {series.length_s:.1f} s: a free turn takes {LEAST_S:.0f} s or more,"
@@ -68,7 +69,7 @@ def require_recording(series: TurnRecording) -> None:
 
 
 def require_slow(series: TurnRecording, windows: Windows, range_dps: float | None) -> None:
-    """Raise `FitError` where the turn was faster than the model reaches, or than the gyro."""
+    """Raise `FitError` if the turn was faster than the model or the gyro allows."""
     rate = np.degrees(np.abs(windows.mean(series.rate[:, 2])))
     fastest = float(rate.max())
     limit = FASTEST_DPS if range_dps is None else min(FASTEST_DPS, 0.9 * range_dps)
@@ -80,8 +81,9 @@ def require_slow(series: TurnRecording, windows: Windows, range_dps: float | Non
 
 
 def require_axis(series: TurnRecording, windows: Windows) -> None:
-    """Raise `FitError` where the gyros saw a turn about another axis than Z."""
+    """Raise `FitError` if the gyros measured a turn about another axis than Z."""
     rates = windows.mean(series.rate)
+    # Without the zero rates; the largest of X and Y against Z.
     rates = rates - np.median(rates, axis=0)
     size = np.sqrt((rates**2).mean(axis=0))
     other = int(np.argmax(size[:2]))
@@ -93,7 +95,7 @@ def require_axis(series: TurnRecording, windows: Windows) -> None:
 
 
 def sweeps_of(psi_rad: Floats) -> Sweeps:
-    """How far the part was turned, there and back."""
+    """Rotation of the part, forward and back."""
     found = Sweeps()
     for angle_deg in np.degrees(psi_rad - psi_rad[0]).tolist():
         found.see(angle_deg)
@@ -101,29 +103,30 @@ def sweeps_of(psi_rad: Floats) -> Sweeps:
 
 
 def require_turn(psi_rad: Floats) -> None:
-    """Raise `FitError` where too little of a turn was made to tell anything."""
+    """Raise `FitError` if the turn is too short."""
     turned = sweeps_of(psi_rad).span_deg
     if turned < LEAST_TURN_DEG:
         raise FitError(
-            f"the turn is too short: it went {turned:.0f}°, at least {LEAST_TURN_DEG:.0f}° tell biases from"
-            f" gains and 360° are wanted; {_AGAIN}, all around"
+            f"the turn is too short: it went {turned:.0f}°, at least {LEAST_TURN_DEG:.0f}° separate biases"
+            f" from gains, and 360° are best; {_AGAIN}, all around"
         )
 
 
 def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, gravity_mg: float) -> list[str]:
-    """Warnings of how flat the turn was; without Z nobody can tell.
+    """Warnings about the plane of the turn; without Z it is unknown.
 
     Raises
     ------
     FitError
-        It left its plane by more than the model bears.
+        The turn left its plane by more than the model allows.
     """
     if series.accel_mg.shape[1] < 3:
         return ["no Z accelerometer: whether the turn stayed in one plane is not known"]
     z = windows.mean(series.accel_mg[:, 2])
-    # A skew of Z, and a tilt that turns with the part, read as one cycle; a bias as a constant.
+    # A skew of Z, and a tilt that turns with the part, are one cycle in Z; a bias is a constant.
     design = np.column_stack([np.ones(len(z)), np.cos(psi_rad), np.sin(psi_rad)])
     found = np.linalg.lstsq(design, z, rcond=None)[0]
+    # Robust noise by second differences (six times its variance).
     noise = float(np.median(np.abs(np.diff(z, n=2)))) / 0.6745 / math.sqrt(6)
     left = math.sqrt(max(float(((z - design @ found) ** 2).mean()) - noise**2, 0.0))
     wobble = math.degrees(left / gravity_mg)
@@ -137,7 +140,7 @@ def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, grav
         )
         raise FitError(
             f"the turn was not in one vertical plane: the part {worst}; hold it in a bearing or on a stage"
-            f" whose axis lies level and {_AGAIN}"
+            f" with a level axis and {_AGAIN}"
         )
     return []
 
@@ -145,38 +148,37 @@ def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, grav
 def remarks(
     series: TurnRecording, windows: Windows, psi_rad: Floats, u_phi_deg: float, wanted: int = 0
 ) -> list[str]:
-    """What has to be said of a turn that holds; `wanted` is how many full turns the plan asked for."""
-    said = []
+    """Remarks on a valid turn; `wanted` is the number of full turns in the plan."""
+    notes = []
     sweeps = sweeps_of(psi_rad)
     if not sweeps.full:
-        said.append(
+        notes.append(
             f"the turn went {sweeps.span_deg:.0f}°, no full turn: u(Δφ) is {u_phi_deg:.2g}°;"
             " all around would determine it better"
         )
     elif sweeps.full < wanted:
-        said.append(
+        notes.append(
             f"{sweeps.full} of {counted(wanted, 'turn')} seen: u(Δφ) is {u_phi_deg:.2g}°; each angle seen"
             " again, on or back, would make it smaller"
         )
     rate = np.degrees(np.abs(np.diff(psi_rad) / np.diff(windows.centre_s)))
     for where, part in (("start", rate[:4]), ("end", rate[-4:])):
         if len(part) and float(np.median(part)) > REST_DPS:
-            said.append(f"no rest at the {where}: a lever arm is told from a bias less well")
-    gaps = int((windows.gap_s > 0).sum())
-    if gaps:
+            notes.append(f"no rest at the {where}: a lever arm is separated less well from a bias")
+    if (windows.gap_s > 0).any():
         lost = float(windows.gap_s.sum())
-        said.append(f"{lost:.2g} s of samples are missing: across them the gyro is not used")
-    return said
+        notes.append(f"{lost:.2g} s of samples are missing: across them the gyro is not used")
+    return notes
 
 
 METHOD = "free-turn"
 
 WHY = "a free turn without declared angles: gravity and gyro together are all that it has"
 UNSEEN = (
-    "the angle is counted from the start, where alpha stands; a zero of the stage was not declared",
-    "scale_x and scale_y hold for the stated gravity and a level axis: neither is told from them by a turn",
+    "the angle is counted from the start, the angle alpha; a zero of the stage was not declared",
+    "scale_x and scale_y hold for the stated gravity and a level axis: a turn separates neither from them",
 )
-"""What no free turn can see, in words."""
+"""Limits of every free turn."""
 
 SOURCES = ("noise of the accelerometers", "noise of the gyro", "drift of the biases", "stated before")
 """Causes of the uncertainty, in the order of `Solution.parts`."""
@@ -191,7 +193,7 @@ class FreeTurnResult(FitResult):
     shares : tuple of ((p, p) float, float)
         The covariance by its causes, each with its degrees of freedom.
     turned_deg, length_s : float
-        How far in all, there and back, and how long.
+        Total rotation, forward and back, and duration.
     """
 
     shares: tuple[tuple[Floats, float], ...] = ()
@@ -199,21 +201,22 @@ class FreeTurnResult(FitResult):
     length_s: float = 0.0
 
     @cached_property
-    def standing(self) -> Standing:
-        """The one method that such a recording supports."""
+    def comparison(self) -> MethodComparison:
+        """The only method for such a recording."""
         own = replace(self, warnings=self.warnings)
-        return Standing(
+        return MethodComparison(
             (own,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
         )
 
     @cached_property
     def _shown(self) -> Floats:
-        """Slopes of the shown angle (places, p) in degrees by the parameters as they are reported."""
+        """Slopes of the shown angle (places, p) in degrees by the parameters of the result."""
         at = {one.name: k for k, one in enumerate(self.parameters)}
         k_x, k_y = self["scale_x"].value, self["scale_y"].value
         base = np.array([0.0, k_x, k_y, math.radians(self["delta_phi"].value)])
         natural = gradient_of_base(base, zero=False)
-        mg = _gravity_mg(self)
+        mg = 1000.0 if self.provenance is None else MG_PER_MPS2 * self.provenance.gravity_mps2
+        # From natural units to the units of the result.
         found = np.zeros((len(natural), len(at)))
         for column, (name, factor) in enumerate(
             [("scale_x", 1.0), ("scale_y", 1.0), ("delta_phi", math.pi / 180), ("bias_x", 1 / mg),
@@ -224,19 +227,20 @@ class FreeTurnResult(FitResult):
 
     @cached_property
     def shown_angle(self) -> Value:
-        """An angle of gravity to X shown after calibration, rms over a turn, without a reading's noise."""
-        return self._of_gradients(self._shown)
-
-    @property
-    def angle(self) -> Value:
-        """As `shown_angle`: nothing is declared that it could be compared with."""
-        return self.shown_angle
-
-    def _of_gradients(self, gradient: Floats) -> Value:
-        each = [(np.einsum("mp,pq,mq->m", gradient, share, gradient), dof) for share, dof in self.shares]
+        """Angle of gravity to X after calibration, rms over a turn, without a reading's noise."""
+        each = self._variances(self._shown)
         variances = np.sum([part for part, _ in each], axis=0)
         dof = effective_dof([(float(part.mean()), dof) for part, dof in each])
         return Value(math.nan, math.sqrt(float(variances.mean())), "deg", dof, factor_over(variances, dof))
+
+    @property
+    def angle(self) -> Value:
+        """As `shown_angle`, because no angle is declared."""
+        return self.shown_angle
+
+    def _variances(self, gradient: Floats) -> list[tuple[Floats, float]]:
+        """Variance (m,) by each cause of values with a gradient (m, p), and its degrees of freedom."""
+        return [(np.einsum("mp,pq,mq->m", gradient, share, gradient), dof) for share, dof in self.shares]
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
@@ -247,29 +251,17 @@ class FreeTurnResult(FitResult):
         return {name: self._rows(gradient) for name, gradient in gradients.items()}
 
     def _rows(self, gradient: Floats) -> tuple[BudgetRow, ...]:
-        parts = [
-            float(np.einsum("mp,pq,mq->m", gradient, share, gradient).mean()) for share, _ in self.shares
-        ]
-        total = sum(parts)
+        parts = [(float(part.mean()), dof) for part, dof in self._variances(gradient)]
+        total = sum(part for part, _ in parts)
         return tuple(
             BudgetRow(name, "B" if name == SOURCES[3] else "A", "normal", None, "1", None,
                       math.sqrt(max(part, 0.0)), dof, part / total)
-            for name, part, (_, dof) in zip(SOURCES, parts, self.shares, strict=True)
+            for name, (part, dof) in zip(SOURCES, parts, strict=True)
         )  # fmt: skip
 
 
-def _gravity_mg(result: FitResult) -> float:
-    where = result.provenance
-    return 1000.0 if where is None else 1000.0 * where.gravity_mps2 / 9.80665
-
-
-def is_free_turn(session: Session) -> bool:
-    """True where a session is one continuous turn and its dwells, if there are any, are no positions."""
-    return session.recording is not None and session.free_turn
-
-
 def fit_free_turn(session: Session) -> FreeTurnResult:
-    """Angle and calibration of one continuous turn.
+    """Fit the angle and the calibration of one continuous turn.
 
     Parameters
     ----------
@@ -296,7 +288,8 @@ def _fitted(session: Session) -> FreeTurnResult:
     series = series_of(session)
     require_recording(series)
     windows = Windows(series)
-    require_slow(series, windows, _range_dps(session))
+    range_dps = (session.facts.get("configuration") or {}).get("gyro_range_dps")
+    require_slow(series, windows, None if range_dps is None else float(range_dps))
     require_axis(series, windows)
     variant = VARIANTS.get(session.sensor)
     floor = 0.0 if variant is None else variant.performance.bias_instability_mg
@@ -304,7 +297,7 @@ def _fitted(session: Session) -> FreeTurnResult:
     require_turn(problem.begin()[-len(windows) :])
     solution = solve(problem)
     require_turn(solution.psi_rad)
-    said = require_plane(series, windows, solution.psi_rad, session.gravity_mg)
+    notes = require_plane(series, windows, solution.psi_rad, session.gravity_mg)
     names, values, gradient, units = _outputs(solution, windows)
     covariance = gradient @ solution.covariance @ gradient.T
     shares = tuple((gradient @ share @ gradient.T, dof) for share, dof in solution.parts)
@@ -317,7 +310,7 @@ def _fitted(session: Session) -> FreeTurnResult:
     )  # fmt: skip
     u_phi = next(one.u or 0.0 for one in parameters if one.name == "delta_phi")
     wanted = int(session.facts.get("plan", {}).get("turns", 0))
-    said += remarks(series, windows, solution.psi_rad, u_phi, wanted)
+    notes += remarks(series, windows, solution.psi_rad, u_phi, wanted)
     accel = solution.residual_mg
     return FreeTurnResult(
         METHOD,
@@ -327,7 +320,7 @@ def _fitted(session: Session) -> FreeTurnResult:
         int(solution.variances.accel_dof),
         accel,
         (0,),
-        warnings=(*session.notes, *said, *UNSEEN),
+        warnings=(*session.notes, *notes, *UNSEEN),
         fixture_sigma_deg=None,
         provenance=provenance_of(session),
         overrides=session.facts.get("overrides", {}),
@@ -344,7 +337,7 @@ def series_of(session: Session) -> TurnRecording:
     Raises
     ------
     FitError
-        It has none, or no gyros, or units that are not known.
+        It has none, or no gyros, or unknown units.
     DataError
         Samples that are not finite.
     """
@@ -356,31 +349,18 @@ def series_of(session: Session) -> TurnRecording:
         )
     if whole.gyro is None or session.gyro_unit == "counts" or session.accel_unit == "counts":
         raise FitError("method free-turn needs gyros (gx, gy, gz) and accelerometers in known units")
-    per_mg = {"mg": 1.0, "g": 1000.0, "mps2": 1000.0 / 9.80665}.get(session.accel_unit)
-    if per_mg is None:
-        per_mg = VARIANTS[session.sensor].accel_mg_per_lsb
     rate = whole.gyro if session.gyro_unit == "radps" else np.radians(whole.gyro)
-    accel = whole.accel * per_mg
+    accel = whole.accel * mg_per_unit(session)
     if not (np.isfinite(accel).all() and np.isfinite(rate).all()):
         raise DataError(f"{session.source or 'session'}: the recording holds NaN or infinity")
-    return TurnRecording(
-        whole.time_s - whole.time_s[0], accel, rate, whole.temperature_c, _smear_s(session, whole.time_s)
-    )
-
-
-def _smear_s(session: Session, time_s: Floats) -> float:
-    """Root of the second moment of the chip's Bartlett window, where the file knows its setting."""
+    # Root of the second moment of the chip's Bartlett window, if the file states its setting.
     taps = 2 ** int((session.facts.get("configuration") or {}).get("filter_m", 0))
-    return math.sqrt((taps**2 - 1) / 6) * float(np.median(np.diff(time_s)))
-
-
-def _range_dps(session: Session) -> float | None:
-    found = (session.facts.get("configuration") or {}).get("gyro_range_dps")
-    return None if found is None else float(found)
+    smear_s = math.sqrt((taps**2 - 1) / 6) * float(np.median(np.diff(whole.time_s)))
+    return TurnRecording(whole.time_s - whole.time_s[0], accel, rate, whole.temperature_c, smear_s)
 
 
 def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[float], Floats, list[str]]:
-    """Names, values, gradients (p, 12 + m) and units of what is reported; as in a planar session."""
+    """Names, values, gradients (p, 12 + m) and units of the result; as in a planar session."""
     size = len(solution.covariance)
     common = dict(zip(NAMES, np.eye(size), strict=False))
     value = dict(zip(NAMES, solution.values, strict=True))
@@ -388,6 +368,7 @@ def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[floa
     k_x, k_y = value["scale_x"], value["scale_y"]
     start = _first_rest(solution.psi_rad, windows)
     alpha = np.zeros(size)
+    # The start angle is the mean over the windows at rest.
     alpha[len(NAMES) : len(NAMES) + start] = 1 / start
     at_start = float(np.degrees(solution.psi_rad[:start].mean()))
     gain = value["gyro_gain_z"]
@@ -412,7 +393,7 @@ _RATES = (("gyro_bias_z", "deg/s"), ("g_sensitivity_zx", "deg/s/g"), ("g_sensiti
 
 
 def _first_rest(psi_rad: Floats, windows: Windows) -> int:
-    """Windows at rest at the beginning, one at least."""
+    """Number of windows at rest at the beginning, at least one."""
     rate = np.abs(np.diff(psi_rad) / np.diff(windows.centre_s))
     moving = np.flatnonzero(np.degrees(rate) > REST_DPS)
     return max(int(moving[0]), 1) if moving.size else 1

@@ -1,26 +1,24 @@
-"""A continuous recording as weighted means in windows: what the estimate works with.
+"""Angle and calibration from one continuous turn: a batch estimate over the whole recording.
 
-Windows are Hann windows that overlap by half. Their weights add up to the same everywhere, so that nothing
-slow is lost, and what shakes faster than their hop (tremor at 8 to 12 Hz) hardly reaches a mean: noise of
-the means is then noise of the low frequencies that the parameters follow. White noise correlates neighbours
-by 1/6; `LONG_RUN` is what that makes of the variance of slow things.
-
-Angle and calibration from one continuous turn: a batch estimate over the whole recording.
-
-Unknown are the angle ψ_k of gravity to X at the centre of each window, and parameters common to all:
+Unknown are the angle ψ_k of gravity to X at the centre of each window, and common parameters:
 
     U_x = K_x G ⟨cos ψ⟩ + b_x + d_x(t) + l_x ω² + l_y ω'
     U_y = K_y G ⟨sin(ψ + Δφ)⟩ + b_y + d_y(t) + l_y ω² − l_x ω'
     ψ_{k+1} − ψ_k = −∫ω dt + noise,   ω = (1/s) g_z − b_g − γ_x u_x − γ_y u_y − d_g(t) + τ g_z'
 
-⟨…⟩ is the mean in a window of the course that the gyro saw within it, so that neither the window nor the
-turn's unevenness smears anything. d are slow drifts of the spectrum 1/f, as principal components of it;
-l is the lever arm in mm, τ the gyro's latency. Prior knowledge is that of any part (`SENSOR_SPREAD`) and of
-any bench (`LEVER_MM` …); the biases have none.
+⟨…⟩ is the mean in a window over the gyro's course of the angle within it, so neither the window nor an
+uneven turn smears the angle. d are slow drifts with the spectrum 1/f, as its principal components. l is
+the lever arm in mm, τ the gyro's latency. The priors hold for any part (`SENSOR_SPREAD`) and any
+bench (`LEVER_MM` …); the biases have none.
 
-Gauss–Newton on the posterior; the variances of accelerometers, gyro and drifts follow from the same data by
-the evidence (MacKay 1992: what is left over, divided by the numbers that were not used up), that of the
-accelerometers in short stretches, since a hand does not shake evenly.
+Gauss–Newton maximises the posterior. The variances of accelerometers, gyro and drifts follow from the
+same data by the evidence (MacKay 1992: the squared residual divided by the remaining degrees of freedom),
+that of the accelerometers in short stretches, because a hand does not shake evenly.
+
+Windows are Hann windows that overlap by half. Their weights add up to a constant, so nothing slow is
+lost, and motion faster than their hop (tremor at 8 to 12 Hz) hardly changes a mean. The noise of the
+means is then noise of low frequencies, which the parameters follow. White noise correlates neighbours by
+1/6; `LONG_RUN` is the resulting factor on the variance of slow parameters.
 """
 
 from __future__ import annotations
@@ -38,15 +36,15 @@ from adis_gonio.model.measurement import SENSOR_SPREAD
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 HOP_S = 0.25
-"""Distance of the windows' centres; each is two of them long."""
+"""Distance between the centres of windows; each window has twice this length."""
 MOST_WINDOWS = 480
-"""A longer recording has longer windows: the cost of an estimate has a bound."""
+"""A longer recording has longer windows, which bounds the cost of an estimate."""
 LONG_RUN = 4 / 3
 """Spectral density at zero of means in neighbouring windows, over their variance: 1 + 2/6."""
 LEAST_FILLED = 0.5
-"""Part of a window's samples without which it is left out."""
+"""Least share of a window's samples; other windows are left out."""
 GAP_PERIODS = 5.0
-"""Missing samples over which the gyro is not trusted to have seen the turn."""
+"""Sample periods in a gap above which the gyro's integral over it does not count."""
 
 
 @dataclass(frozen=True)
@@ -73,18 +71,19 @@ class TurnRecording:
 
     @property
     def period_s(self) -> float:
-        """Of the samples."""
+        """Time between samples."""
         return float(np.median(np.diff(self.time_s)))
 
     @property
     def length_s(self) -> float:
-        """Of the recording."""
+        """Length of the recording."""
         return float(self.time_s[-1])
 
     def integral(self, values: Floats) -> Floats:
-        """Integral (n,) of a series from the first sample on, by trapezoids."""
-        steps = np.diff(self.time_s) * (values[1:] + values[:-1]) / 2
-        return np.concatenate([[0.0], np.cumsum(steps)])
+        """Integral (n, …) of series from the first sample on, by the trapezoidal rule."""
+        from scipy.integrate import cumulative_trapezoid
+
+        return np.asarray(cumulative_trapezoid(values, self.time_s, axis=0, initial=0))
 
 
 class Windows:
@@ -107,6 +106,7 @@ class Windows:
         rows, columns, weights = [], [], []
         for step in (-1, 0):
             row = low + step
+            # Hann weights of each sample in its two windows.
             phase = (time_s - (row + 1) * hop) / hop
             inside = (row >= 0) & (row < count)
             rows.append(row[inside])
@@ -116,6 +116,7 @@ class Windows:
             (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))),
             shape=(max(count, 0), len(time_s)),
         )
+        # Share of each window with samples.
         filled = np.asarray(matrix.sum(axis=1)).ravel() * period / hop
         keep = filled > LEAST_FILLED
         self._matrix: Any = matrix[keep].multiply(1 / (filled[keep] * hop / period)[:, None]).tocsr()
@@ -143,34 +144,35 @@ NAMES = (
 LEVER_MM = 100.0
 """Prior standard deviation of the sensor's distance from the axis (D)."""
 GYRO_GAIN = 0.05
-"""Of the gyro's gain about 1 (D)."""
+"""Prior standard deviation of the gyro's gain about 1 (D)."""
 G_SENSITIVITY_DPS = 0.2
-"""Of the gyro's sensitivity to acceleration, in °/s/g (CHIP: 0.05, B, of the sibling)."""
+"""Prior standard deviation of the gyro's sensitivity to acceleration, in °/s/g (CHIP: 0.05, B, of the
+sibling)."""
 LATENCY_S = 2e-3
-"""Of the gyro's delay against the accelerometers (D)."""
+"""Prior standard deviation of the gyro's delay against the accelerometers (D)."""
 GYRO_INSTABILITY_DPS = 0.015
 """Floor of the gyro's Allan deviation (the simulator's, D)."""
 DRIFT_HZ = 0.5
-"""Drifts above this are taken as noise of a window."""
+"""Frequency above which drifts are noise of a window."""
 MOST_DRIFTS = 80
 GYRO_DRIFTS = 12
 STRETCH_S = 3.0
-"""Time in which the accelerometers' noise is taken as even."""
+"""Time of constant noise of the accelerometers."""
 STATED_DOF = 8.0
-"""Degrees of freedom that a stated variance (of a drift, or of a stretch by the whole) is worth."""
+"""Degrees of freedom of a stated variance (of a drift, or of a stretch by the whole)."""
 _MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
 """mg of one mm at 1 (rad/s)²."""
 _GAP_RATE = 0.5
-"""rad/s that nobody saw where samples are missing."""
+"""Possible rate in rad/s during a gap."""
 _MOST_ROUNDS = 40
 _DONE = 1e-3
 _SETTLED = 0.1
-"""Largest last step, in standard uncertainties, with which a result is still one."""
+"""Largest last step of a valid result, in standard uncertainties."""
 
 
 @dataclass(frozen=True)
 class Variances:
-    """Noise as the data have it.
+    """Noise by the data.
 
     Attributes
     ----------
@@ -181,7 +183,7 @@ class Variances:
     drift : float
         Factor on the stated variance of the accelerometers' drift.
     accel_dof, gyro_dof, drift_dof : float
-        How surely each is known.
+        Their degrees of freedom.
     """
 
     accel_mg2: Floats
@@ -194,7 +196,7 @@ class Variances:
 
 @dataclass(frozen=True)
 class Solution:
-    """What the recording says.
+    """Estimate of a recording.
 
     Attributes
     ----------
@@ -216,10 +218,6 @@ class Solution:
     parts: tuple[tuple[Floats, float], ...]
     variances: Variances
     residual_mg: Floats
-    used: float
-
-    def __getitem__(self, name: str) -> float:
-        return float(self.values[NAMES.index(name)])
 
 
 class LeastSquaresProblem:
@@ -243,37 +241,28 @@ class LeastSquaresProblem:
         slope = np.gradient(rate, series.time_s)
         self._square, self._rate, self._slope = mean(rate**2), mean(rate), mean(slope)
         self._integrals = np.column_stack(
-            [
-                series.integral(rate),
-                -series.time_s,
-                -series.integral(unit[:, 0]),
-                -series.integral(unit[:, 1]),
-                rate,
-            ]
+            [series.integral(rate), -series.time_s, -series.integral(unit), rate]
         )
-        # As the windows see them: the fastest are smaller there.
+        # Means in the windows, which make the fastest drifts smaller.
         drifts, self.drift_prior = _drifts(series.time_s, series.length_s, floor_mg, MOST_DRIFTS)
         self.drifts: Floats = mean(drifts)
         gyro, self.gyro_prior = _drifts(
             series.time_s, series.length_s, math.radians(GYRO_INSTABILITY_DPS), GYRO_DRIFTS
         )
-        self._gyro_drifts = (
-            -np.column_stack([series.integral(gyro[:, k]) for k in range(gyro.shape[1])])
-            if gyro.shape[1]
-            else np.zeros((len(rate), 0))
-        )
+        self._gyro_drifts = -series.integral(gyro)
         at = np.clip(np.searchsorted(series.time_s, windows.centre_s), 0, len(rate) - 1)
         self._centre = at
-        # Rates at a centre are those of its window: a single sample is all noise.
+        # The rate at a centre is the mean of its window, because a single sample is mostly noise.
         held = self._integrals[at]
         held[:, 4] = self._rate
         self._steps = np.diff(np.column_stack([held, self._gyro_drifts[at]]), axis=0)
         self.m, self.common = len(windows), len(NAMES)
-        self.size = self.common + 2 * self.drifts.shape[1] + self.gyro_prior.size + self.m
+        self.drift_rows = slice(self.common, self.common + 2 * self.drifts.shape[1])
+        self.size = self.drift_rows.stop + self.gyro_prior.size + self.m
         self.prior = self._prior()
 
     def _prior(self) -> tuple[Floats, Floats]:
-        """Mean and variance of everything that is not an angle; inf for what has none."""
+        """Prior mean and variance of all values except the angles; inf without a prior."""
         g = math.radians(G_SENSITIVITY_DPS)
         sigma = [SENSOR_SPREAD, SENSOR_SPREAD, SENSOR_SPREAD, np.inf, np.inf, LEVER_MM, LEVER_MM,
                  GYRO_GAIN, np.inf, g, g, LATENCY_S]  # fmt: skip
@@ -283,8 +272,9 @@ class LeastSquaresProblem:
         return mean, variance
 
     def begin(self) -> Floats:
-        """Rough values: an ellipse with upright axes, then the angle each window shows."""
+        """First values: an ellipse with upright axes, then the angle of each window."""
         x, y = self.reading.T / self.gravity_mg
+        # Circle through the readings by linear least squares.
         found = np.linalg.lstsq(np.column_stack([x, y, np.ones(self.m)]), x**2 + y**2, rcond=None)[0]
         centre = np.clip(found[:2] / 2, -0.3, 0.3)
         values = np.concatenate([self.prior[0], np.zeros(self.m)])
@@ -297,10 +287,11 @@ class LeastSquaresProblem:
         k_x, k_y, skew = values[:3]
         rest = values[: self.size - self.m]
         psi = values[-self.m :]
-        gyro = np.concatenate([rest[7:12], rest[self.common + 2 * self.drifts.shape[1] :]])
+        gyro = np.concatenate([rest[7:12], rest[self.drift_rows.stop :]])
         course = -(self._integrals @ gyro[:5] + self._gyro_drifts @ gyro[5:])
+        # Mean of the direction within a window, relative to the direction at its centre.
         inside = self.windows.mean(np.exp(1j * course)) * np.exp(-1j * course[self._centre])
-        # The rate of turn is what the gyro shows less its zero: the square of both is not a square of one.
+        # Square of the rate minus the gyro zero, by the means of the square and of the rate.
         spin2 = gyro[0] ** 2 * self._square - 2 * gyro[0] * gyro[1] * self._rate + gyro[1] ** 2
         smear = 1 - 0.5 * self.series.smear_s**2 * spin2
         z = inside * np.exp(1j * psi) * smear
@@ -332,7 +323,7 @@ class LeastSquaresProblem:
         return self.reading - linear, -(steps @ values), jacobian, steps
 
     def walk(self, variances: Variances) -> Floats:
-        """Variance (m - 1,) of the angle between neighbouring windows beside what the gyro saw, rad²."""
+        """Variance (m - 1,) in rad² of the angle between neighbouring windows by the noise of the gyro."""
         gap = self.windows.gap_s
         return variances.gyro * np.diff(self.windows.centre_s) + np.square(_GAP_RATE * gap)
 
@@ -340,10 +331,10 @@ class LeastSquaresProblem:
 def _drifts(time_s: Floats, length_s: float, floor: float, most: int) -> tuple[Floats, Floats]:
     """Drifts (n, k) without a mean, and the variance (k,) of each for a 1/f noise of an Allan floor.
 
-    They are the principal components of the noise among cosines of half a cycle a recording and its
-    multiples. A density h/f has, but for a constant, the covariance −h ln|t − s|, whose integrals over
-    cosines are those of `_of_cosines`: a recording that is cut out of a longer one is no sum of
-    independent cosines, and the slowest have less than their density says.
+    They are the principal components of the noise among cosines of half a cycle per recording and its
+    multiples. A density h/f has, up to a constant, the covariance −h ln|t − s|; `_of_cosines` has its
+    integrals over cosines. A part of a longer recording is no sum of independent cosines, and the slowest
+    ones have less variance than their density.
     """
     count = min(most, int(DRIFT_HZ * 2 * length_s)) if floor > 0 else 0
     density = floor**2 / (2 * math.log(2))
@@ -355,8 +346,9 @@ def _drifts(time_s: Floats, length_s: float, floor: float, most: int) -> tuple[F
 def _of_cosines(count: int) -> Floats:
     """Covariance (k, k) of the means of √2 cos(π j t) times a noise of density 1/f, t from 0 to 1.
 
-    Integrated by parts; J = π j: 2 (Si(J) − (1 − cos J)/J)/J on the diagonal, beside it where j and k are
-    both even or both odd 4 (Cin(J) − Cin(K))/(K² − J²), else 0. Cin(x) = γ + ln x − Ci(x).
+    Integrated by parts, with J = π j and Cin(x) = γ + ln x − Ci(x). The diagonal is 2 (Si(J) − (1 − cos
+    J)/J)/J. Off the diagonal it is 4 (Cin(J) − Cin(K))/(K² − J²) if j and k are both even or both odd,
+    else 0.
     """
     from scipy.special import sici
 
@@ -372,12 +364,12 @@ def _of_cosines(count: int) -> Floats:
 
 
 def solve(problem: LeastSquaresProblem) -> Solution:
-    """The most probable values, and how surely they are known.
+    """The most probable values with their covariance.
 
     Raises
     ------
     SingularError
-        The recording does not determine the parameters, or the iteration does not come to an end.
+        The recording does not determine the parameters, or the iteration does not converge.
     """
     values, variances, change = problem.begin(), _first(problem), math.inf
     for _ in range(_MOST_ROUNDS):
@@ -412,9 +404,9 @@ def _system(
     accel, gyro, by_accel, by_gyro = problem.model(values)
     mean, variance = problem.prior
     n_p = problem.size - problem.m
+    # Precision of the priors, with the fitted size of the drifts.
     scaled = variance.copy()
-    n_d = 2 * problem.drifts.shape[1]
-    scaled[problem.common : problem.common + n_d] *= variances.drift
+    scaled[problem.drift_rows] *= variances.drift
     weight = 1 / variances.accel_mg2
     flat = by_accel.reshape(-1, problem.size)
     weighted = flat * np.repeat(weight, 2)[:, None]
@@ -432,6 +424,7 @@ def _system(
 def _inverse(information: Floats) -> Floats:
     from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+    # Unit diagonal before the factorisation.
     size = 1 / np.sqrt(np.diag(information))
     try:
         factor = cho_factor(information * size[:, None] * size)
@@ -449,6 +442,7 @@ def _step(
     covariance = _inverse(information)
     step = covariance @ right
     change = float(np.abs(step[: problem.common] / np.sqrt(np.diag(covariance)[: problem.common])).max())
+    # At most half a radian per step, so that no angle jumps to another turn.
     largest = float(np.abs(step[-problem.m :]).max())
     return values + step * min(1.0, 0.5 / max(largest, 1e-12)), covariance, change
 
@@ -456,20 +450,23 @@ def _step(
 def _renewed(
     problem: LeastSquaresProblem, values: Floats, covariance: Floats, before: Variances
 ) -> Variances:
-    """Variances by what is left over and by how much of it was not used up."""
+    """Estimate the variances by the residuals and their remaining degrees of freedom."""
     accel, gyro, by_accel, by_gyro = problem.model(values)
     flat = by_accel.reshape(-1, problem.size)
     taken = np.einsum("ij,ij->i", flat @ covariance, flat).reshape(-1, 2) / before.accel_mg2[:, None]
-    # What was used up is slow, and slow noise is denser than that of a window (`LONG_RUN`).
+    # The used degrees of freedom are slow, and slow noise is denser than the noise of a window
+    # (`LONG_RUN`).
     free = np.maximum(2 - LONG_RUN * taken.sum(axis=1), 1e-3)
     squares = (accel**2).sum(axis=1)
     whole = float(squares.sum() / free.sum()) if free.sum() > 1 else float(before.accel_mg2.mean())
     stretch = (problem.windows.centre_s / STRETCH_S).astype(np.intp)
+    # Variance of each stretch, drawn towards the whole by `STATED_DOF`.
     sums, frees = np.bincount(stretch, squares), np.bincount(stretch, free)
     each = (sums + STATED_DOF * whole) / (frees + STATED_DOF)
-    # The whole is an average over uneven stretches: a quiet one must be able to be quiet.
+    # The whole is an average over uneven stretches; a quiet stretch may have much less.
     each = np.maximum(each, 1e-3 * whole)
     walk = problem.walk(before)
+    # Degrees of freedom that the fit used of each step of the gyro.
     used = np.einsum("ij,ij->i", by_gyro @ covariance, by_gyro) / walk
     sure = problem.windows.gap_s == 0
     left = float(np.maximum(1 - used[sure], 0).sum())
@@ -477,10 +474,9 @@ def _renewed(
     gyro_now = (float((gyro[sure] ** 2 / dt[sure]).sum()) + STATED_DOF * math.radians(0.021) ** 2) / (
         left + STATED_DOF
     )
-    n_d = 2 * problem.drifts.shape[1]
     drift, known = 1.0, STATED_DOF
-    if n_d:
-        rows = slice(problem.common, problem.common + n_d)
+    rows = problem.drift_rows
+    if rows.stop > rows.start:
         stated = problem.prior[1][rows]
         seen = float((1 - np.diag(covariance)[rows] / (stated * before.drift)).sum())
         drift = (float((values[rows] ** 2 / stated).sum()) + STATED_DOF) / (max(seen, 0) + STATED_DOF)
@@ -494,10 +490,10 @@ def _renewed(
 def _finished(problem: LeastSquaresProblem, values: Floats, variances: Variances) -> Solution:
     information, _, (by_accel, by_gyro, precision) = _system(problem, values, variances)
     covariance = _inverse(information)
+    # Common parameters and angles, without the drifts.
     keep = np.r_[0 : problem.common, problem.size - problem.m : problem.size]
-    n_d = 2 * problem.drifts.shape[1]
     drifts = np.zeros(problem.size, bool)
-    drifts[problem.common : problem.common + n_d] = True
+    drifts[problem.drift_rows] = True
     chosen = covariance[keep]
     shares = (
         (chosen @ by_accel @ chosen.T, variances.accel_dof),
@@ -505,13 +501,11 @@ def _finished(problem: LeastSquaresProblem, values: Floats, variances: Variances
         ((chosen * (precision * drifts)) @ chosen.T, variances.drift_dof),
         ((chosen * (precision * ~drifts)) @ chosen.T, math.inf),
     )
-    residual = problem.model(values)[0]
     return Solution(
         values[: problem.common].copy(),
         values[-problem.m :].copy(),
         covariance[np.ix_(keep, keep)],
         shares,
         variances,
-        residual,
-        float(variances.accel_dof),
+        problem.model(values)[0],
     )

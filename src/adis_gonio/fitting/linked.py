@@ -1,9 +1,9 @@
-"""Poses in space with the turns between them: which links are used, and whether the gyros may be believed.
+"""Poses in space with the turns between them: the links that a fit uses, tested against gravity.
 
-Links (`gyros.links`) and gravity's length say of the same parameters: χ² of the fit rises by what the links
-disagree, with as many degrees of freedom as they bring. Where that is beyond the 99.9 % quantile the link
-that disagrees most is left out and the test repeated; where more than a quarter would have to go, or none
-is left to test by, the gyros are not believed and the fit is that of gravity alone.
+Links (`gyros.gyro_links`) and the length of gravity determine the parameters together. Links that disagree
+with gravity raise χ² of the fit; the rise is tested with the degrees of freedom that the links add. If it
+is above the 99.9 % quantile, the link that disagrees most is removed and the test is repeated. If more than
+a quarter of the links would be removed, or no link remains, no link is used and the fit uses gravity alone.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.levels import LINK_REFUSED
 from adis_gonio.base.numbers import counted
+from adis_gonio.base.uncertainty import LINK_REFUSED
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.determination import (
     Determination,
@@ -29,8 +29,8 @@ from adis_gonio.fitting.determination import (
 )
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.links import Links
-from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.noise import settle
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
+from adis_gonio.fitting.noise_estimation import chi2_quantile, settle
 from adis_gonio.model.records import Session
 
 if TYPE_CHECKING:
@@ -39,33 +39,33 @@ if TYPE_CHECKING:
 
 Refused = tuple[int, int, str]
 LEAST_POSES = 3
-"""Two turns give four equations for nine parameters and the gyros' own."""
+"""Fewest poses for a fit with links: two turns give four equations for nine parameters and the gyros'."""
 MOST_LEFT_OUT = 0.25
-"""Share of the links that may be left out; where more disagree it is not the links that are odd."""
+"""Largest share of links that may be removed; if more disagree, the gyros as a whole are wrong."""
 FAR_RAD, FAR_SHARE = math.radians(10.0), 0.1
-"""Distance between gravity and where a gyro carries it, and its share of the way, at which a link is wrong
-whatever the parameters: a bias of 50 mg turns gravity by 3°."""
+"""Angle between gravity and its prediction by the gyros, and its share of the turn, above which a link is
+wrong for any parameters: a bias of 50 mg turns gravity by only 3°."""
 _PASSES = 4
 _SETTLED = 0.05
-"""Change of the gyros' parameters, in standard uncertainties of the prior, at which they are settled."""
+"""Change of the gyros' parameters, in standard uncertainties of the prior, at which they have converged."""
 
 
 @dataclass(frozen=True)
 class LinkReport:
-    """What the turns between poses gave to a fit.
+    """Contribution of the turns between poses to a fit.
 
     Attributes
     ----------
     used : int
-        Links in the fit; 0 where it is that of gravity alone.
+        Number of links in the fit; 0 if it uses gravity alone.
     chi2, dof : float or None, int
-        By which the links raise χ², and their degrees of freedom.
+        Increase of χ² by the links, and their degrees of freedom.
     refused : tuple of (int, int, str)
-        Turns that were left out: the dwells before and after, and why.
+        Turns that were not used: the dwells before and after, and the reason.
     calibrated : bool
-        True where a calibration of the gyros was given, else their data sheet counts.
+        True if a calibration of the gyros was given, otherwise the data sheet is used.
     why : str
-        Why no link is used; empty where some are.
+        Reason why no link is used; empty if some are.
     gained : tuple of str
         Parameters that only the links determine.
     ratio : float or None
@@ -96,48 +96,41 @@ class LinkReport:
 
     @property
     def line(self) -> str:
-        """All of it in a line."""
+        """Summary in one line."""
         if not self.used:
             return f"turns between the poses are not used: {self.why}"
-        told = [f"{counted(self.used, 'turn')} between the poses by the gyros"]
+        parts = [f"{counted(self.used, 'turn')} between the poses by the gyros"]
         if self.gained:
-            told.append(f"they determine {', '.join(self.gained)}")
+            parts.append(f"they determine {', '.join(self.gained)}")
         if self.ratio is not None:
             of = "u of the others" if self.gained else "u with them"
-            told.append(f"{of} is {self.ratio:.2f} of that without, median")
-        told.append(f"χ² {self.chi2:.1f} at {counted(self.dof, 'degree')} of freedom")
+            parts.append(f"{of} is {self.ratio:.2f} of that without, median")
+        parts.append(f"χ² {self.chi2:.1f} at {counted(self.dof, 'degree')} of freedom")
         left = "; ".join(f"{b} to {a} left out: {why}" for b, a, why in self.refused[:2])
         more = len(self.refused) - 2
         if more > 0:
             left += f"; and {more} more"
-        return "; ".join([*told, *([left] if left else [])])
+        return "; ".join([*parts, *([left] if left else [])])
 
 
 def linked_readings(
-    session: Session, readings: Readings, gyros: GyroCalibration | None = None
+    session: Session, gyros: GyroCalibration | None = None
 ) -> tuple[Readings, LinkReport | None]:
-    """Readings of a session in space with the links that may be believed, and what became of them.
+    """Readings of a session in space with the links that agree with gravity, and a report on all links.
 
-    None, and the readings themselves, where nothing was recorded between the poses. Worked out once a
-    session where no calibration is given.
+    The second value is None, and the readings are returned unchanged, if nothing was recorded between the
+    poses. Computed once for each session if no calibration is given.
 
     Raises
     ------
     UsageError
         A calibration of gyros was given for a session that cannot use it.
     """
-    if gyros is not None:
-        return _linked(session, readings, gyros)
-    kept: tuple[Readings, LinkReport | None] | None = vars(session).get("_linked")
-    if kept is None:
-        kept = _linked(session, readings, None)
-        vars(session)["_linked"] = kept
-    return kept
+    return session.once(_linked) if gyros is None else _linked(session, gyros)
 
 
-def _linked(
-    session: Session, readings: Readings, gyros: GyroCalibration | None
-) -> tuple[Readings, LinkReport | None]:
+def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Readings, LinkReport | None]:
+    readings = readings_of(session)
     if readings.planar or readings.check.all():
         if gyros is not None:
             raise UsageError("a calibration of gyros serves poses in space; this session has a plane")
@@ -155,11 +148,12 @@ def _linked(
         return readings, None
     try:
         judged = _Judged.of(readings.training, found)
-    except (np.linalg.LinAlgError, UsageError):  # few poses let the fit run to what no three axes are
+    except (np.linalg.LinAlgError, UsageError):  # with few poses the fit can run to impossible axes
         judged = _Judged(None, found.refused, "a fit with them does not converge")
     report = judged.report(calibrated=gyros is not None)
     if judged.links is None:
         return readings, report
+    # Links are numbered among the fitted readings: renumber them among all readings.
     rows = np.flatnonzero(~readings.check)
     links = replace(judged.links, before=rows[judged.links.before], after=rows[judged.links.after])
     return replace(readings, links=links), report
@@ -167,18 +161,18 @@ def _linked(
 
 @dataclass(frozen=True)
 class _Judged:
-    """Links of a session, tested on the readings that are fitted.
+    """Links of a session after the test against the fitted readings.
 
     Attributes
     ----------
     links : Links or None
-        Those that are believed, between these readings; None where there are none.
+        Accepted links between these readings; None if there are none.
     refused : tuple of (int, int, str)
     why : str
-        Why there are none.
+        Reason if there are none.
     chi2, dof : float or None, int
     plain, linked : Determination or None
-        The fit by gravity alone, and with the links, under the same noise.
+        Fits by gravity alone and with the links, with equal noise.
     """
 
     links: Links | None
@@ -191,13 +185,13 @@ class _Judged:
 
     @classmethod
     def of(cls, readings: Readings, found: GyroLinks) -> _Judged:
-        """Test, leave out what disagrees, test again."""
+        """Test links, remove the worst one, and test again until the rest agree with gravity."""
         refused = list(found.refused)
         if len(readings) < LEAST_POSES:
             return cls(None, tuple(refused), "poses are too few to test them by")
         alone = settle(readings)
         if not alone.noise.known:
-            return cls(None, tuple(refused), "nothing tells the noise of the poses")
+            return cls(None, tuple(refused), "the noise of the poses is unknown")
         data, plain = alone.noise.applied(readings), alone.determination
         position = readings.position
         links = found.at(found.prior.values, position.tolist())
@@ -213,14 +207,14 @@ class _Judged:
         left_out = far
         while len(links):
             links, linked = _settled(found, links, data)
-            chi2, dof = linked.fit.chi2 - plain.fit.chi2, _dof(linked) - _dof(plain)
+            chi2, dof = linked.fit.chi2 - plain.fit.chi2, linked.dof - plain.dof
             if dof < 1:
                 return cls(None, tuple(refused), "they are too few to be tested against gravity")
-            if chi2 <= _quantile(dof):
+            if chi2 <= chi2_quantile(dof, LINK_REFUSED):
                 return cls(links, tuple(refused), "", chi2, dof, plain, linked)
             if left_out >= allowed:
-                told = f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom)"
-                return cls(None, tuple(refused), told, chi2, dof)
+                reason = f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom)"
+                return cls(None, tuple(refused), reason, chi2, dof)
             worst = _worst(linked.fit)
             refused.append((*_ends(links, position, worst), "it contradicts gravity and the other turns"))
             links = links.only(np.arange(len(links)) != worst)
@@ -229,13 +223,13 @@ class _Judged:
         return cls(None, tuple(refused), why)
 
     def report(self, *, calibrated: bool) -> LinkReport:
-        """What is told of it."""
+        """Report on these links."""
         used = 0 if self.links is None else len(self.links)
         gained, ratio = _gain(self.plain, self.linked)
         return LinkReport(used, self.chi2, self.dof, self.refused, calibrated, self.why, gained, ratio)
 
 
-_FAR = "the gyros turn gravity to where it is not"
+_FAR = "the gyros turn gravity to a wrong direction"
 
 
 def _ends(links: Links, position: NDArray[np.intp], link: int) -> tuple[int, int]:
@@ -244,17 +238,19 @@ def _ends(links: Links, position: NDArray[np.intp], link: int) -> tuple[int, int
 
 
 def _near(links: Links, fit: Fit) -> NDArray[np.bool_]:
-    """Links (m,) that are not wrong whatever the parameters are."""
+    """True for links (m,) that can be right for some parameters."""
     attitude = fit.settled(4).values.attitude
+    # Gravity before the turn, carried by the gyros, against gravity after it.
     came = (links.rotation @ attitude[links.before][:, :, None])[:, :, 0]
     there = attitude[links.after]
     away = np.arctan2(np.linalg.norm(np.cross(came, there), axis=1), (came * there).sum(axis=1))
+    # Angle of a rotation from its trace: 1 + 2 cos θ.
     turned = np.arccos(np.clip((np.trace(links.rotation, axis1=1, axis2=2) - 1) / 2, -1, 1))
     return np.asarray(away <= np.maximum(FAR_RAD, FAR_SHARE * turned))
 
 
 def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, Determination]:
-    """Fit with links, linearised where the gyros' parameters end up."""
+    """Fit with links that are linearised at the fitted parameters of the gyros."""
     size = np.maximum(np.sqrt(np.diagonal(found.prior.covariance)), 1e-12)
     values = found.prior.values
     linked = determine(replace(data, links=links))
@@ -269,45 +265,37 @@ def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, Det
 
 
 def _alike(found: Links, links: Links) -> Links:
-    """Those of `found` that lie between the same poses as `links`."""
+    """Links of `found` between the same poses as `links`."""
     wanted = set(zip(links.before.tolist(), links.after.tolist(), strict=True))
     pairs = zip(found.before.tolist(), found.after.tolist(), strict=True)
     return found.only(np.array([pair in wanted for pair in pairs]))
 
 
 def _gyros_of(fit: Fit, prior: GyroPrior) -> Floats:
-    """Parameters of the gyros (21,) that the links of a fit make most likely."""
+    """Parameters of the gyros (21,) with the highest likelihood by the links of a fit."""
     links, rows = fit.link_rows, fit.modes
     assert links is not None
     assert rows is not None
     flat = fit.unshared_residual
     count = links.links.modes_rad.shape[2]
+    # Posterior mean of the shared modes with unit prior; the gyros' modes are the last ones.
     found = np.linalg.solve(np.eye(rows.shape[1]) + rows.T @ rows, rows.T @ flat)
     return np.asarray(prior.values + prior.root @ found[-count:])
 
 
 def _worst(fit: Fit) -> int:
-    """The link whose rows are farthest from what the others say."""
+    """Number of the link with the largest residual."""
     links = fit.link_rows
     assert links is not None
+    # The last rows of the residual belong to the links, two for each.
     rows = fit.residual[-2 * len(links.links) :].reshape(-1, 2)
     return int((rows**2).sum(axis=1).argmax())
-
-
-def _dof(found: Determination) -> int:
-    return int(found.fit.equations) - int(found.free.sum()) + int(found.null.shape[1])
-
-
-def _quantile(dof: int) -> float:
-    from scipy.special import chdtri
-
-    return float(chdtri(dof, LINK_REFUSED))
 
 
 def _gain(
     plain: Determination | None, linked: Determination | None
 ) -> tuple[tuple[str, ...], float | None]:
-    """Parameters that only links determine, and the median of u with links over u without."""
+    """Parameters that only links determine, and the median ratio of u with links to u without."""
     if plain is None or linked is None:
         return (), None
     without, together = _u_of(plain), _u_of(linked)
@@ -318,9 +306,9 @@ def _gain(
 
 
 def _u_of(found: Determination) -> Floats:
-    """Standard uncertainty (p,) in natural units; inf where a parameter is not determined.
+    """Standard uncertainty (p,) in natural units; inf for parameters that are not determined.
 
-    Of skews that are taken as zero it holds the part's figure, as the u that a result states.
+    It includes the data-sheet figure for skews that are taken as zero, as the u of a result does.
     """
     variance = np.maximum(np.diagonal(covariance(found.fisher, found.free, found.null)), 0.0)
     sensor = found.fit.data.sensor

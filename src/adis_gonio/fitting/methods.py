@@ -1,15 +1,16 @@
-"""The five methods by name."""
+"""The methods by name: one table, `METHOD_TABLE`, and `fit`, which runs one of them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
+from adis_gonio.base.arrays import Floats, solvable, wrap_degrees, wrap_radians
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import FitError, SingularError, UsageError
 from adis_gonio.fitting.closed_form import (
@@ -19,25 +20,32 @@ from adis_gonio.fitting.closed_form import (
     fit_mmpm,
     fit_paper,
     fit_positions,
+    refit_four,
+    refit_mmpm,
+    refit_two,
     rows_at,
 )
-from adis_gonio.fitting.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.likelihood import fit_ml
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.fit_result import (
+    FitResult,
+    Origin,
+)
 from adis_gonio.fitting.linked import linked_readings
-from adis_gonio.fitting.result import FitResult
-from adis_gonio.fitting.slips.session_positions import in_context, positions_of
-from adis_gonio.fitting.solvable import solvable
+from adis_gonio.fitting.maximum_likelihood import fit_ml, refit_ml
+from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
+
 FREE_TURN = "free-turn"
 """The method of a continuous recording (`adis_gonio.fitting.free_turn`), which has no positions."""
 
 _TWO_REVERSED = (0, 270)
-"""The two positions where the stage turned the other way than declared."""
+"""The two positions if the stage turned the other way than declared."""
 
 
 @solvable
@@ -49,26 +57,25 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
     session : Session
         Dwells; those for checking take no part.
     method : str, optional
-        One of `METHODS`, or `free-turn` of a continuous recording; by default the best that the
-        session supports: `ml`, or `two-position` where
-        there is nothing but 0° and 90°.
+        One of `METHODS`, or `free-turn` for a continuous recording. The default is the best method for the
+        session: `ml`, or `two-position` if there are only 0° and 90°.
     gyros : GyroCalibration, optional
-        Of the session's gyros, made of another session: poses in space between which the part was turned on
-        record gain equations by them; by default their data sheet counts.
+        Calibration of the session's gyros from another session. Recorded turns between poses in space then
+        give more precise equations than with the data sheet.
 
     Raises
     ------
     UsageError
-        No such method; a calibration of gyros that the session cannot use.
+        Unknown method, or a calibration of gyros that the session cannot use.
     DataError
-        Samples that cannot be used: all zero, stuck, not finite.
+        Unusable samples: all zero, stuck, not finite.
     FitError
-        The session lacks what the method needs.
+        The session lacks positions or angles that the method needs.
     SingularError
-        The session does not determine what the method gives.
+        The session does not determine the parameters of the method.
     """
-    if method is not None and method not in (*METHODS, FREE_TURN):
-        raise UsageError(f"no method is called '{method}'; known: {', '.join((*METHODS, FREE_TURN))}")
+    if method is not None and method not in (known := (*METHOD_TABLE, FREE_TURN)):
+        raise UsageError(f"no method is called '{method}'; known: {', '.join(known)}")
     if method == FREE_TURN or (session.free_turn and method is None):
         from adis_gonio.fitting.free_turn import fit_free_turn
 
@@ -78,12 +85,12 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
             f"{session.source or 'session'}: method {method} needs positions; this is one continuous turn:"
             " use method free-turn"
         )
-    readings, links = linked_readings(session, readings_of(session), gyros)
+    readings, links = linked_readings(session, gyros)
     current().tell(f"method {method}" if method else "the best method")
     try:
         result = fit_of(readings, method)
     except FitError as error:
-        raise type(error)(in_context(session, error)) from error
+        raise type(error)(failure_message(session, error)) from error
     positions = positions_of(session)
     notes = (*session.notes, *positions.sentences)
     return replace(
@@ -99,42 +106,43 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
 
 
 def fit_of(readings: Readings, method: str | None = None) -> FitResult:
-    """The same of a session's readings, `check` dwells left out; worked out once and kept with them."""
-    kept: dict[str | None, FitResult] = vars(readings).setdefault("_fits", {})
-    if method not in kept:
-        kept[method] = fit_readings(readings.training, method)
-        kept.setdefault(kept[method].method, kept[method])
-    return kept[method]
+    """Same as `fit_readings`, of the dwells that are not `check` dwells; computed once for each method."""
+    if method is not None:
+        return readings.once(_fit_training, method)
+    return _by_default(readings.training, lambda name: fit_of(readings, name))
+
+
+def _fit_training(readings: Readings, method: str) -> FitResult:
+    return fit_readings(readings.training, method)
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
     """Same as `fit`, of readings: three axes are fitted in space, two in the plane."""
-    spatial = not readings.planar
-    _refuse_one_position(readings, spatial=spatial)
-    if spatial:
-        if method not in (None, "ml"):
-            raise FitError(
-                f"method {method} needs a plane of rotation; this session has none: use method ml"
-            )
-        return fit_ml(readings)
-    if method not in (None, "ml") and readings.free:
+    _refuse_one_position(readings)
+    if method is None:
+        return _by_default(readings, lambda name: fit_readings(readings, name))
+    if method != "ml" and not readings.planar:
+        raise FitError(f"method {method} needs a plane of rotation; this session has none: use method ml")
+    if method != "ml" and readings.free:
         raise FitError(
             f"method {method} needs declared angles and fixture_sigma_deg is free here: use method ml"
         )
-    if method is not None:
-        return _BY_NAME[method](readings)
-    if default_method(readings) == "two-position":
-        return fit_positions(readings, "two-position", _two(readings))
+    return METHOD_TABLE[method].fit(readings)
+
+
+def _by_default(readings: Readings, fit_by: Callable[[str], FitResult]) -> FitResult:
+    """Fit by the default method, or by `two-position` if `ml` is singular."""
     try:
-        return fit_ml(readings)
+        return fit_by(default_method(readings))
     except SingularError:
-        if not readings.free and all(len(rows) for rows in rows_at(readings, _two(readings))):
-            return fit_positions(readings, "two-position", _two(readings))
-        raise
+        has_two = all(len(rows) for rows in rows_at(readings, _two(readings)))
+        if not readings.planar or readings.free or not has_two:
+            raise
+        return fit_by("two-position")
 
 
 def applicable_methods(session: Session) -> tuple[str, ...]:
-    """Methods whose positions the session has; whether they are determined only a fit can tell."""
+    """Methods for which the session has the positions; a fit may still find that it is not determined."""
     if session.free_turn:
         return (FREE_TURN,)
     session = session.used_for("fit")
@@ -148,7 +156,7 @@ def applicable_methods(session: Session) -> tuple[str, ...]:
 
 
 def applicable_to(readings: Readings) -> tuple[str, ...]:
-    """The same of readings that may be fitted."""
+    """Methods for which these readings have the positions."""
     return _applicable(
         np.degrees(readings.angle_rad),
         planar=readings.planar,
@@ -163,12 +171,12 @@ def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -
     declared = np.isfinite(angles)
     held = [bool((np.abs(wrap_degrees(angles[declared] - a)) <= 0.5).any()) for a in FOUR]
     dwells = _Dwells(len(angles), int(declared.sum()), tuple(held), free=free, known_zero=known_zero)
-    return tuple(method.name for method in _METHODS if method.suits(dwells))
+    return tuple(name for name, method in METHOD_TABLE.items() if method.suits(dwells))
 
 
 @dataclass(frozen=True)
 class _Dwells:
-    """Dwells of a planar session: their number, declared angles, and those of 0°, 90°, 180°, 270° held."""
+    """Dwells of a planar session: counts, and whether 0°, 90°, 180° and 270° are among them (`held`)."""
 
     count: int
     declared: int
@@ -177,54 +185,13 @@ class _Dwells:
     known_zero: bool
 
     def hold(self, *quarters: int) -> bool:
-        """True if angles are worth something and all these quarter turns are held."""
+        """True if angles are not free and all these quarter turns are among the dwells."""
         return not self.free and all(self.held[k] for k in quarters)
-
-    @property
-    def has_two(self) -> bool:
-        """True if two positions a quarter turn apart determine ΔK and Δφ."""
-        return self.known_zero and (self.hold(0, 1) or self.hold(0, 3))
-
-    @property
-    def has_four(self) -> bool:
-        """True if opposite positions cancel the biases."""
-        return self.hold(0, 1, 2, 3)
 
     @property
     def has_enough(self) -> bool:
         """True if there are enough dwells for a fit of all positions."""
         return self.count >= (2 if self.declared == self.count and not self.free else 3)
-
-
-@dataclass(frozen=True)
-class Method:
-    """Method of a planar fit.
-
-    Attributes
-    ----------
-    fit : callable
-        From `Readings` to a `FitResult`; raises `FitError` or `SingularError`.
-    suits : callable
-        True if the session has the positions that the method needs.
-    """
-
-    name: str
-    fit: Callable[[Readings], FitResult]
-    suits: Callable[[_Dwells], bool]
-
-
-_METHODS = (
-    Method("paper", fit_paper, lambda d: d.known_zero and d.hold(0, 1)),
-    Method("two-position", lambda r: fit_positions(r, "two-position", _two(r)), lambda d: d.has_two),
-    Method(
-        "four-position", lambda r: fit_positions(r, "four-position", FOUR), lambda d: d.hold(0, 1, 2, 3)
-    ),
-    Method("mmpm", fit_mmpm, lambda d: not d.free and d.declared >= LEAST_MMPM),
-    Method("ml", fit_ml, lambda d: d.has_enough),
-)
-METHODS = tuple(method.name for method in _METHODS)
-"""Names of the methods."""
-_BY_NAME = {method.name: method.fit for method in _METHODS}
 
 
 def _two(readings: Readings) -> tuple[int, int]:
@@ -234,7 +201,7 @@ def _two(readings: Readings) -> tuple[int, int]:
 
 
 def default_method(readings: Readings) -> str:
-    """What is used where nothing tells methods apart: `ml`, of nothing but 0° and 90° `two-position`."""
+    """Default method: `ml`, or `two-position` if there are only 0° and 90°."""
     return "two-position" if readings.planar and _only_two(readings) else "ml"
 
 
@@ -248,8 +215,8 @@ def _only_two(readings: Readings) -> bool:
     )
 
 
-def _refuse_one_position(readings: Readings, *, spatial: bool) -> None:
-    n = len(readings)
+def _refuse_one_position(readings: Readings) -> None:
+    n, spatial = len(readings), not readings.planar
     declared = readings.angle_rad[np.isfinite(readings.angle_rad)]
     alike = len(declared) == n and bool(np.abs(wrap_radians(declared - declared[0])).max() < 1e-3)
     if n == 1 or (alike and not spatial):
@@ -257,3 +224,42 @@ def _refuse_one_position(readings: Readings, *, spatial: bool) -> None:
         raise FitError(
             f"one position only (position {readings.position[0]}): a calibration needs at least {needs}"
         )
+
+
+@dataclass(frozen=True)
+class Method:
+    """Method of a fit.
+
+    Attributes
+    ----------
+    fit : callable
+        From `Readings` to a `FitResult`; raises `FitError` or `SingularError`.
+    refit : callable
+        From other readings of the same dwells, or of some of them, with the noise of an earlier result, and
+        the `Origin` of that result, to the `Fit` of these readings; raises `FitError`. The comparison of
+        methods leaves dwells out by it, and Monte Carlo runs its trials by it.
+    suits : callable
+        True if the session has the positions that the method needs.
+    """
+
+    fit: Callable[[Readings], FitResult]
+    refit: Callable[[Readings, Origin], Fit]
+    suits: Callable[[_Dwells], bool]
+
+
+METHOD_TABLE = {
+    "paper": Method(fit_paper, partial(refit_two, "paper"), lambda d: d.known_zero and d.hold(0, 1)),
+    "two-position": Method(
+        lambda r: fit_positions(r, "two-position", _two(r)),
+        partial(refit_two, "two-position"),
+        lambda d: d.known_zero and (d.hold(0, 1) or d.hold(0, 3)),
+    ),
+    "four-position": Method(
+        lambda r: fit_positions(r, "four-position", FOUR), refit_four, lambda d: d.hold(0, 1, 2, 3)
+    ),
+    "mmpm": Method(fit_mmpm, refit_mmpm, lambda d: not d.free and d.declared >= LEAST_MMPM),
+    "ml": Method(fit_ml, refit_ml, lambda d: d.has_enough),
+}
+"""All methods of a plane by name. `ml` also fits poses in space."""
+METHODS = tuple(METHOD_TABLE)
+"""Names of the methods."""

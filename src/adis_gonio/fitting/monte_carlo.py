@@ -1,8 +1,8 @@
-"""Propagation of distributions by Monte Carlo (JCGM 101:2008, GUM Supplement 1), beside the linear one.
+"""Propagation of distributions by Monte Carlo (JCGM 101:2008, GUM Supplement 1), to check the linear one.
 
-Each trial draws every input by its distribution (noise with few degrees of freedom by Student's,
-quantization as a rectangle, angles as the part really turned by them) and fits anew by the same method.
-Nothing is linearised, so that the two agree where the model is linear enough.
+Each trial draws every input from its distribution (noise with few degrees of freedom from Student's,
+quantization from a rectangle, angles as real turns of the part) and fits again by the same method. Nothing
+is linearised, so both agree if the model is linear enough.
 """
 
 from __future__ import annotations
@@ -16,22 +16,21 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.intervals import COVERED
 from adis_gonio.base.jsonable import KEYED_BY_NAME, JsonRecord
-from adis_gonio.fitting.closed_form import model_without
+from adis_gonio.base.uncertainty import COVERED
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.outputs import outputs_of
-from adis_gonio.fitting.result import Estimate, FitResult, Origin
-from adis_gonio.fitting.sources import MODEL, TEMPERATURE, Source, repeatability_of
+from adis_gonio.fitting.fit_result import Estimate, FitResult, Origin, outputs_of
+from adis_gonio.fitting.methods import METHOD_TABLE
+from adis_gonio.fitting.uncertainty import MODEL, TEMPERATURE, Source, repeatability_of
 
 WITHIN = 0.01
-"""Relative difference of two uncertainties that counts as none."""
+"""Relative difference below which two uncertainties count as equal."""
 
 
 @dataclass(frozen=True)
 class Propagated:
-    """One parameter by both ways.
+    """One parameter by Monte Carlo and by linear propagation.
 
     Attributes
     ----------
@@ -44,7 +43,7 @@ class Propagated:
     doubt : float
         Standard error of u, relative.
     why : str
-        Why it differs from the linear u by more than 1 % and twice its own error; empty where it does not.
+        Reason for a difference from the linear u above 1 % and twice its own error; empty without one.
     """
 
     name: str
@@ -98,11 +97,11 @@ class MonteCarlo(JsonRecord):
 
     @property
     def remarks(self) -> list[str]:
-        """Where the two differ, and why."""
-        said = [f"{p.name}: {p.why}" for p in self.parameters if p.why]
+        """Differences between both ways, with reasons, and the number of failed trials."""
+        remarks = [f"{p.name}: {p.why}" for p in self.parameters if p.why]
         if self.failed:
-            said.append(f"{self.failed} trials gave no result and were left out")
-        return said or ["the linear uncertainties agree within 1 % and the error of the trials"]
+            remarks.append(f"{self.failed} trials gave no result and were left out")
+        return remarks or ["the linear uncertainties agree within 1 % and the error of the trials"]
 
 
 def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> MonteCarlo:
@@ -111,24 +110,24 @@ def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> Mon
     Parameters
     ----------
     result : FitResult
-        Of `adis_gonio.fit`; its noise is kept as it was settled.
+        Result of `adis_gonio.fit`; the noise that it estimated is used.
     trials : int
         JCGM 101, 7.2: 10⁴ show u to 1 %, 10⁶ an interval's ends to two digits.
 
     Raises
     ------
     FitError
-        Nothing tells the noise of a reading, or no trial gives a result.
+        The noise of a reading is unknown, or no trial gives a result.
     """
     made = result.origin
     if made is None or made.sources is None:
-        raise FitError("nothing tells the noise of a reading: there are no distributions to propagate")
+        raise FitError("the noise of a reading is unknown: there are no distributions to propagate")
     names = [e.name for e in result.parameters]
     values, failed = [], 0
-    draw, refit = _drawing(made, rng), _fitting(made, result.method)
+    draw, refit = _drawing(made, rng), METHOD_TABLE[result.method].refit
     for _ in range(trials):
         try:
-            values.append(_values(refit(draw()), names))
+            values.append(_values(refit(made.noise.applied(draw()), made), names))
         except FitError:
             failed += 1
     if len(values) < 2:
@@ -145,20 +144,14 @@ def _values(fit: Fit, names: list[str]) -> list[float]:
     return [by_name[name] for name in names]
 
 
-def _fitting(made: Origin, method: str) -> Callable[[Readings], Fit]:
-    found = made.determination
-    if found is not None:
-        return lambda data: found.refitted(replace(made.noise.applied(data), fitted=made.fit.data.fitted))
-    return lambda data: model_without(method, data, made.noise)
-
-
 def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
-    """What draws readings: those of the session with every input moved by its distribution."""
+    """Function that draws readings: the session's, with every input moved by its distribution."""
     data, fit, noise = made.readings, made.fit, made.noise
     n, axes = data.mean.shape
     roots, dof, estimate = repeatability_of(data, noise)
     sigma = np.where(np.isfinite(fit.data.fixture), fit.data.fixture, 0.0)
     by_name = {} if made.sources is None else {source.name: source for source in made.sources.each}
+    # Half width of a rectangle with the variance of quantization.
     rounding = np.zeros((n, axes)) if data.quantization is None else np.sqrt(3 * data.quantization)
     flicker = np.zeros((n, axes)) if data.flicker is None else np.sqrt(data.flicker)
     attitude, turn, model = fit.values.attitude, fit.turn_rad, data.model
@@ -174,6 +167,7 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
         if noise.extra_mg:
             moved += noise.extra_mg * _student(rng, noise.dof) * rng.standard_normal((n, axes))
         if sigma.any():
+            # Turn the part by the error of the declared angle, exactly and not to first order.
             away = sigma * _student(rng, noise.sigma_dof) * rng.standard_normal(n)
             moved += model.ideal(fit.values.base, attitude + away, turn) - exact
         for columns in shared:
@@ -185,18 +179,18 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
 
 
 def _shared_inputs(data: Readings, by_name: dict[str, Source]) -> list[Floats]:
-    """Columns (n, axes, k) of inputs that act on all dwells: coefficients of temperature, unseen biases."""
+    """Columns (n, axes, k) of inputs that act on all dwells, such as temperature coefficients."""
     found = [by_name[name].acts_mg for name in (TEMPERATURE, MODEL) if name in by_name]
     return [columns for columns in found if columns is not None]
 
 
 def _student(rng: np.random.Generator, dof: float) -> float:
-    """Factor that makes a normal variable one of Student's."""
+    """Random factor that turns a normal variable into one of Student's distribution."""
     return 1.0 if math.isinf(dof) else math.sqrt(dof / float(rng.chisquare(dof)))
 
 
 def _students(rng: np.random.Generator, dof: Floats, estimate: Any) -> Floats:
-    """The same for variables (n, axes), one draw for each estimate of their variance."""
+    """Such factors for variables (n, axes), one draw for each estimate of their variance."""
     factor = np.ones(estimate.shape)
     for number in np.unique(estimate[np.isfinite(dof)]):
         mine = estimate == number
@@ -210,6 +204,7 @@ def _propagated(made: Origin, linear: Estimate, values: Floats, k: int) -> Propa
         values = linear.value + wrap_degrees(values - linear.value)
     centred = values - values.mean()
     u = float(np.sqrt((centred**2).sum() / (n - 1)))
+    # Standard error of a standard deviation, from the fourth moment of the trials.
     kurtosis = float((centred**4).mean() / max((centred**2).mean() ** 2, 1e-300))
     doubt = math.sqrt(max(kurtosis - 1, 1e-3) / (4 * n))
     low, high = np.quantile(centred, [0.5 * (1 - COVERED), 0.5 * (1 + COVERED)]) + values.mean()
@@ -229,7 +224,7 @@ def _why(made: Origin, linear: Estimate, u: float, doubt: float, k: int) -> str:
     if math.isinf(wide):
         return f"{ratio}: with {linear.dof:.3g} degrees of freedom no standard deviation exists; compare U"
     return (
-        f"{ratio}: the model is not linear enough over the inputs' spread; the interval of the trials holds"
+        f"{ratio}: the model is not linear enough over the inputs' spread; use the interval of the trials"
     )
 
 

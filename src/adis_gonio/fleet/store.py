@@ -7,8 +7,8 @@ One SQLite file. `archive`, `history` and `due` keep it in the first folder, `fl
 | `files` | a path with its stamp and digest; `gone` if it was not found again |
 | `records` | the record of a session as JSON, by the digest of its file, with the options that made it |
 
-Each record enters in a transaction of its own, so that an interruption leaves whole records only. The
-store holds nothing that the session files do not.
+Each record is written in a separate transaction, so that an interruption leaves whole records only. The
+store contains no data that cannot be computed again from the session files.
 """
 
 from __future__ import annotations
@@ -26,12 +26,11 @@ from typing import Any
 from adis_gonio.base.errors import DataError, OutputError
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.numbers import counted
-from adis_gonio.fleet.record import SessionRecord, once
-from adis_gonio.fleet.work import Job, Options
+from adis_gonio.fleet.session_record import Job, Options, SessionRecord, once
 from adis_gonio.record.provenance import digest_of_file
 
 NAME = "adis-gonio.index"
-"""Of the store in the first folder, if no other file is named."""
+"""File name of the store in the first folder."""
 APPLICATION_ID = 0x41444749
 """`ADGI` in the file's header."""
 VERSION = 2
@@ -62,11 +61,11 @@ class Store:
     Parameters
     ----------
     path : str or Path
-        Its file, which is made if it does not exist; `IN_MEMORY` for none.
+        File of the store, created if it does not exist; `IN_MEMORY` for none.
     strict : bool
-        As the journal of a fleet: only results of the same options and version are used again, and a file
-        that is damaged or cannot be written is an error. Otherwise a damaged file is set aside and made
-        again, and without room on the disk the store goes on in memory alone.
+        Behave as the journal of a fleet: only results with equal options and version are used again, and
+        a damaged or unwritable file is an error. Otherwise a damaged file is renamed and replaced, and
+        on a full disk the store continues in memory.
 
     Attributes
     ----------
@@ -89,7 +88,7 @@ class Store:
 
     @classmethod
     def of(cls, places: Sequence[str | Path], path: str | Path | None = None) -> Store:
-        """The store at `path`, else the one in the first folder.
+        """Open the store at `path` or, without a path, in the first folder.
 
         Raises
         ------
@@ -126,11 +125,11 @@ class Store:
                 raise self._foreign() from None
             if self.strict:
                 raise DataError(
-                    f"{self.path}: is damaged ({error}); remove it, and its sessions are done again"
+                    f"{self.path}: is damaged ({error}); remove it, and its sessions are computed again"
                 ) from error
             aside = self._set_aside()
             self.problems.append(
-                f"{self.path}: is damaged ({error}); set aside as {aside.name} and made anew"
+                f"{self.path}: is damaged ({error}); renamed to {aside.name} and created again"
             )
             return self._checked()
 
@@ -151,7 +150,7 @@ class Store:
         """Make the tables of a new store; check the file of an existing one."""
         if not _tables(connection):
             connection.execute("BEGIN IMMEDIATE")
-            if not _tables(connection):  # another program may have been quicker
+            if not _tables(connection):  # another program may have created them
                 for statement in _CREATE:
                     connection.execute(statement)
             connection.execute("COMMIT")
@@ -168,7 +167,7 @@ class Store:
             raise sqlite3.DatabaseError(" ".join(str(found).split())[:80])
 
     def _ours(self) -> bool:
-        """True if the file was a store once: its head says so, or, if the head is damaged, its name."""
+        """True if the file was a store, by its header or, if that is damaged, by its name."""
         with self.path.open("rb") as file:
             head = file.read(72)
         return int.from_bytes(head[68:72], "big") == APPLICATION_ID or self.path.name == NAME
@@ -183,7 +182,7 @@ class Store:
     def _without_file(
         self, verb: str, error: sqlite3.Error, known: sqlite3.Connection | None = None
     ) -> sqlite3.Connection:
-        """Go on in memory with the records of the file; new ones are shown, but not kept.
+        """Continue in memory with the records of the file; new records are not kept.
 
         Raises
         ------
@@ -194,10 +193,10 @@ class Store:
             held = "" if known is None else f"; it holds {counted(self.sessions, 'session')}"
             raise OutputError(
                 f"{self.path}: cannot be {verb}: {error}{held}:"
-                " make room, and the same command goes on from there"
+                " make room, and repeat the command to continue from there"
             ) from error
         self.problems.append(
-            f"{self.path}: cannot be {verb} ({error}); what it holds stays, what is new is not kept: make"
+            f"{self.path}: cannot be {verb} ({error}); its records stay, new ones are not kept: make"
             " room, or name a file by --index"
         )
         connection = _connected(IN_MEMORY)
@@ -213,7 +212,7 @@ class Store:
         return connection
 
     def _write(self, statements: Iterable[tuple[str, Sequence[Any]]]) -> None:
-        """Execute all statements or none; on a full or read-only disk in memory."""
+        """Execute all statements or none; on a full or read-only disk continue in memory."""
         todo = list(statements)
         if not todo:
             return
@@ -234,7 +233,7 @@ class Store:
                 self._connection.rollback()
             raise
 
-    # -- filling it --------------------------------------------------------------------------------
+    # -- writing -----------------------------------------------------------------------------------
 
     def digest_of(self, path: str | Path) -> str:
         """Digest of a file, which is read only if its length or times have changed; records its path.
@@ -264,18 +263,18 @@ class Store:
         return digest
 
     def keep(self, *records: SessionRecord, options: Options | None = None) -> None:
-        """Keep records, which are on the disk when this returns; one without a digest is not kept.
+        """Write records to the disk; records without a digest are skipped.
 
         Raises
         ------
         OutputError
-            If `strict`, they cannot be written: the store is as it was before.
+            If `strict`, they cannot be written; the store is unchanged.
         """
         key = None if options is None else options.key
         todo: list[tuple[str, Sequence[Any]]] = []
         for record in records:
             if record.sha256 is not None:
-                # The stamp stays: a file that changed meanwhile is read again next time.
+                # The old stamp stays, so that a file that changed meanwhile is read again.
                 todo.append((_AT_PATH, (record.path, record.sha256, None)))
                 text = json.dumps(finite(record.as_dict()), ensure_ascii=False, separators=(",", ":"))
                 values = (record.sha256, record.serial, key, text)
@@ -293,10 +292,10 @@ class Store:
             if path not in there and any(Path(path).is_relative_to(root) for root in roots)
         )
 
-    # -- reading it --------------------------------------------------------------------------------
+    # -- reading -----------------------------------------------------------------------------------
 
     def found(self, job: Job, options: Options) -> SessionRecord | None:
-        """Record of a job that need not be done again, under the name that the file has now."""
+        """Stored record of a job under the present file name; None if it has to be computed."""
         row = self._connection.execute(
             "SELECT options, record FROM records WHERE sha256 = ?", (job.digest,)
         ).fetchone()
@@ -313,7 +312,7 @@ class Store:
         Parameters
         ----------
         wanted : str or None
-            `serial`, `operator`, `stage`: only those.
+            Filters `serial`, `operator` and `stage`.
         """
         paths: dict[str, list[str]] = {}
         for path, digest in self._connection.execute("SELECT path, sha256 FROM files WHERE NOT gone"):
@@ -327,7 +326,7 @@ class Store:
         return sorted(rows, key=_place)
 
     def records(self, serial: str | None = None) -> list[SessionRecord]:
-        """Records of one serial number or all, in the order of time; the same data counted once."""
+        """Records of one serial number or all, in the order of time, each data once."""
         return sorted(once(self._records(serial))[0], key=lambda record: record.when or "")
 
     def _records(self, serial: str | None) -> list[SessionRecord]:
@@ -336,7 +335,7 @@ class Store:
         return [SessionRecord.from_dict(json.loads(text)) for (text,) in found]
 
     def serials(self) -> list[str]:
-        """Serial numbers that it knows."""
+        """Known serial numbers."""
         rows = self._connection.execute(
             "SELECT DISTINCT serial FROM records WHERE serial IS NOT NULL ORDER BY serial"
         )

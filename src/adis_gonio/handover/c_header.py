@@ -4,33 +4,62 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.calibrate.calibration import Calibration
-from adis_gonio.calibrate.document import derived_delta_k, json_text
-from adis_gonio.handover.c_rates import of_gyros, rate_remarks, rate_rows, rates_content
-from adis_gonio.handover.fixed import (
+from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected, json_text
+from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
+from adis_gonio.handover.fixed_point import (
+    ATAN,
     CORDIC_UDEG,
+    DEGREES,
+    FIXED_UDPS,
+    FLOAT_DEG,
+    FLOAT_DPS,
     LIMIT,
+    LIMIT_DPS,
+    RATE_LIMIT,
+    RATE_Q,
+    STEP_DPS,
+    TAN_EIGHTH,
     FixedPoint,
+    FixedRates,
     FixedTerm,
     Q,
+    Scaled,
     Whole,
     cordic_table,
+    rate_polynomial_of,
 )
-from adis_gonio.handover.literals import comment, factor_text, shift_text, single, whole
-from adis_gonio.handover.polynomial import PARTS, RANGE_G, Monomial, Polynomial, polynomial_of
-from adis_gonio.handover.single import ATAN, DEGREES, FLOAT_DEG, TAN_EIGHTH
+from adis_gonio.handover.polynomial import PARTS, RANGE_G, Monomial, Polynomial, angle_u_deg, polynomial_of
 from adis_gonio.model.effects import AXES
 
 DEFAULT_NAME = "adis_gonio"
 FIXED_UDEG = 12
-"""Bound of the fixed point's error in an angle: CORDIC, and coefficients and readings rounded at 0.5 g."""
+"""Bound of the fixed point's error in an angle at 0.5 g: CORDIC, rounded coefficients and readings."""
 CHECKS = 8
+RATE_CHECKS = 4
+_FIELDS = {"t": "temperature", "v": "supply"}
+"""Field of a condition in the header's scan and in the polynomials."""
+_ASCII = str.maketrans(
+    {
+        "²": "2",
+        "³": "3",
+        "°": "deg",
+        "Δ": "d",
+        "φ": "phi",
+        "µ": "u",
+        "±": "+-",
+        "−": "-",
+        "·": "*",
+        "θ": "theta",
+    }
+)
 
 
 def c_header(calibration: Calibration, name: str = DEFAULT_NAME) -> str:
@@ -39,7 +68,7 @@ def c_header(calibration: Calibration, name: str = DEFAULT_NAME) -> str:
     Parameters
     ----------
     name : str
-        What every name in it begins with, so that two calibrations can stand in one program.
+        Prefix of every name in the header, so that one program can hold two calibrations.
 
     Raises
     ------
@@ -52,9 +81,8 @@ def c_header(calibration: Calibration, name: str = DEFAULT_NAME) -> str:
 
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise UsageError(f"'{name}' is no name for C: use letters, digits and _, a letter first")
-    loader = PackageLoader("adis_gonio.handover", "")
     environment = Environment(
-        loader=loader,
+        loader=PackageLoader("adis_gonio.handover", ""),
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
@@ -65,18 +93,17 @@ def c_header(calibration: Calibration, name: str = DEFAULT_NAME) -> str:
 
 
 def _content(calibration: Calibration, name: str) -> dict[str, Any]:
+    """Content of `header.h.jinja`."""
     polynomial = polynomial_of(calibration)
     fixed = FixedPoint.of(polynomial)
     planes = _planes(calibration)
-    letters = AXES[: polynomial.axes]
     needs = polynomial.needs
     where = calibration.provenance
-    alpha = round(calibration["alpha"].value * 1e6) if "alpha" in calibration else None
-    u_udeg = _largest_u(calibration)
-    inputs = [("t", "temperature"), ("v", "supply")]
+    u_deg = angle_u_deg(calibration, range(0, 360, 5))
+    u_udeg = int(np.ceil(u_deg.max() * 1e6)) if np.isfinite(u_deg).all() else None
     gyro = calibration.gyro
     return {
-        "c": whole,
+        "c": _whole,
         "name": name,
         "NAME": name.upper(),
         "sensor": where.sensor,
@@ -85,109 +112,210 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "unit": calibration.unit,
         "gravity": f"{where.gravity_mps2:.6g}",
         "origin": _origin(calibration),
-        "coefficients": [*_table(calibration), *([] if gyro is None else rate_rows(gyro))],
-        "remarks": [*_remarks(calibration), *([] if gyro is None else rate_remarks(gyro))],
-        "rates": None if gyro is None else rates_content(calibration, gyro, name),
+        "coefficients": _coefficient_lines(calibration),
+        "remarks": _remarks(calibration),
+        "rates": None if gyro is None else _rates_content(calibration, gyro, name),
         "needs": needs,
         "range_g": f"{RANGE_G:g}",
         "fixed_udeg": FIXED_UDEG,
         "cordic_udeg": CORDIC_UDEG,
         "float_deg": f"{FLOAT_DEG:g}",
         "float_udeg": round(FLOAT_DEG * 1e6),
-        "angle_u": "What the calibration lends to an angle is not known."
+        "angle_u": "The u of an angle by the calibration is not known."
         if u_udeg is None
-        else f"The calibration lends it {u_udeg} udeg (u) at most.",
+        else f"The u of an angle by the calibration is at most {u_udeg} udeg.",
         "u_udeg": u_udeg,
-        "alpha_udeg": alpha,
+        "alpha_udeg": round(calibration["alpha"].value * 1e6) if "alpha" in calibration else None,
         "id": f"0x{zlib.crc32(json_text(calibration.as_dict()).encode()):08X}UL",
         "axes": polynomial.axes,
-        "letters": letters,
+        "letters": AXES[: polynomial.axes],
         "limit": f"{LIMIT}L",
-        "limitf": single(RANGE_G),
+        "limitf": _single(RANGE_G),
         "passes": fixed.passes,
-        "fixed_inputs": [_fixed_input(fixed, c, field) for c, field in inputs if c in needs],
+        "fixed_inputs": _fixed_inputs(fixed, needs),
         "fixed_axes": [_fixed_axis(fixed, k, name) for k in range(polynomial.axes)],
         "table": [f"{step}L" for step in cordic_table()],
         "planes": planes,
-        "float_inputs": [_float_input(polynomial, c, field) for c, field in inputs if c in needs],
+        "float_inputs": _float_inputs(polynomial, needs),
         "float_axes": [_float_axis(polynomial, k) for k in range(polynomial.axes)],
-        "tan_eighth": single(TAN_EIGHTH),
-        "atan": [single(value) for value in ATAN],
-        "degrees": single(DEGREES),
+        "tan_eighth": _single(TAN_EIGHTH),
+        "atan": [_single(value) for value in ATAN],
+        "degrees": _single(DEGREES),
         "checks": _checks(polynomial, fixed, planes[0]),
     }
+
+
+def _rates_content(calibration: Calibration, gyro: GyroCalibration, name: str) -> dict[str, Any]:
+    """Content of `rates.h.jinja`; `FitError` as `rate_polynomial_of`."""
+    polynomial = rate_polynomial_of(calibration, gyro)
+    fixed = FixedRates(polynomial)
+    letters = [factor[1] for factor in polynomial.needs if factor.startswith("f")]
+    step, force = fixed.step, fixed.force_step
+    fixed_axes, float_axes = [], []
+    names = [f"free_{axis}" for axis in AXES]
+    for k, letter in enumerate(AXES):
+        terms = [term for term in fixed.terms if term.monomial.axis == k]
+        fixed_axes.append(
+            {
+                "letter": letter,
+                "bias": _whole(fixed.bias[k]),
+                "terms": _fixed_sum(terms, name),
+                "warm": _whole(fixed.warm[k]) if fixed.warm[k] else "",
+                "row": _fixed_row(fixed.matrix[k], names, name),
+            }
+        )
+        float_axes.append(
+            {
+                "letter": letter,
+                "bias": _single(polynomial.bias[k]),
+                "terms": _float_sum([term.monomial for term in terms]),
+                "warm": _single(polynomial.warm[k]) if polynomial.warm[k] else "",
+                "row": _float_row(polynomial.matrix[k], names),
+            }
+        )
+    return {
+        "needs": polynomial.needs,
+        "uses_scan": bool(polynomial.needs),
+        "lsb": f"{GYRO_OFFSET_DPS:g}",
+        "force_mask": sum(1 << AXES.index(letter) for letter in letters),
+        "step": _whole(step.number),
+        "shift": step.shift - RATE_Q,
+        "limit": f"{RATE_LIMIT}L",
+        "most": f"{2 * RATE_LIMIT - 1}L",
+        "fixed_forces": [
+            {"name": f"f{x}", "letter": x, "step": _whole(force.number), "shift": force.shift - Q}
+            for x in letters
+        ],
+        "fixed_inputs": _fixed_inputs(fixed.accelerometers, polynomial.needs),
+        "fixed_axes": fixed_axes,
+        "stepf": _single(STEP_DPS),
+        "limitf": _single(LIMIT_DPS),
+        "float_forces": [
+            {"name": f"f{x}", "letter": x, "step": _single(polynomial.accelerometers.step_g[0])}
+            for x in letters
+        ],
+        "float_inputs": _float_inputs(polynomial.accelerometers, polynomial.needs),
+        "float_axes": float_axes,
+        "fixed_udps": FIXED_UDPS,
+        "float_udps": round(FLOAT_DPS * 1e6),
+        "checks": _rate_checks(fixed, polynomial.accelerometers),
+    }
+
+
+# -- literals and comments of C ----------------------------------------------------------------------
+
+
+def _whole(number: int) -> str:
+    """Literal of an integer: a long for 32 bits, else a long long; a minus sign goes into brackets."""
+    text = f"{abs(number)}{'L' if abs(number) < 2**31 else 'LL'}"
+    return text if number >= 0 else f"(-{text})"
+
+
+def _listed(numbers: Iterable[int]) -> str:
+    return ", ".join(map(_whole, numbers))
+
+
+def _single(value: float) -> str:
+    """Literal of a number in single precision, exact by nine digits."""
+    text = f"{float(np.float32(value)):.9g}"
+    text = f"{text}f" if any(mark in text for mark in ".e") else f"{text}.0f"
+    return f"({text})" if text.startswith("-") else text
+
+
+def _comment(text: str) -> str:
+    """Text that ends no comment and holds ASCII alone, as old compilers want it."""
+    plain = " ".join(text.translate(_ASCII).split(" ")).replace("*/", "* /").replace("/*", "/ *")
+    return "".join(c if " " <= c < "\x7f" else "?" for c in plain).replace("??", "? ?").rstrip("\\")
+
+
+def _factor(factor: str) -> str:
+    """A factor in C: a name, or the modulus of one."""
+    letter = factor.strip("|")
+    return f"({letter} < 0 ? -{letter} : {letter})" if factor.startswith("|") else factor
 
 
 # -- fixed point -------------------------------------------------------------------------------------
 
 
-def _fixed_input(fixed: FixedPoint, condition: str, field: str) -> dict[str, Any]:
-    zero, step = fixed.temperature if condition == "t" else fixed.supply
-    return {
-        "name": condition,
-        "field": field,
-        "zero": whole(zero),
-        "step": whole(step.number),
-        "shift": step.shift - Q,
-    }
+def _fixed_inputs(fixed: FixedPoint, needs: Iterable[str]) -> list[dict[str, Any]]:
+    found = []
+    for condition in needs:
+        if condition in _FIELDS:
+            zero, step = getattr(fixed, _FIELDS[condition])
+            scaled = {"zero": _whole(zero), "step": _whole(step.number), "shift": step.shift - Q}
+            found.append({"name": condition, "field": _FIELDS[condition], **scaled})
+    return found
 
 
 def _fixed_axis(fixed: FixedPoint, k: int, name: str) -> dict[str, Any]:
     own = [term for term in fixed.terms if term.monomial.axis == k]
-    row = [
-        shift_text(f"(int64_t){AXES[j]} * {whole(entry.number)}", entry.shift, name)
-        for j, entry in enumerate(fixed.matrix[k][: k + 1])
-        if entry.number
-    ]
     return {
         "letter": AXES[k],
-        "step": whole(fixed.step[k].number),
+        "step": _whole(fixed.step[k].number),
         "shift": fixed.step[k].shift - Q,
-        "bias": whole(fixed.bias[k]),
+        "bias": _whole(fixed.bias[k]),
         "steady": _fixed_sum([term for term in own if not term.monomial.of_reading], name),
         "moving": _fixed_sum([term for term in own if term.monomial.of_reading], name),
-        "row": " + ".join(row),
+        "row": _fixed_row(fixed.matrix[k][: k + 1], AXES, name),
     }
 
 
 def _fixed_sum(terms: Sequence[FixedTerm], name: str) -> str:
     texts = []
     for term in terms:
-        first, *rest = (factor_text(factor) for factor in term.monomial.factors)
+        first, *rest = (_factor(factor) for factor in term.monomial.factors)
         product = f"(int64_t){first}"
         for factor in rest:
             product = f"{name}_shifted_({product} * {factor}, {Q})"
-        texts.append(
-            shift_text(f"{product} * {whole(term.coefficient.number)}", term.coefficient.shift, name)
-        )
+        own = term.coefficient
+        texts.append(f"{name}_shifted_({product} * {_whole(own.number)}, {own.shift})")
     return " + ".join(texts)
+
+
+def _fixed_row(entries: Sequence[Scaled], variables: Sequence[str], name: str) -> str:
+    return " + ".join(
+        f"{name}_shifted_((int64_t){variable} * {_whole(entry.number)}, {entry.shift})"
+        for variable, entry in zip(variables, entries, strict=False)
+        if entry.number
+    )
 
 
 # -- float -------------------------------------------------------------------------------------------
 
 
-def _float_input(polynomial: Polynomial, condition: str, field: str) -> dict[str, Any]:
-    own = polynomial.temperature if condition == "t" else polynomial.supply
-    return {"name": condition, "field": field, "zero": single(own.zero), "step": single(own.step)}
+def _float_inputs(polynomial: Polynomial, needs: Iterable[str]) -> list[dict[str, Any]]:
+    found = []
+    for condition in needs:
+        if condition in _FIELDS:
+            own = getattr(polynomial, _FIELDS[condition])
+            scaled = {"zero": _single(own.zero), "step": _single(own.step)}
+            found.append({"name": condition, "field": _FIELDS[condition], **scaled})
+    return found
 
 
 def _float_axis(polynomial: Polynomial, k: int) -> dict[str, Any]:
     own = [one for one in polynomial.monomials if one.axis == k]
-    entries = [(AXES[j], float(polynomial.matrix[k, j])) for j in range(k + 1)]
     return {
         "letter": AXES[k],
-        "step": single(polynomial.step_g[k]),
-        "bias": single(polynomial.bias[k]),
+        "step": _single(polynomial.step_g[k]),
+        "bias": _single(polynomial.bias[k]),
         "steady": _float_sum([one for one in own if not one.of_reading]),
         "moving": _float_sum([one for one in own if one.of_reading]),
-        "row": " + ".join(f"{single(entry)} * {letter}" for letter, entry in entries if entry != 0.0),
+        "row": _float_row(polynomial.matrix[k, : k + 1], AXES),
     }
 
 
 def _float_sum(monomials: Sequence[Monomial]) -> str:
     return " + ".join(
-        " * ".join([single(one.coefficient), *(factor_text(factor) for factor in one.factors)])
-        for one in monomials
+        " * ".join([_single(one.coefficient), *map(_factor, one.factors)]) for one in monomials
+    )
+
+
+def _float_row(entries: Floats, variables: Sequence[str]) -> str:
+    return " + ".join(
+        f"{_single(float(entry))} * {variable}"
+        for variable, entry in zip(variables, entries, strict=False)
+        if entry != 0.0
     )
 
 
@@ -197,7 +325,6 @@ def _float_sum(monomials: Sequence[Monomial]) -> str:
 def _planes(calibration: Calibration) -> list[dict[str, Any]]:
     if calibration.planar:
         return [{"suffix": "", "said": "", "first": 0, "second": 1}]
-    pairs = ((0, 1), (0, 2), (1, 2))
     return [
         {
             "suffix": f"_{AXES[i]}{AXES[j]}",
@@ -205,13 +332,13 @@ def _planes(calibration: Calibration) -> list[dict[str, Any]]:
             "first": i,
             "second": j,
         }
-        for i, j in pairs
+        for i, j in ((0, 1), (0, 2), (1, 2))
     ]
 
 
 def _origin(calibration: Calibration) -> list[str]:
-    where = calibration.provenance
-    told = [
+    where, gyro = calibration.provenance, calibration.gyro
+    rows = [
         ("part", where.serial),
         ("title", where.title),
         ("operator", where.operator),
@@ -220,44 +347,55 @@ def _origin(calibration: Calibration) -> list[str]:
         ("file", where.source),
         ("data sha256", where.sha256),
         ("method", " + ".join([calibration.method, *(term.effect.name for term in calibration.effects)])),
-        ("gyros", "" if calibration.gyro is None else of_gyros(calibration.gyro)),
+        ("gyros", "" if gyro is None else f"method {gyro.method}, file {gyro.source or 'not stated'}"),
         ("made by", where.software),
     ]
-    return [f"{label}: {comment(text)}" for label, text in told if text]
+    return [f"{label}: {_comment(text)}" for label, text in rows if text]
 
 
-def _table(calibration: Calibration) -> list[str]:
-    ratio = derived_delta_k(calibration)
+def _coefficient_lines(calibration: Calibration) -> list[str]:
+    ratio, gyro = calibration.delta_k, calibration.gyro
+    every: list[Coefficient] = [*([ratio] if ratio else []), *calibration.parameters]
+    every += [] if gyro is None else gyro.parameters
     rows = []
-    for one in (*([ratio] if ratio else []), *calibration.parameters):
+    for one in every:
         u = "not known" if one.u is None else f"{one.u:.2g}"
-        rows.append(comment(f"{one.name:20} {one.value:<18.9g} {one.unit:13} {u}"))
+        unit = one.unit.replace("dps", "deg/s")
+        rows.append(_comment(f"{one.name:20} {one.value:<18.9g} {unit:13} {u}"))
     return rows
 
 
 def _remarks(calibration: Calibration) -> list[str]:
-    rows = [f"{name}: not determined, taken as nominal" for name in calibration.assumed]
-    rows += [f"not corrected: {one.effect}: {one.reason}" for one in calibration.not_corrected]
+    """Lines on missing parameters, effects without correction, and the offsets that the header needs."""
+    gyro = calibration.gyro
+    rows = _missing(calibration.assumed, calibration.not_corrected)
     offsets = calibration.provenance.offsets_lsb
     if offsets is not None:
-        held = ", ".join(map(str, offsets))
-        rows.append(
-            f"holds with {held} in XACCL_OFF, YACCL_OFF, ZACCL_OFF: a part with others needs a new header"
-        )
-    return [comment(row) for row in rows]
+        numbers = ", ".join(map(str, offsets))
+        rows.append(f"holds with {numbers} in XACCL_OFF, YACCL_OFF, ZACCL_OFF: others need a new header")
+    if gyro is not None:
+        rows += _missing(gyro.assumed, gyro.not_corrected)
+        if gyro.offsets_lsb is not None:
+            numbers = ", ".join(map(str, gyro.offsets_lsb))
+            rows.append(
+                f"rates hold with {numbers} in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF: others need a new header"
+            )
+    return [_comment(row) for row in rows]
 
 
-def _sweep(polynomial: Polynomial, n: int) -> Whole:
-    """Scans (n, axes) round a turn at 1 g, beside the multiples of 45°."""
-    psi = (np.arange(n) + 0.37) * 2 * np.pi / n
-    g = np.zeros((n, polynomial.axes))
-    g[:, 0], g[:, 1] = np.cos(psi), np.sin(psi)
-    scans: Whole = np.rint(g / np.array(polynomial.step_g) + np.array(polynomial.bias)).astype(np.int64)
-    return scans
+def _missing(assumed: Iterable[str], not_corrected: Iterable[NotCorrected]) -> list[str]:
+    return [
+        *(f"{name}: not determined, taken as nominal" for name in assumed),
+        *(f"not corrected: {one.effect}: {one.reason}" for one in not_corrected),
+    ]
 
 
 def _checks(polynomial: Polynomial, fixed: FixedPoint, plane: dict[str, Any]) -> list[dict[str, Any]]:
-    scans = _sweep(polynomial, CHECKS)
+    """Scans round a turn at 1 g, between the multiples of 45°, with their angles."""
+    psi = (np.arange(CHECKS) + 0.37) * 2 * np.pi / CHECKS
+    g = np.zeros((CHECKS, polynomial.axes))
+    g[:, 0], g[:, 1] = np.cos(psi), np.sin(psi)
+    scans: Whole = np.rint(g / np.array(polynomial.step_g) + np.array(polynomial.bias)).astype(np.int64)
     rise = np.arange(CHECKS) - CHECKS // 2
     warm = polynomial.temperature.zero + 11 * PARTS * rise
     volts = polynomial.supply.zero + 9 * PARTS * rise
@@ -265,14 +403,24 @@ def _checks(polynomial: Polynomial, fixed: FixedPoint, plane: dict[str, Any]) ->
     rows = []
     for k in range(CHECKS):
         numbers = [*scans[k].tolist(), *[0] * (3 - polynomial.axes), int(warm[k]), int(volts[k])]
-        rows.append({"scan": ", ".join(map(whole, numbers)), "udeg": whole(int(angles[k]))})
+        rows.append({"scan": _listed(numbers), "udeg": _whole(int(angles[k]))})
     return rows
 
 
-def _largest_u(calibration: Calibration) -> int | None:
-    """Largest u of an angle round the turn, in µ°; None where it is not known."""
-    psi = np.radians(np.arange(0.0, 360.0, 5.0))
-    gravity = np.zeros((len(psi), calibration.axes))
-    gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
-    u = calibration.angle(calibration.readings_of(gravity), plane="xy").u_deg
-    return None if not np.isfinite(u).all() else int(np.ceil(u.max() * 1e6))
+def _rate_checks(fixed: FixedRates, of: Polynomial) -> list[dict[str, str]]:
+    """Turns about every axis, both ways, at forces of 1 g and conditions off their zeros."""
+    dps = np.array([[250.0, -31.0, 7.0], [-250.0, 90.0, -60.0], [3.0, -4.0, 270.0], [0.0, 0.0, 0.0]])
+    g = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.6, -0.8], [0.5, 0.5, 0.7]])
+    turns: Whole = np.rint(dps / STEP_DPS).astype(np.int64)
+    scans: Whole = np.rint(g / of.step_g[0]).astype(np.int64)
+    rise = np.arange(RATE_CHECKS) - RATE_CHECKS // 2
+    warm, volts = of.temperature.zero + 23 * PARTS * rise, of.supply.zero + 17 * PARTS * rise
+    udps = fixed.rates_udps(turns, scans, warm, volts)
+    return [
+        {
+            "turn": _listed(turns[k].tolist()),
+            "scan": _listed([*scans[k].tolist(), int(warm[k]), int(volts[k])]),
+            "udps": _listed(udps[k].tolist()),
+        }
+        for k in range(RATE_CHECKS)
+    ]

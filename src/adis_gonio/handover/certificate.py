@@ -1,7 +1,8 @@
 """Digital calibration certificate: the schema of PTB (https://ptb.de/dcc, version 3.2.1) with D-SI 2.1.0.
 
-Values are in SI units (D-SI's notation), with expanded uncertainties at 95 %. What nobody stated says so:
-the schema wants a laboratory, a customer and a country, and no program may invent them. It is not signed.
+Values are in SI units (D-SI's notation), with expanded uncertainties at 95 %. The schema requires a
+laboratory, a customer and a country; if they are not stated, the certificate says `not stated`. It is not
+signed.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ from datetime import date
 import numpy as np
 
 from adis_gonio.base.errors import FitError, one_line
+from adis_gonio.base.uncertainty import coverage_factor
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.coefficients import Coefficient
-from adis_gonio.calibrate.document import derived_delta_k
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.handover.polynomial import angle_u_deg
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 VERSION = "3.2.1"
@@ -26,15 +28,13 @@ DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
 NOT_STATED = "not stated"
 NO_COUNTRY = "ZZ"
-"""ISO 3166-1 leaves it to users; here: nobody stated a country."""
+"""Country code for users in ISO 3166-1; here it means that no country is stated."""
 PROBABILITY = 0.95
-NORMAL = 1.959963984540054
-"""Quantile of the normal distribution at 97.5 %: the coverage factor where degrees of freedom are many."""
 
 _G = STANDARD_GRAVITY_MPS2
 _PER_S2 = r"\metre\second\tothe{-2}"
 _DPS = r"\degree\second\tothe{-1}"
-# Unit of a result → unit of D-SI, and the factor.
+# Unit of a result → unit of D-SI, and the conversion factor.
 _UNITS: dict[str, tuple[str, float]] = {
     "1": (r"\one", 1.0),
     "deg": (r"\degree", 1.0),
@@ -75,17 +75,17 @@ _TURN_DEG = tuple(range(0, 360, 30))
 
 
 def certificate_text(calibration: Calibration, issued: date | None = None) -> str:
-    """Certificate as XML.
+    """Render a calibration as a certificate in XML.
 
     Parameters
     ----------
     issued : date, optional
-        Stands for the date of the calibration where the session does not say it; by default today.
+        Date of the calibration if the session does not state it; by default today.
 
     Raises
     ------
     FitError
-        A parameter has a unit that D-SI's notation has no word for here.
+        A parameter has a unit without a known D-SI notation.
     """
     for prefix, space in (("dcc", DCC), ("si", SI), ("xsi", XSI)):
         ET.register_namespace(prefix, space)
@@ -104,12 +104,12 @@ def _add(parent: ET.Element, name: str, text: str | None = None, space: str = DC
 
 
 def _clean(text: str) -> str:
-    """Words with one space between them, without the control characters that XML cannot hold."""
+    """Text in one line, without control characters, which XML forbids."""
     return one_line(text.encode("utf-8", "replace").decode("utf-8")) or NOT_STATED
 
 
 def _named(parent: ET.Element, name: str, text: str, element: str = "name") -> ET.Element:
-    """A child that begins with a name (or another text) in one language."""
+    """Add a child that begins with a name or another text in one language."""
     child = _add(parent, name)
     _add(_add(child, element), "content", text)
     return child
@@ -137,8 +137,8 @@ def _administrative(parent: ET.Element, calibration: Calibration, issued: date |
         ("performanceLocation", "other"),
     ):
         _add(core, name, text)
-    what = "Accelerometers" if calibration.gyro is None else "Accelerometers and gyros"
-    item = _named(_add(parent, "items"), "item", f"{what} of an {where.sensor} in a goniometer")
+    sensors = "Accelerometers" if calibration.gyro is None else "Accelerometers and gyros"
+    item = _named(_add(parent, "items"), "item", f"{sensors} of an {where.sensor} in a goniometer")
     if where.sensor in VARIANTS:
         _named(item, "manufacturer", "Analog Devices")
     _add(item, "model", where.sensor)
@@ -164,12 +164,12 @@ def _contact(parent: ET.Element) -> None:
 def _statements(calibration: Calibration) -> list[str]:
     texts = [
         "Made by a program and not signed; laboratory, customer and country are not stated (code ZZ), "
-        "and no traceability is claimed beyond that of the stage's declared angles.",
+        "and no traceability is claimed beyond the declared angles of the stage.",
         "Readings are U = diag(K) D g + b: sensitivities relative to the nominal one, skews as 90° less "
-        "the angle between two axes, biases as readings where no acceleration acts.",
+        "the angle between two axes, biases as readings without acceleration.",
     ]
     if not calibration.provenance.recorded_utc:
-        texts.append("The date of recording is not stated; the dates are that of issue.")
+        texts.append("The date of recording is not stated; the dates are the date of issue.")
     texts += [f"{name} was not determined and is taken as nominal." for name in calibration.assumed]
     texts += [f"Not corrected: {one.effect}: {one.reason}." for one in calibration.not_corrected]
     if calibration.gyro is not None:
@@ -186,7 +186,7 @@ def _statements(calibration: Calibration) -> list[str]:
 def _gyro_statements(gyro: GyroCalibration) -> list[str]:
     texts = [
         "Gyros read K D ω + b + G f: zero rates b without acceleration, sensitivities relative to the "
-        "nominal one, f what the accelerometers read.",
+        "nominal one, f the readings of the accelerometers.",
     ]
     if gyro.assumed:
         texts.append(f"Not determined and taken as nominal: {', '.join(gyro.assumed)}.")
@@ -209,7 +209,7 @@ def _results(parent: ET.Element, calibration: Calibration) -> None:
         _condition(conditions, "Supply voltage, mean", where.supply_v.mean, r"\volt")
     results = _add(parent, "results")
     data = _add(_named(results, "result", "Parameters"), "data")
-    ratio = derived_delta_k(calibration)
+    ratio = calibration.delta_k
     for one in (*([ratio] if ratio else []), *calibration.parameters):
         quantity = _named(data, "quantity", _label(one.name))
         _real(quantity, one)
@@ -236,43 +236,33 @@ def _condition(parent: ET.Element, name: str, value: float, unit: str) -> None:
 
 
 def _label(name: str) -> str:
-    """Words for a parameter, its name in brackets."""
+    """Description of a parameter, with its name in brackets."""
     stem, _, axes = name.rpartition("_") if kind_of(name) else name.partition("_")
     words = _NAMES.get(name) or (f"{_NAMES[stem]} {axes.upper()}" if stem in _NAMES else "Coefficient")
     return f"{words} ({name})"
 
 
-def _coverage(one: Coefficient) -> float:
-    if one.dof is None or math.isinf(one.dof):
-        return NORMAL
-    from scipy import stats
-
-    return float(stats.t.ppf(0.5 + PROBABILITY / 2, one.dof))
-
-
 def _real(parent: ET.Element, one: Coefficient) -> None:
     if one.unit not in _UNITS:
-        raise FitError(f"{one.name} is in {one.unit}, which a certificate has no SI unit for")
+        raise FitError(f"{one.name} is in {one.unit}: no SI unit for the certificate is known")
     unit, factor = _UNITS[one.unit]
     real = _add(parent, "real", space=SI)
     _add(real, "value", repr(one.value * factor), SI)
     _add(real, "unit", unit, SI)
     if one.u is None:
         return
-    k = _coverage(one)
+    dof = math.inf if one.dof is None else one.dof
+    k = coverage_factor(dof)
     expanded = _add(real, "expandedUnc", space=SI)
     _add(expanded, "uncertainty", repr(k * one.u * abs(factor)), SI)
     _add(expanded, "coverageFactor", f"{k:.4f}", SI)
     _add(expanded, "coverageProbability", f"{PROBABILITY}", SI)
-    _add(expanded, "distribution", "normal" if k == NORMAL else "t", SI)
+    _add(expanded, "distribution", "normal" if math.isinf(dof) else "t", SI)
 
 
 def _turn(parent: ET.Element, calibration: Calibration) -> None:
-    """What the calibration lends to angles of gravity in the plane of x and y."""
-    psi = np.radians(_TURN_DEG)
-    gravity = np.zeros((len(psi), calibration.axes))
-    gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
-    u_deg = calibration.angle(calibration.readings_of(gravity), plane="xy").u_deg
+    """Add the uncertainty of angles in the plane of x and y that comes from the calibration."""
+    u_deg = angle_u_deg(calibration, _TURN_DEG)
     if not np.isfinite(u_deg).all():
         return
     data = _add(
@@ -282,9 +272,10 @@ def _turn(parent: ET.Element, calibration: Calibration) -> None:
     listed = _add(_named(data, "quantity", "Angle"), "realListXMLList", space=SI)
     _add(listed, "valueXMLList", _spaced(_TURN_DEG), SI)
     _add(listed, "unitXMLList", r"\degree", SI)
+    k = coverage_factor(math.inf)
     expanded = _add(listed, "expandedUncXMLList", space=SI)
-    _add(expanded, "uncertaintyXMLList", _spaced([NORMAL * float(u) for u in u_deg]), SI)
-    _add(expanded, "coverageFactorXMLList", f"{NORMAL:.4f}", SI)
+    _add(expanded, "uncertaintyXMLList", _spaced([k * float(u) for u in u_deg]), SI)
+    _add(expanded, "coverageFactorXMLList", f"{k:.4f}", SI)
     _add(expanded, "coverageProbabilityXMLList", f"{PROBABILITY}", SI)
     _add(expanded, "distributionXMLList", "normal", SI)
 

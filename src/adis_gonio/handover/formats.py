@@ -1,6 +1,6 @@
-"""The formats of `adis-gonio export`: one row each.
+"""The formats of `adis-gonio export`, one row each.
 
-A new format is a function in this package and a row in `FORMATS`.
+A new format is a function in this package and a row of `FORMATS`.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ class Format:
     holds : {"coefficients", "samples", "document"}
         Content: a calibration, the samples of a session, or the JSON document with both.
     writer : str
-        `module:function`. Of coefficients: takes a `Calibration`, and returns a text. Of samples: takes a
-        `Session` and a path, and writes the file.
+        `module:function`. For coefficients it takes a `Calibration` and returns a text; for samples it
+        takes a `Session` and a path and writes the file.
     named : bool
-        True if the function also takes the name with which all names in the file begin.
+        True if the function also takes a prefix of all names in the file.
     """
 
     name: str
@@ -48,16 +48,16 @@ FORMATS = (
     Format("c-header", (".h", ".hpp"), "coefficients", "handover.c_header:c_header", named=True),
     Format("json", (".json",), "document"),
     Format("csv", (".csv", ".csv.gz"), "samples", "record.samples_writer:write_csv"),
-    Format("parquet", (".parquet",), "samples", "handover.parquet:write_parquet"),
+    Format("parquet", (".parquet",), "samples", "handover.session_export:write_parquet"),
     Format("dcc", (".xml",), "coefficients", "handover.certificate:certificate_text"),
-    Format("registers", (".txt",), "coefficients", "handover.offsets:registers_text"),
+    Format("registers", (".txt",), "coefficients", "handover.register_offsets:registers_text"),
 )
 BY_NAME = {one.name: one for one in FORMATS}
 ENDINGS = {ending: one.name for one in FORMATS for ending in one.endings}
 
 
 def format_of(name: str) -> str:
-    """Name of the format by a file's ending; `UsageError` names the endings that are known."""
+    """Name of the format by a file's ending; `UsageError` lists the known endings."""
     lower = name.lower()
     for ending in sorted(ENDINGS, key=len, reverse=True):
         if lower.endswith(ending):

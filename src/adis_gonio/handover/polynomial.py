@@ -1,7 +1,7 @@
-"""A calibration as a polynomial: what a firmware computes, with numbers ready for it.
+"""A calibration as the polynomial that a firmware computes.
 
-A scan is whole numbers, 1/256 of a step each (an LSB of the part), so that a mean of many scans keeps its
-digits. With everything in units of the standard g::
+A scan consists of integers in 1/256 of a step (an LSB of the part), so that a mean of many scans keeps
+its digits. In units of the standard g::
 
     free_i  = (scan_i − bias_i) · step_i                     bias in steps
     a_i     = free_i − Σ coefficient · product of factors     solved in a fixed number of passes
@@ -13,7 +13,7 @@ Factors are readings a (|a| ≤ 2), their moduli, t = (T − 25 °C)/128 and v =
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,14 +24,14 @@ from adis_gonio.calibrate.calibration import Calibration, EffectTerm
 from adis_gonio.device.sensor.registers import Kind
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
-from adis_gonio.model.effects.families import CrossEffect
+from adis_gonio.model.effects.base import CrossEffect
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import MG_PER_G
 
 PARTS = 256
-"""Whole numbers to a step."""
+"""Integers per step."""
 RANGE_G = 2.0
-"""Readings beyond are taken as this: no goniometer feels more, and all arithmetic is laid out for it."""
+"""Limit of readings: no goniometer exceeds it, and the arithmetic is designed for it."""
 SPAN_C = 128.0
 SPAN_V = 8.0
 GENERIC_MG = 1.0
@@ -40,12 +40,20 @@ GENERIC_C = 1.0
 GENERIC_V = 1e-3
 MOST_PASSES = 16
 SETTLED_G = 2.0**-30
-"""What the solution may lack of settling: half of the fixed point's last place."""
+"""Tolerance of the solution: half of the last place of the fixed point."""
+
+
+def angle_u_deg(calibration: Calibration, angles_deg: Sequence[float]) -> Floats:
+    """Standard uncertainty (n,) of angles in the plane of x and y by the calibration; NaN if not known."""
+    psi = np.radians(angles_deg)
+    gravity = np.zeros((len(psi), calibration.axes))
+    gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
+    return calibration.angle(calibration.readings_of(gravity), plane="xy").u_deg
 
 
 @dataclass(frozen=True)
 class Monomial:
-    """Part of what an axis reads: coefficient in g, and the factors it is multiplied by.
+    """Contribution to the reading of an axis: a coefficient in g times factors.
 
     Attributes
     ----------
@@ -53,25 +61,21 @@ class Monomial:
     coefficient : float
     factors : tuple of str
         `x`, `y`, `z`; `|x|`, `|y|`, `|z|`; `t`, `v`.
-    name, unit : str
-        Parameter that it comes from, and its unit.
     """
 
     axis: int
     coefficient: float
     factors: tuple[str, ...]
-    name: str
-    unit: str
 
     @property
     def of_reading(self) -> bool:
-        """False where it is the same for all readings of one temperature and supply."""
+        """False if it depends on temperature and supply alone."""
         return any(factor not in ("t", "v") for factor in self.factors)
 
 
 @dataclass(frozen=True)
 class Input:
-    """A condition as the scan holds it: value = (number − zero) · step, step in 1/128 °C·128 or 1/8 V·8."""
+    """A condition in the scan: t or v = (number − zero) · step."""
 
     zero: int
     step: float
@@ -79,19 +83,20 @@ class Input:
 
 @dataclass(frozen=True)
 class Polynomial:
-    """What is computed.
+    """The polynomial of a calibration.
 
     Attributes
     ----------
     words : bool
-        True where steps are LSB of words of the part.
+        True if steps are LSB of the part.
     step_g, bias : tuple of float
         g per 1/256 step, and bias in 1/256 steps, of each axis.
     monomials : tuple of Monomial
     matrix : (axes, axes) float
-        From g to units of local gravity, lower triangular.
+        Conversion from g to units of local gravity, lower triangular.
     passes : int
-        By which the solution settles for all readings within range; 0 without monomials of readings.
+        Number of passes after which the solution has settled for all readings within range; 0 if no
+        monomial depends on a reading.
     temperature, supply : Input
     """
 
@@ -106,7 +111,7 @@ class Polynomial:
 
     @property
     def axes(self) -> int:
-        """Axes of a reading."""
+        """Number of axes of a reading."""
         return len(self.step_g)
 
     @property
@@ -116,15 +121,16 @@ class Polynomial:
 
 
 def polynomial_of(calibration: Calibration) -> Polynomial:
-    """The polynomial of a calibration.
+    """Polynomial of a calibration.
 
     Raises
     ------
     FitError
-        An effect that has no such form, effects too large to be solved for, or gains far from 1.
+        An effect has no such form, effects are too large to be solved for, or gains are far from 1.
     """
     base, bias_mg = calibration.natural(calibration.values)
     axes = calibration.axes
+    # Columns of the conversion: calibrated readings of one g along each axis.
     unit = np.eye(axes) * MG_PER_G
     matrix = calibration.measurement.calibrated(base, unit).T
     part = None if calibration.provenance.counts else VARIANTS.get(calibration.provenance.sensor)
@@ -160,7 +166,7 @@ _Form = Callable[[str, str], tuple[float, tuple[str, ...]]]
 _MG = 1 / MG_PER_G
 _RAD = math.pi / 180
 
-# Factor on the parameter (i own axis, p the one across) that makes its coefficient, and the factors.
+# Factors of each effect (i: own axis, p: the axis across), and the conversion of its parameter to g.
 _FORMS: dict[str, tuple[_Form, ...]] = {
     "scale": (lambda i, p: (1.0, (i,)),),
     "misalignment": (lambda i, p: (_RAD, (p,)),),
@@ -184,22 +190,22 @@ _FORMS: dict[str, tuple[_Form, ...]] = {
 def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
     kind = term.effect
     if kind.name not in _FORMS:
-        raise FitError(f"effect {kind.name} has no form that a firmware computes")
+        raise FitError(f"effect {kind.name} has no form for a firmware")
     pairs = kind.pairs() if isinstance(kind, CrossEffect) else [(axis, "") for axis in kind.axes]
     each = len(term.parameters) // len(pairs)
     made = []
     for k, name in enumerate(term.parameters):
         own, across = pairs[k // each]
         factor, factors = _FORMS[kind.name][k % each](own, across)
-        value = calibration[name].value
-        made.append(Monomial(AXES.index(own), factor * value, factors, name, kind.parameters[k].unit))
+        made.append(Monomial(AXES.index(own), factor * calibration[name].value, factors))
     return made
 
 
 def _passes(monomials: tuple[Monomial, ...]) -> int:
-    """Passes after which a ← free − Σ(a) has settled, by the contraction of Σ over the range."""
+    """Number of passes after which a ← free − Σ(a) has settled, by the contraction of Σ over the range."""
     largest, slope = np.zeros(3), np.zeros(3)
     for one in monomials:
+        # Largest value and slope of this monomial for |a| up to `RANGE_G` and |t|, |v| up to 1.
         powers = [factor for factor in one.factors if factor not in ("t", "v")]
         largest[one.axis] += abs(one.coefficient) * RANGE_G ** len(powers)
         if powers:
@@ -208,6 +214,7 @@ def _passes(monomials: tuple[Monomial, ...]) -> int:
         return 0
     contraction = float(slope.max())
     if contraction >= 0.5 or largest.max() >= 1.0:
-        raise FitError("the effects are too large to be corrected in a firmware: look for what is wrong")
+        raise FitError("the effects are too large to be corrected in a firmware: check the session")
+    # Each pass reduces the error by the contraction.
     passes = math.ceil(math.log(SETTLED_G / float(largest.max())) / math.log(contraction))
     return min(max(passes, 1), MOST_PASSES)

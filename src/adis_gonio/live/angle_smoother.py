@@ -1,11 +1,9 @@
-"""Whether the part turns in the plane of X and Y, as the model of the angle supposes.
+"""The angle of the part as samples arrive: gyros and gravity together, by a smoother with a fixed lag.
 
-The angle of the part as samples come in: gyros and gravity together, a fixed lag behind.
-
-A filter runs over steps of about 20 ms. What is told is the angle a lag ago, with all that has come since:
-the model of every step within the lag is made anew with what is now known of the disturbance around it.
-
-The angle of a whole recording: the same model, with all samples on both sides of every time.
+A filter runs over steps of about 20 ms. The reported angle is that a lag ago, with all later samples:
+every step within the lag gets a new model with the present knowledge of the disturbance around it.
+`smooth` computes the angle of a whole recording with the same model. docs/smoothing.md explains the
+model.
 """
 
 from __future__ import annotations
@@ -43,25 +41,27 @@ from adis_gonio.live.motion_model import (
     backward,
     coloured,
     disturbance_of,
-    looked_back,
     slow_drift_mg,
+    smooth_lagged,
 )
+
+__all__ = ["LAG_S", "AngleSmoother", "GyroKnowledge", "Sensing", "SmoothedAngle", "SmoothedTurn", "smooth"]
 
 SPAN_S = 1.0
 REST_DPS = 1.0
-"""A gyro that varies by less within the span, in steps, is at rest as far as its zero goes."""
+"""Largest variation of a gyro over the span, in steps, at which its zero is learnt."""
 REST_MG = 10.0
 ACROSS_DPS = 4.0
 """A turn about X and Y above this, on the average of a second, is out of the plane if it is also more than
 `TILT` of the turn about Z: a bearing's wobble, axes that are not square."""
 TILT = 0.1
-"""Gravity that goes out of the plane by this part of itself within the span."""
+"""Largest change of gravity out of the plane within the span, as a share of itself."""
 
 
 class PlaneWatch:
-    """Follows the two gyros across the axis, and gravity along it.
+    """Detect turns out of the plane of X and Y, which the model of the angle assumes.
 
-    Their zeros are learnt at rest; before the first rest nothing is said of them.
+    The zeros of the two gyros across the axis are learnt at rest; before the first rest they are unknown.
     """
 
     def __init__(self, length_s: float) -> None:
@@ -69,10 +69,14 @@ class PlaneWatch:
         self._zero: Floats | None = None
 
     def see(self, rate_dps: Floats, accel_mg: Floats) -> float:
-        """Take a step; return how much of the angle's rate (°/s) the planar model neglects in it."""
+        """Take a step; return the part of the angle's rate (°/s) that the planar model neglects in it."""
         self._rows.append(np.concatenate([rate_dps, accel_mg]))
         if len(self._rows) == self._rows.maxlen:
-            self._learn(np.array(self._rows))
+            rows = np.array(self._rows)
+            spread, mean = rows.std(axis=0), rows[:, :3].mean(axis=0)
+            if spread[:3].max() <= REST_DPS and spread[3:].max() <= REST_MG:
+                zero = mean if self._zero is None else self._zero
+                self._zero = zero + (mean - zero) / len(rows)
         if self._zero is None:
             return 0.0
         x, y, z = accel_mg
@@ -81,15 +85,16 @@ class PlaneWatch:
         return float(abs(z * (x * about[0] + y * about[1])) / square) if square > 1.0 else 0.0
 
     def forget(self) -> None:
-        """A gap lies between the last step and the next."""
+        """Forget the steps before a gap."""
         self._rows.clear()
 
     @property
-    def left(self) -> bool:
-        """True where the part was turned out of the plane within the span."""
+    def out_of_plane(self) -> bool:
+        """True if the part was turned out of the plane within the span."""
         if len(self._rows) < 4:
             return False
         rows = np.array(self._rows)
+        # Share of gravity along Z: its change at the two ends of the span is a tilt.
         lengths = np.linalg.norm(rows[:, 3:], axis=1)
         out = rows[:, 5] / np.maximum(lengths, 1.0)
         if abs(float(out[-4:].mean() - out[:4].mean())) > TILT:
@@ -99,27 +104,19 @@ class PlaneWatch:
         about = np.abs(rows[:, :3].mean(axis=0) - self._zero)
         return math.hypot(about[0], about[1]) > ACROSS_DPS + TILT * float(about[2])
 
-    def _learn(self, rows: Floats) -> None:
-        spread = rows.std(axis=0)
-        if spread[:3].max() > REST_DPS or spread[3:].max() > REST_MG:
-            return
-        mean = rows[:, :3].mean(axis=0)
-        if self._zero is None:
-            self._zero = mean
-        self._zero = self._zero + (mean - self._zero) / len(rows)
-
 
 LAG_S = 0.5
-"""Default: what a lag more than this adds is small (docs/results/smoother.md)."""
+"""Default: a longer lag adds little (docs/results/index.md)."""
 LONGEST_LAG_S = 10.0
 DOUBT = 4.0
-"""A calibration of the gyros is given up where the zero rate is off by so many of its uncertainties."""
+"""Distance of the zero rate, in uncertainties of a calibration of the gyros, that refutes the
+calibration."""
 SATURATED_MG = 100.0
-"""Disturbance of gravity where the part turns faster than its gyro can tell (D): a radius of 40 mm."""
+"""Disturbance of gravity while the gyro is saturated (D): a radius of 40 mm."""
 _NOTES = ("gap", "saturated", "out_of_plane")
 
 Corrected = Callable[[Floats, "float | None"], Floats]
-"""Makes gravity (3,) in mg, in the part's orthogonal frame, of a reading (3,) in mg at a temperature."""
+"""Turns a reading (3,) in mg at a temperature into gravity (3,) in mg, in the part's orthogonal frame."""
 
 
 @dataclass(frozen=True)
@@ -129,18 +126,18 @@ class SmoothedAngle:
     Attributes
     ----------
     time_s : float
-        When it was so, as the samples' times count: the chip's filter delay is taken off.
+        Time of the angle by the samples' times, with the chip's filter delay subtracted.
     angle_deg, u_deg : float
-        Within ±180°, 0 where gravity stands on X; standard uncertainty by noise, motion and drift.
+        Within ±180°, 0 if gravity is along X; standard uncertainty by noise, motion and drift.
     rate_dps : float
-        Rate of turn then, without the gyro's errors as far as they are known.
+        Rate of turn at that time, without the known errors of the gyro.
     zero_dps, zero_u_dps : float
-        Zero rate of the gyro beside its calibration, and its standard uncertainty.
+        Zero rate of the gyro after its calibration, and its standard uncertainty.
     accel_mg : (3,) float
-        What the accelerometers showed in the step of that time.
+        Reading of the accelerometers in the step of that time.
     notes : tuple of str
-        What happened within a second before, or since: `gap`, `saturated`, `out_of_plane`; and
-        `gyro_calibration` where the gyros' calibration cannot be this part's.
+        Events within a second before, or since: `gap`, `saturated`, `out_of_plane`; and
+        `gyro_calibration` if the gyros' calibration cannot belong to this part.
     """
 
     time_s: float
@@ -155,7 +152,7 @@ class SmoothedAngle:
 
 @dataclass(frozen=True)
 class Kept:
-    """A step that is behind the lag: for `offline`."""
+    """A step older than the lag, for `smooth`."""
 
     time_s: float
     drift_deg: float
@@ -164,7 +161,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A step with what the accelerometers show, turned back by the gyros since the segment began."""
+    """A step with gravity's reading, turned back by the gyros to the beginning of the segment."""
 
     turned: Turned
     level: complex
@@ -173,19 +170,19 @@ class _Seen:
 
 
 class AngleSmoother:
-    """Takes samples and tells the angle a lag behind them.
+    """Takes samples and reports the angle a lag behind them.
 
     Parameters
     ----------
     sensing : Sensing
     gyros : GyroKnowledge, optional
-        By default those of a part that nobody has calibrated.
+        By default of an uncalibrated part.
     lag_s : float
         0 for the filter alone.
     corrected : callable, optional
-        Corrects accelerometers; without it the angle is that of the readings as they come.
+        Corrects accelerometers; without it the readings count as they are.
     bend : float
-        How much the slope of gravity's angle may be off: `motion.BEND` without a calibration.
+        Standard deviation of the slope of gravity's angle: `motion_model.BEND` without a calibration.
     keeps : bool
         Keep every step, for `finish`.
 
@@ -221,7 +218,7 @@ class AngleSmoother:
         self._plane = PlaneWatch(step_s)
         self._state: StateEstimate | None = None
         self._done = 0
-        """How many of the steps kept are behind the lag."""
+        """Number of steps in `_seen` that are older than the lag."""
         self._phase_rad, self._segment = 0.0, 0
         self._restarted = self._doubted = False
         self._kept: list[Kept] | None = [] if keeps else None
@@ -236,34 +233,34 @@ class AngleSmoother:
             self._arrive(increment)
 
     def restart(self) -> None:
-        """The link broke: the part may have been turned, or switched off, and the clock set back.
+        """Restart after a break of the link: the part may have been turned or off, and the clock reset.
 
-        What was learnt of its faults is kept; its angle is that of gravity again.
+        The learnt errors are kept; the angle starts from gravity again.
         """
         self._stepper = Stepper(self._sensing)
         self._waiting = None
         self._restarted = True
 
     def _arrive(self, increment: Increment) -> None:
+        """Take a step once its successor is known, because both neighbours give the change of its rate."""
         if self._waiting is None:
             self._waiting = (increment, None)
             return
         present, before = self._waiting
         self._waiting = (increment, present)
-        self._take(present, before, increment)
-
-    def _take(self, present: Increment, before: Increment | None, after: Increment) -> None:
-        """A step whose neighbours are known, so that the change of its rate is."""
-        turned = self._turned(present, before, after)
-        broken = turned.lost or present.gap_s > BEGIN_S or present.saturated
-        if broken:
+        turned = self._turned(present, before, increment)
+        if turned.lost or present.gap_s > BEGIN_S or present.saturated:
             self._segment += 1
             self._plane.forget()
         if self._state is None:
-            self._state = self._model.begin(
-                math.degrees(math.atan2(turned.gravity.imag, turned.gravity.real))
-            )
-        self._seen.append(_Seen(turned, self._level(turned), self._segment, self._notes(present, turned)))
+            self._state = self._model.begin(turned.gravity_deg)
+        events = {
+            "gap": turned.lost or present.gap_s > 0,
+            "saturated": present.saturated,
+            "out_of_plane": self._plane.out_of_plane,
+        }
+        notes = tuple(name for name, holds in events.items() if holds)
+        self._seen.append(_Seen(turned, self._level(turned), self._segment, notes))
         while len(self._seen) - self._done > self._lag:
             self._pass(self._state)
         while self._done > self._back + 1:
@@ -271,29 +268,30 @@ class AngleSmoother:
             self._done -= 1
 
     def _pass(self, state: StateEstimate) -> None:
-        """Let the filter go on by a step."""
+        """Advance the filter by a step."""
         passed = advance(state, self._step_of(self._done, state))
-        self._state = self._believed(passed.filtered)
+        self._state = self._doubt_calibration(passed.filtered)
         if self._kept is not None:
             at = self._seen[self._done].turned
             self._kept.append(Kept(self._time_s(at), self._drift_deg(at), passed))
         self._done += 1
 
-    def _believed(self, state: StateEstimate) -> StateEstimate:
-        """The state, without the gyros' calibration from where it excludes the zero rate that is seen."""
+    def _doubt_calibration(self, state: StateEstimate) -> StateEstimate:
+        """Widen the state, once, if the zero rate refutes the calibration of the gyros."""
         stated = self._gyros
         if self._doubted or stated.calibration is None or abs(state.mean[ZERO]) < DOUBT * stated.zero_dps:
             return state
         self._doubted = True
         open_ = GyroKnowledge()
-        wider = {ZERO: open_.zero_dps, SCALE: open_.scale, G_X: open_.g_dps_per_g, G_Y: open_.g_dps_per_g}
         covariance = state.covariance.copy()
-        for k, u in wider.items():
-            covariance[k, k] += u * u
+        places = [ZERO, SCALE, G_X, G_Y]
+        u = np.array([open_.zero_dps, open_.scale, open_.g_dps_per_g, open_.g_dps_per_g])
+        # Variances of an uncalibrated gyro in addition.
+        covariance[places, places] += u * u
         return StateEstimate(state.mean, covariance)
 
     def finish(self) -> list[Kept]:
-        """No sample comes any more: all steps, where they are kept."""
+        """Pass all remaining steps after the last sample; return the kept steps."""
         while self._state is not None and self._done < len(self._seen):
             self._pass(self._state)
         return self._kept or []
@@ -314,6 +312,7 @@ class AngleSmoother:
         earlier = present if before is None or present.gap_s > BEGIN_S else before
         later = present if after.gap_s > BEGIN_S else after
         span_s = later.time_s - earlier.time_s
+        # Change of the rate over the two neighbouring steps.
         spin = math.radians(float(later.rate_dps[2] - earlier.rate_dps[2])) / span_s if span_s > 0 else 0.0
         across = self._plane.see(present.rate_dps, accel)
         return Turned(
@@ -322,23 +321,16 @@ class AngleSmoother:
         )  # fmt: skip
 
     def _level(self, turned: Turned) -> complex:
-        """Gravity turned back by the gyros, without what is known of gyro and lever by now."""
+        """Gravity turned back by the gyros, without the known errors of gyro and lever."""
         assert self._state is not None
         known = self._state.mean
+        # Turn by the gyro without its known errors, and gravity without the lever arm.
         drift_dps = known[ZERO] + turned.force_g @ known[[G_X, G_Y]]
         turn = turned.turn_deg * (1 - known[SCALE]) - drift_dps * turned.increment.length_s
         self._phase_rad = wrap_radians(self._phase_rad + math.radians(float(turn)))
         by_x, by_y = turned.lever_mg
         felt = turned.gravity - by_x * float(known[LEVER_X]) - by_y * float(known[LEVER_Y])
         return felt * complex(math.cos(self._phase_rad), -math.sin(self._phase_rad))
-
-    def _notes(self, present: Increment, turned: Turned) -> tuple[str, ...]:
-        said = {
-            "gap": turned.lost or present.gap_s > 0,
-            "saturated": present.saturated,
-            "out_of_plane": self._plane.left,
-        }
-        return tuple(name for name, holds in said.items() if holds)
 
     # -- the model of a step -------------------------------------------------------------------------
 
@@ -347,9 +339,10 @@ class AngleSmoother:
         if seen.turned.increment.saturated:
             return coloured(self._sensing.step_noise_mg2, SATURATED_MG**2, 0.9, 0.8)
         first, last = max(0, place - self._back), min(len(self._seen), place + self._ahead + 1)
-        # A step is judged by as many after it as come within the lag, however samples come in blocks.
+        # Only steps within the lag count after it, so that the result does not depend on the blocks.
         last = min(last, place + self._lag + 1)
         span = [self._seen[k] for k in range(first, last)]
+        # Steps without a break between them and this one.
         alike = [k for k, one in enumerate(span) if one.segment == seen.segment]
         level = np.array([span[k].level for k in alike])
         return disturbance_of(level, alike.index(place - first), self._sensing.step_noise_mg2)
@@ -357,42 +350,38 @@ class AngleSmoother:
     def _step_of(self, place: int, before: StateEstimate) -> TimeStep:
         return self._model.step(self._seen[place].turned, self._disturbance(place), before)
 
-    # -- telling -------------------------------------------------------------------------------------
+    # -- the angle -----------------------------------------------------------------------------------
 
     def angle(self) -> SmoothedAngle | None:
-        """The angle a lag ago, with all that has come since; None before the first lag is over."""
+        """The angle a lag ago, with all later samples; None before the first lag is over."""
         if self._state is None or not self._done:
             return None
         state, passed = self._state, list[Passed]()
+        # Filter through the lag with the present models, then smooth back to its beginning.
         for place in range(self._done, len(self._seen)):
             passed.append(advance(state, self._step_of(place, state)))
             state = passed[-1].filtered
-        return self._told(looked_back(self._state, passed))
-
-    def _told(self, state: StateEstimate) -> SmoothedAngle:
+        state = smooth_lagged(self._state, passed)
         at = self._seen[self._done - 1].turned
-        mean, variance = state.mean, np.diag(state.covariance)
-        said = [one.notes for one in self._seen]
-        notes = tuple(name for name in _NOTES if any(name in one for one in said))
-        if self._doubted:
-            notes = (*notes, "gyro_calibration")
+        mean, u = state.mean, np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
+        notes = tuple(name for name in _NOTES if any(name in one.notes for one in self._seen))
         drift_dps = mean[ZERO] + at.force_g @ mean[[G_X, G_Y]]
         return SmoothedAngle(
             self._time_s(at),
             wrap_degrees(float(mean[ANGLE])),
-            math.hypot(math.sqrt(max(float(variance[ANGLE]), 0.0)), self._drift_deg(at)),
+            math.hypot(float(u[ANGLE]), self._drift_deg(at)),
             at.rate_dps * (1 - float(mean[SCALE])) - float(drift_dps),
             float(mean[ZERO]),
-            math.sqrt(max(float(variance[ZERO]), 0.0)),
+            float(u[ZERO]),
             at.increment.accel_mg,
-            notes,
+            (*notes, "gyro_calibration") if self._doubted else notes,
         )
 
     def _time_s(self, at: Turned) -> float:
         return at.increment.time_s - self._sensing.delay_s
 
     def _drift_deg(self, at: Turned) -> float:
-        """What the accelerometers' 1/f noise that no state has does to the angle."""
+        """Standard deviation of the angle by the accelerometers' 1/f noise without a state."""
         return math.degrees(slow_drift_mg(self._sensing.drift_mg) / max(abs(at.gravity), 1.0))
 
 
@@ -403,7 +392,7 @@ class SmoothedTurn:
     Attributes
     ----------
     time_s, angle_deg, u_deg : (m,) float
-        As `SmoothedAngle` has them, one a step; angles are unwrapped.
+        As in `SmoothedAngle`, one per step; angles are unwrapped.
     """
 
     time_s: Floats
@@ -421,9 +410,9 @@ def smooth(
     corrected: Corrected | None = None,
     bend: float = BEND,
 ) -> SmoothedTurn:
-    """Smooth samples (n,), (n, 3) in mg, (n, 3) in °/s.
+    """Smooth samples (n,), (n, 3) in mg, (n, 3) in °/s of a whole recording.
 
-    The disturbance of every step is that of the second before it and the half second after.
+    The disturbance of a step is estimated over the second before it and the half second after it.
     """
     smoother = AngleSmoother(sensing, gyros, lag_s=0.5, corrected=corrected, bend=bend, keeps=True)
     smoother.feed(time_s, accel_mg, gyro_dps)

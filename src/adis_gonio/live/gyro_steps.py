@@ -1,9 +1,7 @@
-"""What is known of the gyros' errors before the part is watched: as a calibration says, or as parts are.
+"""Samples to steps: means of a few samples, with the turn between the middles of two steps by the gyros.
 
-Samples to steps: means of a few samples, with the turn from one step's middle to the next by the gyros.
-
-Within a step the accelerometers are turned back by the gyros to the step's middle, so that motion does not
-smear them. The chip's filter delays gyros and accelerometers alike: the integral of filtered rates is the
+Within a step the gyros turn the accelerometers back to the step's middle, so that motion does not smear
+them. The chip's filter delays gyros and accelerometers equally: the integral of filtered rates is the
 filtered angle, and both belong to the same time, a delay before the sample.
 """
 
@@ -19,11 +17,11 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 
 ZERO_DPS = 3.0
-"""Zero rate of a gyro that nobody has calibrated (D)."""
+"""Zero rate of an uncalibrated gyro (D)."""
 TURN_ON_DPS = 0.2
-"""What a calibrated zero may have become since: another start, another temperature (D)."""
+"""Possible change of a calibrated zero: another start, another temperature (D)."""
 GAIN_U = 0.01
-"""Relative error of a gain that nobody has calibrated (D: the sheets at hand have none)."""
+"""Relative error of an uncalibrated gain (D: the sheets at hand state none)."""
 G_DPS_PER_G = 0.05
 """Sensitivity to acceleration (CHIP, B)."""
 WALK_DPS_PER_RT_S = 0.003
@@ -31,7 +29,7 @@ WALK_DPS_PER_RT_S = 0.003
 
 
 class GyroCorrection(Protocol):
-    """What a calibration of the gyros does: `calibration.GyroCalibration`, for one."""
+    """Correction of gyros, such as `calibrate.GyroCalibration`."""
 
     def correct(self, rate_dps: Floats, force_g: Floats, temperature_c: Floats | None) -> Floats:
         """Rates (n, 3) in °/s without the calibrated errors."""
@@ -39,7 +37,7 @@ class GyroCorrection(Protocol):
 
 @dataclass(frozen=True)
 class GyroKnowledge:
-    """Standard uncertainties of what is left of a gyro's errors about the axis that is watched.
+    """Standard uncertainties of the gyro about the rotation axis, after its calibration.
 
     Attributes
     ----------
@@ -59,24 +57,22 @@ class GyroKnowledge:
 
     @classmethod
     def of(cls, calibration: GyroCorrection | None, u: Mapping[str, float | None] | None) -> GyroKnowledge:
-        """By a calibration and its standard uncertainties by name (`gyro_bias_z`, `gyro_scale_z`, …).
+        """Combine a calibration with its standard uncertainties by name (`gyro_bias_z`, `gyro_scale_z`, …).
 
-        What it does not state is as in a part that nobody has calibrated.
+        An unstated uncertainty has the value of an uncalibrated part.
         """
         if calibration is None:
             return cls()
-        told = {name: value for name, value in (u or {}).items() if value is not None}
-        zero = told.get("gyro_bias_z", TURN_ON_DPS)
-        across = [told.get(f"g_sensitivity_z{axis}", G_DPS_PER_G) for axis in "xy"]
+        known = {name: value for name, value in (u or {}).items() if value is not None}
         return cls(
-            math.hypot(zero, TURN_ON_DPS),
-            told.get("gyro_scale_z", GAIN_U),
-            max(across),
+            math.hypot(known.get("gyro_bias_z", TURN_ON_DPS), TURN_ON_DPS),
+            known.get("gyro_scale_z", GAIN_U),
+            max(known.get(f"g_sensitivity_z{axis}", G_DPS_PER_G) for axis in "xy"),
             calibration=calibration,
         )
 
     def corrected(self, rate_dps: Floats, accel_mg: Floats, temperature_c: float | None) -> Floats:
-        """A rate (3,) without the calibrated errors."""
+        """Rate (3,) without the calibrated errors."""
         if self.calibration is None:
             return rate_dps
         warm = None if temperature_c is None else np.array([temperature_c])
@@ -84,22 +80,22 @@ class GyroKnowledge:
 
 
 STEP_S = 0.02
-"""Aim of a step: short against a tremor of 12 Hz, long against a sample."""
+"""Length of a step: short against a tremor of 12 Hz, long against a sample."""
 GAP_PERIODS = 1.5
-"""Times between samples above so many periods are gaps."""
+"""Sample periods above which the time between samples is a gap."""
 HAND_DPS_PER_RT_S = 50.0
-"""What a hand may do to the rate while nobody looks, as a random walk (D): a turn of 90° in 1.5 s."""
+"""Change of the rate by a hand during a gap, as a random walk (D): a turn of 90° in 1.5 s."""
 BEGIN_S = 0.05
-"""In a gap longer than this a hand may begin to turn; in a shorter one it goes on as it did."""
+"""Gap in which a hand may begin to turn; in a shorter one it continues its motion."""
 OVER_RANGE = 0.98
-"""Part of the gyro's range above which a sample is not believed."""
+"""Share of the gyro's range above which a sample is saturated."""
 SATURATED_DPS = 200.0
-"""What the rate may be beyond what a saturated gyro shows (D)."""
+"""Possible rate in excess of the reading of a saturated gyro (D)."""
 
 
 @dataclass(frozen=True)
 class Sensing:
-    """How a sensor measures, as far as the angle in motion depends on it.
+    """Properties of a sensor that the angle in motion depends on.
 
     Attributes
     ----------
@@ -110,9 +106,9 @@ class Sensing:
     filter_m : int
         M of the chip's filter; 0 none.
     gyro_range_dps : float or None
-        None where it is not known: saturation is not seen then.
+        None if unknown: then no saturation is detected.
     drift_mg : float
-        Allan floor of the accelerometers; 0 not known.
+        Allan floor of the accelerometers; 0 if unknown.
     gravity_mg : float
         Local gravity.
     """
@@ -127,7 +123,7 @@ class Sensing:
 
     @property
     def step_samples(self) -> int:
-        """Samples of a step: no fewer than a boxcar of the filter, so that steps are nearly independent."""
+        """Samples of a step, at least a boxcar of the filter, so that steps are nearly independent."""
         return max(1, 1 << self.filter_m, round(STEP_S / self.period_s))
 
     @property
@@ -142,7 +138,7 @@ class Sensing:
 
     @property
     def angle_walk_deg2_per_s(self) -> float:
-        """What the gyro's white noise adds to the angle's variance in a second."""
+        """Variance of the angle per second by the gyro's white noise."""
         return self.gyro_noise_dps**2 * self.period_s
 
 
@@ -153,13 +149,13 @@ class Increment:
     Attributes
     ----------
     time_s : float
-        Middle of the step, as the samples' times count.
+        Middle of the step, by the samples' times.
     length_s : float
         Since the middle of the step before.
     turned_deg : (3,) float
         Integral of the gyros over that time.
     unseen_deg2 : float
-        Variance of the turn about Z that the gyros did not see: between samples, in gaps, in saturation.
+        Variance of the turn about Z that the gyros missed: between samples, in gaps, in saturation.
     rate_dps, accel_mg : (3,) float
         Means; the accelerometers at the middle of the step.
     gap_s : float
@@ -181,14 +177,14 @@ class Increment:
 
 
 class Stepper:
-    """Makes steps of samples that come in blocks of any length; the steps do not depend on the blocks."""
+    """Makes steps of samples from blocks of any length; the steps do not depend on the blocks."""
 
     def __init__(self, sensing: Sensing) -> None:
         self._sensing = sensing
         self._count = sensing.step_samples
         self._rows = np.empty((0, 8))
         self._last: Floats | None = None
-        """Time, turn (3,), rates (3,) of the sample before these."""
+        """Time, turn (3,), rates (3,) of the last sample before these rows."""
         self._middle: tuple[float, Floats] | None = None
         self._unseen, self._gap, self._stuck = 0.0, 0.0, 0
         self._walk = 0.0
@@ -199,6 +195,7 @@ class Stepper:
     ) -> list[Increment]:
         """Take samples (n,), (n, 3), (n, 3); return the steps that they complete."""
         warm = np.full(len(time_s), np.nan) if temperature_c is None else temperature_c
+        # Columns: time, three accelerations, three rates, temperature.
         self._rows = np.concatenate([self._rows, np.column_stack([time_s, accel_mg, gyro_dps, warm])])
         found = []
         while len(self._rows) >= self._count:
@@ -214,6 +211,7 @@ class Stepper:
         self._middle = (middle_s, mean_turn)
         length_s = middle_s - before[0]
         saturated = self._saturation(rates[:, 2], length_s)
+        # Turn each reading back to the middle of the step, then average.
         back = np.exp(-1j * np.radians(turn[:, 2] - mean_turn[2]))
         level = complex(((accel[:, 0] - 1j * accel[:, 1]) * back).mean())
         rate = rates.mean(axis=0)
@@ -236,12 +234,13 @@ class Stepper:
         return step
 
     def _turns(self, time_s: Floats, rates: Floats) -> Floats:
-        """Turn (n, 3) at each sample since some time, by trapezes."""
+        """Turn (n, 3) at each sample since some time, by trapezoids."""
         if self._last is None:
             self._last = np.concatenate([time_s[:1], np.zeros(3), rates[0]])
         times = np.concatenate([self._last[:1], time_s])
         all_rates = np.vstack([self._last[4:7], rates])
         lengths = np.diff(times)
+        # Cumulative trapezoidal rule, continued from the sample before.
         pieces = 0.5 * (all_rates[1:] + all_rates[:-1]) * lengths[:, None]
         turn = np.asarray(self._last[1:4] + np.cumsum(pieces, axis=0))
         self._miss(lengths)
@@ -249,26 +248,29 @@ class Stepper:
         return turn
 
     def _miss(self, lengths_s: Floats) -> None:
-        """The rate between two samples is a bridge of a random walk: its integral has q L³/12."""
+        """Add the variance of missed turns and note gaps.
+
+        The rate between two samples is a bridge of a random walk, whose integral has the variance q L³/12.
+        """
         hand = np.where(lengths_s > BEGIN_S, max(self._walk, HAND_DPS_PER_RT_S**2), self._walk)
         self._unseen += float((hand * lengths_s**3).sum()) / 12
         gaps = lengths_s[lengths_s > GAP_PERIODS * self._sensing.period_s]
-        if gaps.size:
-            self._gap = max(self._gap, float(gaps.max()))
+        self._gap = max(self._gap, float(gaps.max(initial=0.0)))
 
     def _saturation(self, rate_dps: Floats, length_s: float) -> bool:
         limit = self._sensing.gyro_range_dps
         saturated = limit is not None and bool(np.abs(rate_dps).max() >= OVER_RANGE * limit)
         self._stuck = self._stuck + 1 if saturated else 0
         if saturated:
-            # What is missed keeps its sign: variances of k steps add up to (k SATURATED_DPS length)².
+            # Missed turns have one sign: variances of k steps add up to (k SATURATED_DPS length)².
             self._unseen += (SATURATED_DPS * length_s) ** 2 * (2 * self._stuck - 1)
         return saturated
 
     def _follow(self, rate_dps: float, length_s: float) -> None:
-        """How much the rate walks, over the last second."""
+        """Follow the random walk of the rate over the last second."""
         if self._rate_before is not None and length_s > 0:
             share = min(1.0, length_s)
+            # Exponential mean of squared changes over one second.
             seen = (rate_dps - self._rate_before) ** 2 / length_s
             self._walk += share * (seen - self._walk)
         self._rate_before = rate_dps

@@ -1,8 +1,8 @@
-"""The angle as it is now, from samples that come in: raw, corrected, and how surely.
+"""The present angle from arriving samples: raw, corrected, and with uncertainty.
 
-The angle is positive for the stage's positive turn. Raw, it is taken from the readings as they come, as if
-gains were equal, axes square and biases zero. It is 0 at the stage's zero where a calibration knows that,
-else where X reads +1 g.
+The angle is positive for the stage's positive turn. The raw angle takes the readings as they are: equal
+gains, square axes and no bias. It is 0 at the stage's zero if a calibration states that, else where X
+reads +1 g.
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import BusError, ChipError, UsageError
-from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT
-from adis_gonio.device.sensor.settings import Configuration
-from adis_gonio.live.smoothed_meter import Smoothed, SmoothedMeter, sensing_of
+from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
+from adis_gonio.live.smoothed_meter import Smoothed, SmoothedMeter, corrected_angle, sensing_of
 from adis_gonio.record.blocks import Block, session_columns
 from adis_gonio.record.settings import Settings
 from adis_gonio.record.source import ChipSource, Measuring, SampleStream, open_source
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
 
 EVERY_S = 0.1
-"""Between two readings of the angle: what a person can follow."""
+"""Time between two readings of the angle: a person can follow these."""
 
 
 @dataclass(frozen=True)
@@ -42,24 +41,22 @@ class LiveAngle:
     time_s : float
         End of the span, since the first sample.
     angle_deg : float
-        From the readings as they come, within ±180°.
+        By the uncorrected readings, within ±180°.
     corrected_deg : float or None
-        By the calibration; None without one, and where gravity stands across the plane.
+        By the calibration; None without one, and if gravity is across the plane.
     u_deg : float or None
-        Standard uncertainty of the corrected angle: of the noise within the newest samples, and of the
-        calibration. Without one that of the noise alone. None where it is not known, and while there is but
-        one sample.
+        Standard uncertainty of the corrected angle: by the noise of the newest samples, and by the
+        calibration. Without a calibration by the noise alone. None if unknown, and with a single sample.
     still : bool or None
-        True where no axis varies by more than it would at rest; None until there are
-        samples enough to tell.
+        True if no axis varies by more than at rest; None before there are enough samples.
     spread_mg : float or None
         Largest standard deviation of an axis over the newest samples.
     temperature_c : float or None
-        Mean over the span; None where the sensor does not tell.
+        Mean over the span; None if the sensor has no thermometer.
     lost : int
         Samples missed since the first.
     smoothed : Smoothed or None
-        By gyros and gravity together, a lag ago; None without gyros, and until the first lag is over.
+        By gyros and gravity together, a lag ago; None without gyros, and before the first lag is over.
     """
 
     time_s: float
@@ -73,10 +70,10 @@ class LiveAngle:
     smoothed: Smoothed | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form: one object without depth; what `smoothed` tells is null without it."""
-        told = asdict(self)
-        smoothed = told.pop("smoothed") or dict.fromkeys(Smoothed.__dataclass_fields__)
-        return told | smoothed | {"notes": list(smoothed["notes"] or ())}
+        """JSON form: one flat object; the entries of `smoothed` are null without it."""
+        document = asdict(self)
+        smoothed = document.pop("smoothed") or dict.fromkeys(Smoothed.__dataclass_fields__)
+        return document | smoothed | {"notes": list(smoothed["notes"] or ())}
 
 
 def raw_angle_deg(accel_mg: Floats) -> Floats:
@@ -93,15 +90,15 @@ class AngleMeter:
     Parameters
     ----------
     measuring : Measuring
-        How the sensor measures.
+        Settings of the sensor.
     noise_mg, step_mg : float
-        Noise that a sample has at rest, and step of the converter: what varies more is moving.
+        Noise of a sample at rest, and step of the converter: a larger variation is motion.
     calibration : Calibration or None
-        As `calibration_for` gives it.
+        As `calibration_for` returns it.
     every_s : float
         Least length of a span.
     smoother : SmoothedMeter or None
-        Tells the smoothed angle too.
+        Adds the smoothed angle.
     """
 
     def __init__(
@@ -118,9 +115,9 @@ class AngleMeter:
         self._window = window_samples(measuring)
         self._limits = limits_from_noise(np.full(3, noise_mg), self._window, step_mg)
         self._least = max(1, round(every_s * measuring.sample_rate_hz))
-        # Samples behind the filter lean on one another: as many independent ones have its white noise.
+        # Samples behind the filter are correlated: this is the number of independent ones per sample.
         filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
-        self._independent = white_gain(filter_m) ** 2 if filter_m else 1.0
+        self._independent = white_noise_gain(filter_m) ** 2 if filter_m else 1.0
         self._waiting: list[Block] = []
         self._kept = np.empty((0, 3))
         self._first_s: float | None = None
@@ -128,7 +125,7 @@ class AngleMeter:
         self._resume_s = self._last_s = 0.0
 
     def feed(self, block: Block) -> LiveAngle | None:
-        """Take samples; return a reading once a span is full."""
+        """Take samples; return a reading at the end of a span."""
         self._lost += block.lost
         if not len(block):
             return None
@@ -143,35 +140,46 @@ class AngleMeter:
         return self._reading(blocks, self._first_s)
 
     def restart(self) -> None:
-        """The link broke: samples go on at another time, with another part of the turn behind them.
+        """Restart after a break of the link, which may have changed the angle and the sensor's clock.
 
-        Times count on, without the time of the break where the sensor's clock began anew.
+        Times continue, without the time of the break if the clock started again.
         """
         self._waiting, self._kept = [], np.empty((0, 3))
         self._resume_s, self._first_s = self._last_s, None
         if self._smoother is not None:
             self._smoother.restart()
 
-    def go_on(self, before: AngleMeter) -> None:
-        """Count times and losses on from where another one ended."""
+    def continue_from(self, before: AngleMeter) -> None:
+        """Continue the times and losses of another meter."""
         self._resume_s, self._lost = before._last_s, before._lost
 
     def _reading(self, blocks: list[Block], first_s: float) -> LiveAngle:
         accel = np.concatenate([block.accel_mg for block in blocks])
+        # Keep a window of the newest samples, or all of this span.
         self._kept = np.concatenate([self._kept, accel])[-max(self._window, len(accel)) :]
         mean = accel.mean(axis=0)
-        temperature_c = _temperature_c(blocks)
-        raw_deg, u_deg = self._raw(mean, len(accel))
+        known = [columns["temp_c"] for block in blocks if "temp_c" in (columns := session_columns(block))]
+        temperature_c = float(np.concatenate(known).mean()) if known else None
+        spread_mg = u_mg = still = None
+        if len(self._kept) > 1:
+            # Uncertainty of the mean by the scatter of the newest samples.
+            spread_mg = self._kept.std(axis=0, ddof=1)
+            u_mg = spread_mg / math.sqrt(max(1.0, len(accel) * self._independent))
+        if spread_mg is not None and len(self._kept) >= self._window:
+            # The upper limit alone: `bringup` reports a stuck axis.
+            still = bool((spread_mg <= self._limits.upper).all())
+        raw_deg, u_deg = self._raw(mean, u_mg)
         corrected_deg = None
         if self._calibration is not None:
-            corrected_deg, u_deg = self._corrected(mean, len(accel), temperature_c)
-        spread_mg = self._kept.std(axis=0, ddof=1) if len(self._kept) > 1 else None
-        still = None
-        if spread_mg is not None and len(self._kept) >= self._window:
-            # The upper limit alone: a stuck axis is a matter for `bringup`.
-            still = bool((spread_mg <= self._limits.upper).all())
+            corrected_deg, u_deg = corrected_angle(self._calibration, mean, temperature_c, u_mg)
+            u_deg = None if u_mg is None else u_deg
         end_s = float(blocks[-1].time_s[-1])
         self._last_s = end_s - first_s
+        smoothed = None
+        if self._smoother is not None:
+            if still:
+                self._smoother.take_rest(mean, temperature_c)
+            smoothed = self._smoother.reading(end_s)
         return LiveAngle(
             self._last_s,
             raw_deg,
@@ -181,64 +189,23 @@ class AngleMeter:
             None if spread_mg is None else float(spread_mg.max()),
             temperature_c,
             self._lost,
-            self._smoothed(mean, temperature_c, end_s, still=still),
+            smoothed,
         )
 
-    def _smoothed(
-        self, mean_mg: Floats, temperature_c: float | None, end_s: float, *, still: bool | None
-    ) -> Smoothed | None:
-        if self._smoother is None:
-            return None
-        if still:
-            self._smoother.rested(mean_mg, temperature_c)
-        return self._smoother.reading(end_s)
-
-    def _u_mg(self, count: int) -> Floats | None:
-        """Standard uncertainty (3,) of a mean of so many samples, from the scatter of the newest ones."""
-        if len(self._kept) < 2:
-            return None
-        u: Floats = self._kept.std(axis=0, ddof=1) / math.sqrt(max(1.0, count * self._independent))
-        return u
-
-    def _raw(self, mean_mg: Floats, count: int) -> tuple[float, float | None]:
+    def _raw(self, mean_mg: Floats, u_mg: Floats | None) -> tuple[float, float | None]:
         x, y = float(mean_mg[0]), float(mean_mg[1])
         zero_deg = 0.0
         if self._calibration is not None and "alpha" in self._calibration:
             zero_deg = self._calibration["alpha"].value
-        u_mg = self._u_mg(count)
         u_deg = None
         if u_mg is not None and (x or y):
             u_deg = math.degrees(math.hypot(y * u_mg[0], x * u_mg[1]) / (x * x + y * y))
         return wrap_degrees(zero_deg + float(raw_angle_deg(mean_mg))), u_deg
 
-    def _corrected(
-        self, mean_mg: Floats, count: int, temperature_c: float | None
-    ) -> tuple[float | None, float | None]:
-        calibration, u_mg = self._calibration, self._u_mg(count)
-        if calibration is None:
-            return None, None
-        reading_u = None if u_mg is None else [float(u) for u in u_mg[: calibration.axes]]
-        try:
-            if "alpha" in calibration:
-                by = calibration.stage_angle(mean_mg, temperature_c, reading_u=reading_u)
-                angle_deg = float(by.angle_deg)
-            else:
-                by = calibration.angle(mean_mg, temperature_c, reading_u=reading_u, plane="xy")
-                angle_deg = -float(by.angle_deg)
-        except UsageError:  # a reading too short to have an angle, or far too long
-            return None, None
-        u_deg = float(by.u_deg)
-        return angle_deg, u_deg if u_mg is not None and math.isfinite(u_deg) else None
-
-
-def _temperature_c(blocks: list[Block]) -> float | None:
-    told = [columns["temp_c"] for block in blocks if "temp_c" in (columns := session_columns(block))]
-    return float(np.concatenate(told).mean()) if told else None
-
 
 @dataclass(frozen=True)
 class LiveSource:
-    """An open sensor whose samples run.
+    """An open sensor with running samples.
 
     Attributes
     ----------
@@ -248,10 +215,9 @@ class LiveSource:
         As `AngleMeter` takes them.
     part : str
         Its variant.
-    offsets_lsb : tuple of int or None
-        Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF; None where there are no registers.
-    gyro_offsets_lsb : tuple of int or None
-        Those in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF.
+    offsets_lsb, gyro_offsets_lsb : tuple of int or None
+        Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF and in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF; None without
+        registers.
     """
 
     measuring: Measuring
@@ -262,19 +228,14 @@ class LiveSource:
     offsets_lsb: tuple[int, ...] | None
     gyro_offsets_lsb: tuple[int, ...] | None = None
 
-    @property
-    def offsets(self) -> tuple[tuple[int, ...] | None, ...]:
-        """All of them."""
-        return self.offsets_lsb, self.gyro_offsets_lsb
-
 
 def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration:
-    """The calibration as it holds for a sensor, whose registers may correct another offset by now.
+    """Calibration for the present offset registers of a sensor.
 
     Raises
     ------
     UsageError
-        It is another part's, or takes readings in counts.
+        It belongs to another part, or takes readings in counts.
     """
     where = calibration.provenance
     if where.counts:
@@ -282,20 +243,6 @@ def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration
     if where.sensor != source.part:
         raise UsageError(f"the calibration is of an {where.sensor}, this is an {source.part}")
     return calibration.for_registers(source.offsets_lsb, source.gyro_offsets_lsb)
-
-
-def smoother_for(
-    source: LiveSource, calibration: Calibration | None = None, *, lag_s: float
-) -> SmoothedMeter:
-    """What smooths the angle of a sensor.
-
-    Raises
-    ------
-    UsageError
-        The lag is negative or too long.
-    """
-    sensing = sensing_of(source.measuring, source.part, source.noise_mg)
-    return SmoothedMeter(sensing, calibration, lag_s=lag_s)
 
 
 @contextmanager
@@ -307,12 +254,12 @@ def open_live(
     data_ready: bool | None = None,
     gyros: bool = True,
 ) -> Iterator[LiveSource]:
-    """Open a sensor and let its samples run, a span in two blocks; its settings stay as they are.
+    """Open a sensor and run its samples, two blocks per span; its settings are not changed.
 
     Parameters
     ----------
     data_ready : bool or None
-        None where scans start at data-ready edges if they can; False polls.
+        None to start scans at data-ready edges if possible; False polls.
     gyros : bool
         False leaves the gyros out, so that a slow bridge has fewer registers to read.
 
@@ -331,7 +278,7 @@ def open_live(
             settings = source.sensor.configuration()
             measuring: Measuring = settings
             count = _block_samples(measuring)
-            # A range that the part does not know leaves the gyros without a scale.
+            # With an unknown range the gyros have no scale.
             turning = GYRO_OUT if gyros and settings.gyro_range_dps is not None else ()
             names = (*ACCEL_OUT, TEMP_OUT[0], *turning)
             stream: SampleStream = source.sensor.stream(names, block_scans=count, data_ready=data_ready)
@@ -350,25 +297,25 @@ Opener = Callable[[], AbstractContextManager[LiveSource]]
 
 
 class LiveBlocks:
-    """Blocks of a sensor, opened again where its link breaks.
+    """Blocks of a sensor, which is opened again after a break of its link.
 
     Parameters
     ----------
     opener : callable
-        Opens the sensor, as often as it is asked.
+        Opens the sensor, each time.
     patience_s : float
-        How long it is tried after a break; 0 lets the error through.
+        Time of the attempts after a break; 0 raises the error.
     broken : callable
-        Told of each break with its error, before the first try.
+        Called with the error of each break, before the first attempt.
     sleep : callable
-        Waits so many seconds between two tries.
+        Waits so many seconds between two attempts.
 
     Attributes
     ----------
     source : LiveSource
-        Open now.
+        The open source.
     breaks : int
-        How often the link has been opened again.
+        Number of times that the link was opened again.
     """
 
     EVERY_S = 1.0
@@ -393,7 +340,7 @@ class LiveBlocks:
         return self
 
     def __next__(self) -> Block:
-        """Next block; raises the error of the break where the sensor does not come back in time."""
+        """Next block; raises the error of the break if the sensor does not return in time."""
         try:
             return next(self._blocks)
         except (BusError, ChipError) as error:
@@ -420,7 +367,7 @@ class LiveBlocks:
             return
 
     def close(self) -> None:
-        """Close the sensor; one that is gone cannot be set back."""
+        """Close the sensor; the settings of a lost one cannot be restored."""
         stack, self._stack = self._stack, ExitStack()
         with suppress(BusError, ChipError):
             stack.close()
@@ -429,38 +376,36 @@ class LiveBlocks:
 def live_angles(
     blocks: LiveBlocks, calibration: Calibration | None = None, *, lag_s: float
 ) -> Iterator[LiveAngle]:
-    """Angles of a sensor that runs, one after another, over breaks of its link.
+    """Angles of a running sensor, one after another, over breaks of its link.
 
-    What was learnt goes on after a break where the sensor measures as before.
+    The learnt errors are kept after a break if the settings and offsets of the sensor are unchanged.
 
     Raises
     ------
     UsageError
-        The calibration is another part's; the lag is negative or too long.
+        The calibration belongs to another part; the lag is negative or too long.
     """
     breaks, source = blocks.breaks, blocks.source
     meter = _meter(source, calibration, lag_s)
     for block in blocks:
         if blocks.breaks != breaks:
             breaks, before, source = blocks.breaks, source, blocks.source
-            if (before.measuring, before.offsets) == (source.measuring, source.offsets):
+            kept = ("measuring", "offsets_lsb", "gyro_offsets_lsb")
+            if all(getattr(before, name) == getattr(source, name) for name in kept):
                 meter.restart()
             else:
-                meter = _meter(source, calibration, lag_s, meter)
+                ended, meter = meter, _meter(source, calibration, lag_s)
+                meter.continue_from(ended)
         reading = meter.feed(block)
         if reading is not None:
             yield reading
 
 
-def _meter(
-    source: LiveSource, calibration: Calibration | None, lag_s: float, before: AngleMeter | None = None
-) -> AngleMeter:
+def _meter(source: LiveSource, calibration: Calibration | None, lag_s: float) -> AngleMeter:
     now = None if calibration is None else calibration_for(calibration, source)
-    smoother = smoother_for(source, now, lag_s=lag_s)
-    meter = AngleMeter(source.measuring, source.noise_mg, source.step_mg, now, smoother=smoother)
-    if before is not None:
-        meter.go_on(before)
-    return meter
+    sensing = sensing_of(source.measuring, source.part, source.noise_mg)
+    smoother = SmoothedMeter(sensing, now, lag_s=lag_s)
+    return AngleMeter(source.measuring, source.noise_mg, source.step_mg, now, smoother=smoother)
 
 
 def _block_samples(measuring: Measuring) -> int:

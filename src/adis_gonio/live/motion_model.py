@@ -1,35 +1,32 @@
-"""What disturbs gravity: how much, how it hangs together in time, and single shocks.
+"""The part's turn in the plane as a linear model: state, unknown errors, disturbance of gravity.
 
-The accelerometers, turned back by the gyros, would stand still if there were gravity alone. What they do
-instead within the last second, both components together, is the disturbance: the sensor's white noise, an
-autoregressive process of second order (tremor at 8 to 12 Hz, a table that rings, or just slow) and shocks.
-The process is given by its autocovariances (Yule and Walker).
+The state has the angle (deg), the zero rate of the gyro (°/s), the relative error of its gain, its
+sensitivity to acceleration along X and Y (°/s/g), the distance of the part from the stage's axis (mm, X
+and Y), the disturbance of gravity across it (mg, now and a step ago: an autoregressive process of second
+order), and the fast octaves of the accelerometers' 1/f noise across gravity (mg).
 
-1/f noise of the accelerometers, as first-order processes of the linear model, and what is slower.
+The gyro is a known input except for its errors. These enter with measured factors, so the model stays
+linear. The error of the gain walks as the part turns, because accelerometers without a perfect
+calibration bend the scale of the angle differently at each angle.
 
-Each octave of 1/f noise has half the square of the Allan floor. The fastest octaves change while the
-filter averages: as states they are averaged as they should be, and what is left of them counts in u. Two
-octaves make a state: processes with corners a factor of four apart add up to 1/f within some per cent. What
-is slower is the same through the seconds that count, and is added to u.
+**Disturbance.** With gravity alone, the accelerometers turned back by the gyros would be constant. Their
+changes within the last second, both components together, are the disturbance: the sensor's white noise,
+an autoregressive process of second order (tremor at 8 to 12 Hz, a table that rings, or slow motion) and
+shocks. Its autocovariances give the process (Yule and Walker).
 
-The linear Gaussian model: filter forwards, smoother backwards, one scalar observation a step.
+**1/f noise of the accelerometers.** Each octave has half the square of the Allan floor. The fastest octaves
+change while the filter averages. They are states, so that they are averaged correctly and their remainder
+is in u. One state has two octaves: processes with corners a factor of four apart add up to 1/f within a
+few per cent. Slower octaves are constant over a few seconds and are added to u.
+
+**Filter and smoother.** One scalar observation a step:
 
     x(k) = F x(k−1) + s + w,  w ~ N(0, Q);    y(k) = h·x(k) + v,  v ~ N(0, r)
 
-The way back is that of Rauch, Tung and Striebel in the form of Bierman ("Fixed interval smoothing with
-discrete measurements", 1973): it carries what later observations say as an adjoint vector and matrix,
-and needs no inverse, so that parts of the state that do not move, or have no variance, are no special case.
-
-The part's turn in the plane as a linear model: what moves, what is not known, what gravity shows.
-
-The state: angle (deg), zero rate of the gyro (°/s), relative error of its gain, its sensitivity to
-acceleration along X and Y (°/s/g), where the part is from the stage's axis (mm, X and Y), and the
-disturbance of gravity (mg across it; twice, now and a step ago: an autoregressive process of second order),
-and the fast octaves of the accelerometers' 1/f noise across gravity (mg; `drift`).
-
-The gyro is an input, known but for its errors, which enter with measured factors, so that all stays linear.
-The gain's error walks as the part turns: accelerometers that are not calibrated, or not perfectly, bend
-the scale of the angle by what gravity shows here and there.
+The backward pass follows Rauch, Tung and Striebel in the form of Bierman ("Fixed interval smoothing with
+discrete measurements", 1973). It carries the information of later observations as an adjoint vector and
+matrix, and needs no inverse, so constant parts of the state, or parts without variance, are no special
+case.
 """
 
 from __future__ import annotations
@@ -46,20 +43,20 @@ from adis_gonio.live.gyro_steps import TURN_ON_DPS, GyroKnowledge, Increment, Se
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 BACK_S, AHEAD_S = 1.0, 0.5
-"""Span that shows the disturbance of a step; of what comes after it only what has come."""
+"""Span that shows the disturbance of a step; fewer later steps if they have not arrived."""
 LEAST_STEPS = 8
 START_MG = 20.0
 """Level before the first steps have shown it (D): a part held in the hand."""
 SHOCK = 16.0
-"""A step whose square is so many times the span's is a shock, and counts by itself: one Gaussian step in
-nine million."""
+"""A step with a square this many times larger than in the span is a shock, and counts alone: one Gaussian
+step in nine million."""
 STATIONARY = 0.97
 _MEDIAN = 2 * math.log(2)
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Of one step, on each component, in mg².
+    """Disturbance of one step, on each component, in mg².
 
     Attributes
     ----------
@@ -70,7 +67,7 @@ class Disturbance:
     first, second : float
         Its coefficients.
     drive_mg2 : float
-        Variance of what drives it.
+        Variance of its innovations.
     """
 
     white_mg2: float
@@ -81,52 +78,51 @@ class Disturbance:
 
 
 def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
-    """Disturbance of a step by the steps around it.
+    """Estimate the disturbance of a step by the steps around it.
 
     Parameters
     ----------
     level : (n,) complex
-        What the accelerometers show in the plane, turned back by the gyros, in mg; equal steps.
+        Readings of the accelerometers in the plane, turned back by the gyros, in mg; equal steps.
     at : int
-        The step's place among them.
+        Index of the step.
     sensor_mg2 : float
         Variance of a step's mean by the sensor's own noise.
     """
     if len(level) < LEAST_STEPS:
         return coloured(sensor_mg2, START_MG**2, 0.5, 0.0)
-    left = _without_course(level)
-    squares = left.real**2 + left.imag**2
+    # Mean and slope come from the gyro's zero and slow changes, and are no disturbance.
+    place, square = _places(len(level))
+    centred = level - level.sum() / len(level)
+    rest = centred - place * ((place @ centred) / square)
+    squares = rest.real**2 + rest.imag**2
     middle = len(squares) // 2
     typical = max(float(np.partition(squares, middle)[middle]) / _MEDIAN, 0.5 * sensor_mg2)
+    # Shocks are left out of the autocovariances.
     calm = squares <= 2 * SHOCK * typical
     shock = 0.0 if calm[at] else 0.5 * float(squares[at])
-    left = np.where(calm, left, 0.0)
+    rest = np.where(calm, rest, 0.0)
     count = int(calm.sum())
     free = 2 * max(count - 2, 1)
     zeroth = float(squares[calm].sum()) / free
+    # Coloured part: variance in excess of the white noise of the sensor.
     excess = zeroth - sensor_mg2
     if excess <= 2 * zeroth * math.sqrt(2 / free):
         return Disturbance(max(sensor_mg2, zeroth) + shock)
-    first = float((left[1:] * left[:-1].conj()).sum().real) / free / excess
-    second = float((left[2:] * left[:-2].conj()).sum().real) / free / excess
+    first = float((rest[1:] * rest[:-1].conj()).sum().real) / free / excess
+    second = float((rest[2:] * rest[:-2].conj()).sum().real) / free / excess
     return coloured(sensor_mg2 + shock, excess, first, second)
 
 
 def coloured(white_mg2: float, variance_mg2: float, first: float, second: float) -> Disturbance:
-    """Disturbance of a process given by its variance and two autocorrelations, made stationary."""
+    """Disturbance with a given variance and two autocorrelations, made stationary."""
     r1 = min(max(first, -STATIONARY), STATIONARY)
     r2 = min(max(second, 2 * r1**2 - STATIONARY), STATIONARY)
+    # Yule–Walker equations of second order.
     one = r1 * (1 - r2) / (1 - r1**2)
     two = (r2 - r1**2) / (1 - r1**2)
     drive = variance_mg2 * max(1 - one * r1 - two * r2, 0.0)
     return Disturbance(white_mg2, variance_mg2, one, two, drive)
-
-
-def _without_course(level: Floats) -> Floats:
-    """Without mean and slope: what a gyro's zero and slow changes make is not disturbance."""
-    place, square = _places(len(level))
-    centred = level - level.sum() / len(level)
-    return np.asarray(centred - place * ((place @ centred) / square))
 
 
 @lru_cache(maxsize=256)
@@ -136,15 +132,15 @@ def _places(count: int) -> tuple[Floats, float]:
 
 
 OCTAVES = 17
-"""Between two hertz and a day, for a calibration of yesterday."""
+"""Number of octaves between two hertz and a day, for a calibration of yesterday."""
 CORNERS_HZ = 2.0 ** np.array([0.5, -1.5, -3.5])
-"""Of the processes: the middles of six octaves from the fastest on."""
+"""Corners of the processes: the middles of six octaves from the fastest on."""
 DRIFT_STATES = len(CORNERS_HZ)
 _EACH = 2
 
 
 def slow_drift_mg(floor_mg: float) -> float:
-    """Standard deviation, on an axis, of the octaves that no state has."""
+    """Standard deviation, on an axis, of the octaves without a state."""
     return floor_mg * math.sqrt((OCTAVES - _EACH * DRIFT_STATES) / 2)
 
 
@@ -154,13 +150,11 @@ def drift_process_mg2(floor_mg: float) -> float:
 
 
 def drift_memory(length_s: float, turn_deg: float) -> Floats:
-    """What is left (DRIFT_STATES,) after a time and a turn.
+    """Remaining share (DRIFT_STATES,) after a time and a turn.
 
-    The noise stays with the sensor's axes: what lies across gravity becomes, as the part turns, the noise
-    of the other axis.
+    The noise belongs to the sensor's axes: as the part turns, another axis is across gravity.
     """
-    kept: Floats = np.exp(-2 * np.pi * CORNERS_HZ * length_s)
-    return kept * math.cos(math.radians(turn_deg))
+    return np.asarray(np.exp(-2 * np.pi * CORNERS_HZ * length_s) * math.cos(math.radians(turn_deg)))
 
 
 @dataclass(frozen=True)
@@ -186,7 +180,7 @@ class TimeStep:
     design : (k,) float
         h.
     observed : float or None
-        y; None where nothing was observed.
+        y; None without an observation.
     variance : float
         r, above 0.
     """
@@ -201,14 +195,14 @@ class TimeStep:
 
 @dataclass(frozen=True)
 class Passed:
-    """What the filter kept of a step.
+    """A step after the filter.
 
     Attributes
     ----------
     predicted, filtered : StateEstimate
         Before the step's observation and after it.
     innovation, innovation_variance : float
-        Observed minus predicted, and its variance; 0 and inf where nothing was observed.
+        Observed minus predicted, and its variance; 0 and inf without an observation.
     gain : (k,) float
     step : TimeStep
     """
@@ -222,12 +216,13 @@ class Passed:
 
 
 def advance(state: StateEstimate, step: TimeStep) -> Passed:
-    """One step of the filter."""
+    """Advance the filter by one step."""
     f = step.transition
     covariance = f @ state.covariance @ f.T + step.process
     predicted = StateEstimate(f @ state.mean + step.shift, 0.5 * (covariance + covariance.T))
     if step.observed is None:
         return Passed(predicted, predicted, 0.0, np.inf, np.zeros(len(state.mean)), step)
+    # Kalman gain of one scalar observation.
     seen = predicted.covariance @ step.design
     variance = float(step.design @ seen) + step.variance
     innovation = step.observed - float(step.design @ predicted.mean)
@@ -238,28 +233,18 @@ def advance(state: StateEstimate, step: TimeStep) -> Passed:
     return Passed(predicted, filtered, innovation, variance, gain, step)
 
 
-def forward(state: StateEstimate, steps: Sequence[TimeStep]) -> list[Passed]:
-    """The filter over many steps."""
-    passed = []
-    for step in steps:
-        passed.append(advance(state, step))
-        state = passed[-1].filtered
-    return passed
-
-
 def backward(passed: Sequence[Passed]) -> list[StateEstimate]:
-    """Every step's state with all observations of these steps."""
-    adjoint = _Adjoint(len(passed[0].gain)) if passed else None
-    smoothed = []
+    """State of every step by the observations of all these steps."""
+    smoothed: list[StateEstimate] = []
+    adjoint = _Adjoint(len(passed[0].gain) if passed else 0)
     for one in reversed(passed):
-        assert adjoint is not None
         smoothed.append(adjoint.applied(one.filtered))
         adjoint.pass_back(one)
     return smoothed[::-1]
 
 
-def looked_back(state: StateEstimate, later: Sequence[Passed]) -> StateEstimate:
-    """A filtered state with the observations of the steps after it: the fixed lag."""
+def smooth_lagged(state: StateEstimate, later: Sequence[Passed]) -> StateEstimate:
+    """Filtered state with the observations of later steps (fixed lag)."""
     adjoint = _Adjoint(len(state.mean))
     for one in reversed(later):
         adjoint.pass_back(one)
@@ -267,11 +252,10 @@ def looked_back(state: StateEstimate, later: Sequence[Passed]) -> StateEstimate:
 
 
 class _Adjoint:
-    """What later observations say of a state, on the way back."""
+    """Information of later observations on a state, for the backward pass."""
 
     def __init__(self, size: int) -> None:
-        self._vector = np.zeros(size)
-        self._matrix = np.zeros((size, size))
+        self._vector, self._matrix = np.zeros(size), np.zeros((size, size))
 
     def applied(self, state: StateEstimate) -> StateEstimate:
         p = state.covariance
@@ -279,16 +263,13 @@ class _Adjoint:
         return StateEstimate(state.mean - p @ self._vector, 0.5 * (covariance + covariance.T))
 
     def pass_back(self, one: Passed) -> None:
-        """From after a step to before it."""
+        """Move from after a step to before it."""
         h, f = one.step.design, one.step.transition
         if np.isfinite(one.innovation_variance):
-            # C = I − gain hᵀ, written out.
+            # Cᵀ λ − h innovation/variance and Cᵀ Λ C + h hᵀ/variance, C = I − gain hᵀ, written out.
             by_gain = self._matrix @ one.gain
-            self._vector = (
-                self._vector
-                - h * float(one.gain @ self._vector)
-                - h * (one.innovation / one.innovation_variance)
-            )
+            pull = float(one.gain @ self._vector) + one.innovation / one.innovation_variance
+            self._vector = self._vector - h * pull
             self._matrix = (
                 self._matrix
                 - np.outer(h, by_gain)
@@ -303,22 +284,22 @@ ANGLE, ZERO, SCALE, G_X, G_Y, LEVER_X, LEVER_Y, NOW, BEFORE = range(9)
 DRIFT = slice(9, 9 + DRIFT_STATES)
 SIZE = 9 + DRIFT_STATES
 LEVER_MM = 50.0
-"""Spread of the part's distance from the axis (D)."""
+"""Standard deviation of the part's distance from the axis (D)."""
 BEND = 0.012
-"""Spread of the raw angle's slope by bias, gains and Δφ of accelerometers that nobody has calibrated: bias
+"""Standard deviation of the raw angle's slope by bias, gains and Δφ of uncalibrated accelerometers: bias
 10 mg, gains ±2 %, ±0.25° (CHIP, B and D)."""
 OPEN_DEG = 90.0
-"""Standard deviation of an angle of which nothing is known."""
+"""Standard deviation of an unknown angle."""
 LEAST_MG = 50.0
-"""Gravity shorter than this across the axis shows no angle."""
+"""Shortest gravity across the axis that shows an angle."""
 ACROSS_S = 0.5
-"""A turn out of the plane keeps its way so long (D)."""
+"""Time over which a turn out of the plane keeps its direction (D)."""
 _MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
 
 
 @dataclass(frozen=True)
 class Turned:
-    """A step as the model takes it, corrected by what is calibrated.
+    """A step of the model, with corrected readings.
 
     Attributes
     ----------
@@ -328,14 +309,14 @@ class Turned:
     gravity : complex
         x − i y of gravity in the plane, in mg: its phase is the angle.
     force_g : (2,) float
-        What X and Y read on the way, in g.
+        Mean reading of X and Y between this step and the one before, in g.
     rate_dps, spin_rad_s2 : float
         Rate of turn, and its change.
     across_dps : float
-        What the planar model neglects of the angle's rate: gravity out of the plane times turns about X, Y.
+        Part of the angle's rate that the planar model neglects: gravity out of the plane times turns
+        about X, Y.
     lost : bool
-        Nobody watched the part since the step before for so long that its angle is open; it may have been
-        switched off.
+        The gap before the step is so long that the angle is unknown; the part may have been switched off.
     """
 
     increment: Increment
@@ -354,7 +335,7 @@ class Turned:
 
     @property
     def lever_mg(self) -> tuple[complex, complex]:
-        """What a millimetre along X and Y adds to `gravity`."""
+        """Change of `gravity` by a millimetre along X and along Y."""
         spin = math.radians(self.rate_dps)
         square = spin * spin * _MG_PER_MM
         change = self.spin_rad_s2 * _MG_PER_MM
@@ -369,7 +350,7 @@ class MotionModel:
     sensing : Sensing
     gyros : GyroKnowledge
     bend : float
-        How much the slope of gravity's angle may be off, as a standard deviation.
+        Standard deviation of the slope of gravity's angle.
     """
 
     def __init__(self, sensing: Sensing, gyros: GyroKnowledge, bend: float = BEND) -> None:
@@ -379,7 +360,7 @@ class MotionModel:
         self._drift_mg2 = drift_process_mg2(sensing.drift_mg)
 
     def begin(self, angle_deg: float) -> StateEstimate:
-        """What is known before the first step: nothing of the angle."""
+        """State before the first step, with an unknown angle."""
         gyros = self._gyros
         u = np.array([
             OPEN_DEG, gyros.zero_dps, math.hypot(gyros.scale, self._bend), gyros.g_dps_per_g,
@@ -391,10 +372,11 @@ class MotionModel:
         return StateEstimate(mean, np.diag(u**2))
 
     def step(self, turned: Turned, disturbance: Disturbance, before: StateEstimate) -> TimeStep:
-        """The model of a step; its observation is that turn of gravity which is next to the prediction."""
+        """Model of a step; its observation is gravity's angle on the turn next to the prediction."""
         length_s = turned.increment.length_s
         f = np.eye(SIZE)
         seen_deg = turned.gravity_deg
+        # The angle changes by the gyro minus its errors, times measured factors.
         f[ANGLE, ZERO] = -length_s
         f[ANGLE, SCALE] = -turned.turn_deg
         f[ANGLE, G_X], f[ANGLE, G_Y] = -length_s * turned.force_g
@@ -411,9 +393,11 @@ class MotionModel:
         process[ZERO, ZERO] = self._gyros.walk_dps_per_rt_s**2 * length_s
         process[SCALE, SCALE] = 2 * self._bend**2 * abs(math.radians(turned.turn_deg))
         process[NOW, NOW] = disturbance.drive_mg2
+        # First-order processes of the 1/f noise.
         kept = drift_memory(length_s, turned.turn_deg)
         f[DRIFT, DRIFT] = np.diag(kept)
         process[DRIFT, DRIFT] = np.diag(self._drift_mg2 * (1 - kept**2))
+        # After a long gap the angle starts again from gravity.
         if turned.lost:
             f[ANGLE, :] = f[NOW, :] = f[BEFORE, :] = 0.0
             shift[ANGLE], process[ANGLE, ANGLE] = seen_deg, OPEN_DEG**2
@@ -422,6 +406,7 @@ class MotionModel:
         length_mg = abs(turned.gravity)
         if length_mg < LEAST_MG:
             return TimeStep(f, shift, process, np.zeros(SIZE), None, math.inf)
+        # Degrees per mg across gravity: disturbances, drift and lever arm shift the observed angle.
         per_mg = math.degrees(1.0 / length_mg)
         along = turned.gravity / length_mg
         design = np.zeros(SIZE)

@@ -1,4 +1,4 @@
-"""The measurement model: what a reading is made of. Pure numpy, no files, no devices."""
+"""The measurement model: the contributions to a reading. Only numpy, no files, no devices."""
 
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 

@@ -1,7 +1,8 @@
-"""The measurement: what ideal axes see of gravity. One convention for everything in this package.
+"""The measurement: readings of ideal axes under gravity, and of ideal gyros in turns.
 
-The axes of the sensor are three unit vectors, the rows of D. X is the reference, Y lies in the plane of x
-and y, and a *skew* is 90° minus the angle between two axes, so that its sine is the cosine of that angle::
+All packages use this convention. The axes of the sensor are three unit vectors, the rows of D. X is the
+reference, Y is in the plane of x and y, and a *skew* is 90° minus the angle between two axes, so that its
+sine is the cosine of that angle::
 
         y ▲   Y          D = ⎡ 1         0        0 ⎤      X · Y = sin(skew_xy)
           │  ╱               ⎢ sin s_xy  cos s_xy 0 ⎥      X · Z = sin(skew_xz)
@@ -9,15 +10,23 @@ and y, and a *skew* is 90° minus the angle between two axes, so that its sine i
           │╱
           └──────▶ X       U = diag(K) D g + b
 
-K_i is the sensitivity along the axis' own direction. In the plane, gravity stands at ψ = α − θ + δ from X
-(α start angle, θ declared angle, δ the fixture's error), so that U_x = K_x G cos ψ + b_x and
-U_y = K_y G sin(ψ + Δφ) + b_y: Δφ *is* skew_xy, and K_x = K_y (1 + ΔK). A rotation of the whole cannot be
-seen by gravity alone, which is why D has three angles and not six.
+K_i is the sensitivity along the direction of axis i. In the plane, gravity is at the angle ψ = α − θ + δ
+from X (α start angle, θ declared angle, δ the fixture's error), so that U_x = K_x G cos ψ + b_x and U_y =
+K_y G sin(ψ + Δφ) + b_y: Δφ *is* skew_xy, and K_x = K_y (1 + ΔK). Gravity alone cannot show a rotation of
+all axes together, so D has three angles and not six.
 
-A `Measurement` is this with what is unknown of each dwell (its *attitude*), as an object: `PlanarTurn` and
-`FreeAttitude` here, the gyros' `MeanRate` in `model.rates`, and whatever else gives readings as another
-subclass. What fit and trace have to know of a kind of readings is a fact of its object: its unit, how large
-it can be, what drives it. Angles are radians inside; `BaseParameter.unit` is what a result is stated in.
+A `Measurement` contains these equations together with the unknown *attitude* of each dwell: `PlanarTurn`
+and `FreeAttitude` for accelerometers, `MeanRate` for gyros, other subclasses for other readings. Fit and
+trace take all facts about a kind of readings from its object: its unit, its size, its stimuli. Angles are
+in radians inside; results are stated in `BaseParameter.unit`.
+
+Gyros are right-handed about the drawn axes, in the frame of the accelerometers, and read in °/s::
+
+    rate = K D ω + b + G f + …
+
+ω is the true rate, K gains and D unit directions, b the zero rate, G the linear g-sensitivity and f the
+**readings** of the accelerometers in g (level with Z up: z = −1). The base model is a perfect gyro with a
+zero rate; everything else is an effect (`model.effects.gyro_terms`).
 """
 
 from __future__ import annotations
@@ -44,9 +53,10 @@ SKEW_AXES: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
 SENSOR_SPREAD = 0.2
 """Prior standard deviation of gains, skews and misalignment (rad) of any part that is sold as a sensor."""
 SEEN = 0.02
-"""Least root mean square over the poses of what a gain or a skew of 1 adds to the norm beside the other
-base parameters and a bias, for it to be fitted: six faces of a cube set down a degree off show less of a
-skew and would pay for a bias of milli-g with a skew of degrees."""
+"""Least visible effect of a gain or a skew for it to be fitted: the root mean square over the poses of the
+change of the norm for a value of 1, after the other base parameters and a bias are removed. Six faces of a
+cube set down with an error of a degree show less of a skew; a fit would exchange a bias of milli-g for a
+skew of degrees."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +68,11 @@ class BaseParameter:
     unit : str
         Unit in results: `deg` (radians inside), `1`, or the measurement's own.
     nominal : float
-        Of a perfect part, in natural units (rad, 1).
+        Value of a perfect part, in natural units (rad, 1).
     spread : float
-        Prior standard deviation about the nominal value; inf where nothing is known (the start angle).
+        Prior standard deviation about the nominal value; inf if nothing is known (the start angle).
     low, high : float
-        What a part can have at most.
+        Limits of real parts.
     """
 
     name: str
@@ -78,13 +88,13 @@ class BaseParameter:
         return 180 / math.pi if self.unit == "deg" else 1.0
 
     def stated(self, value: float) -> float:
-        """Value in `unit`; the start angle within ±180°."""
+        """Value in `unit`; the start angle is wrapped to ±180°."""
         out = value * self.per_natural
         return wrap_degrees(out) if self.unit == "deg" and math.isinf(self.spread) else out
 
 
 class Measurement(ABC):
-    """What n dwells read, from base parameters (p,) and attitudes.
+    """Readings of n dwells as a function of base parameters (p,) and attitudes.
 
     Attributes
     ----------
@@ -94,15 +104,15 @@ class Measurement(ABC):
     freedom : int
         Unknown directions in which the attitude of a dwell may move: columns of `tangent`.
     part : str
-        Part of the sensor that it is of: effects name theirs (`Effect.parts`).
+        Part of the sensor that gives the readings, as in `Effect.parts`.
     unit : str
-        Of readings, and of what effects add to them.
+        Unit of the readings and of the terms that effects add.
     full : float
-        What counts as one in a function without a name, in `unit`: an amplitude is what it adds there.
+        Reading in `unit` at which the amplitude of an unnamed function is stated.
     driven_by : tuple of str
-        What functions without a name may follow besides the conditions: `reading`, `force`, `rotation`.
+        Covariates of unnamed functions in addition to the conditions: `reading`, `force`, `rotation`.
     named_forms : mapping of str to tuple of str
-        Places (`bias`, `gain`, `misalignment`) at which the catalogue has the line of a covariate.
+        Places (`bias`, `gain`, `misalignment`) for which the catalogue has a linear effect of a covariate.
     """
 
     parameters: ClassVar[tuple[BaseParameter, ...]]
@@ -121,20 +131,20 @@ class Measurement(ABC):
 
     @property
     def size(self) -> float:
-        """What a reading is large against, in `unit`: that of gravity."""
-        return self.full
+        """Typical size of a reading, in `unit`: local gravity if the measurement has one."""
+        return float(getattr(self, "gravity_mg", self.full))
 
     @property
     def constant(self) -> bool:
-        """True where a constant on each axis is a base parameter."""
+        """True if a constant on each axis is a base parameter."""
         return False
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """What gains multiply (n, axes), in units of `full`."""
+        """Quantity (n, axes) that the gains multiply, in units of `full`."""
         return ideal / self.full
 
     def pose(self, reading: Floats, conditions: Conditions) -> Floats | None:
-        """Direction of gravity (n, axes) in the part, of unit length; None where nothing tells it."""
+        """Unit vector of gravity (n, axes) in the part; None if it is unknown."""
         return np.asarray(reading / np.linalg.norm(reading, axis=1, keepdims=True))
 
     @property
@@ -152,7 +162,7 @@ class Measurement(ABC):
         return np.array([parameter.nominal for parameter in self.parameters])
 
     def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
-        """Readings (n,) on which a model can be tried that has seen no other in their pose."""
+        """True for readings (n,) that can be predicted without another reading in their pose."""
         return np.ones(len(conditions), dtype=bool)
 
     @abstractmethod
@@ -164,16 +174,16 @@ class Measurement(ABC):
         Parameters
         ----------
         turn_rad : (n,) float
-            −θ where `declared`, else 0.
+            −θ if `declared`, else 0.
         declared : (n,) bool
-            Dwells whose angle is declared.
+            Dwells with a declared angle.
         conditions : Conditions
-            What surrounded them.
+            Circumstances of the dwells.
         """
 
     @abstractmethod
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Readings (n, axes) in `unit` at attitudes, the part turned by (n,) rad beyond them."""
+        """Readings (n, axes) in `unit` at the attitudes, with the part turned by (n,) rad from them."""
 
     @abstractmethod
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
@@ -193,10 +203,10 @@ class Measurement(ABC):
 
     @abstractmethod
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """What a calibrated sensor computes from readings (n, axes): gravity in units of the local one."""
+        """Output of the calibrated sensor for readings (n, axes): gravity in units of local gravity."""
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Base parameters (p,) that these dwells can show at all."""
+        """True for base parameters (p,) that these dwells can determine."""
         return np.ones(len(self.parameters), dtype=bool)
 
 
@@ -221,27 +231,25 @@ class PlanarTurn(Measurement):
     axes = 2
     freedom = 1
 
-    @property
-    def size(self) -> float:
-        """Local gravity."""
-        return self.gravity_mg
-
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
-        """By linear least squares on cosine and sine; nominal where fewer than two angles are declared."""
+        """Linear least squares on cosine and sine; nominal values for fewer than two declared angles."""
         reading = reading / self.gravity_mg
         shown = np.arctan2(reading[:, 1], reading[:, 0])
         theta = -turn_rad[declared]
+        # Both axes are A cos θ + B sin θ; two different angles determine A and B.
         design = np.column_stack([np.cos(theta), np.sin(theta)])
         base = self.nominal
         if len(theta) > 1 and np.linalg.svd(design, compute_uv=False)[-1] > 1e-3:
+            # Amplitude and phase of each axis give the gains, the start angle and the skew.
             (xc, yc), (xs, ys) = np.linalg.lstsq(design, reading[declared], rcond=None)[0]
             alpha = math.atan2(xs, xc)
             base = np.array(
                 [alpha, math.hypot(xc, xs), math.hypot(yc, ys), wrap_radians(math.atan2(yc, -ys) - alpha)]
             )
         elif len(theta):
+            # One angle gives only the start angle: the mean of shown plus declared angles.
             base[0] = mean_direction(shown[declared] + theta)
         attitude = np.where(declared, 0.0, wrap_radians(shown - base[0] - turn_rad))
         return base, attitude
@@ -271,6 +279,7 @@ class PlanarTurn(Measurement):
         alpha, _, k_y, skew = base
         psi = alpha + turn_rad + attitude
         columns = np.zeros((len(psi), 2, 4))
+        # α and δ both turn the part, so their columns are equal.
         columns[:, :, 0] = self.tangent(base, attitude, turn_rad)[:, :, 0]
         columns[:, 0, 1] = self.gravity_mg * np.cos(psi)
         columns[:, 1, 2] = self.gravity_mg * np.sin(psi + skew)
@@ -297,7 +306,7 @@ class PlanarTurn(Measurement):
         return np.asarray(np.arctan2(gravity[..., 1], gravity[..., 0]))
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """All, but for the start angle where no angle is declared: it is then part of the attitudes."""
+        """All parameters; without declared angles the start angle is part of the attitudes."""
         return np.array([bool(declared.any()), True, True, True])
 
 
@@ -305,7 +314,7 @@ class PlanarTurn(Measurement):
 class FreeAttitude(Measurement):
     """Poses in space; the attitude of a dwell is the unit vector (n, 3) of gravity in the frame of D.
 
-    Only the length of a calibrated reading carries information.
+    Only the length of a calibrated reading has information.
 
     Attributes
     ----------
@@ -325,11 +334,6 @@ class FreeAttitude(Measurement):
     )
     axes = 3
     freedom = 2
-
-    @property
-    def size(self) -> float:
-        """Local gravity."""
-        return self.gravity_mg
 
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
@@ -353,12 +357,14 @@ class FreeAttitude(Measurement):
         ideal = self.gravity_mg * attitude @ axes_matrix(base[3:]).T
         for axis in range(3):
             columns[:, axis, axis] = ideal[:, axis]
+        # Columns of the skews: G diag(K) ∂D/∂skew u.
         for k, change in enumerate(axes_matrix_derivatives(base[3:])):
             columns[:, :, 3 + k] = self.gravity_mg * base[:3] * (attitude @ change.T)
         return columns
 
     def moved(self, attitude: Floats, step: Floats) -> Floats:
         """Unit vectors after a step across them."""
+        # Step in the tangent plane, then back to unit length.
         turned = attitude + (across(attitude) @ step[:, :, None])[:, :, 0]
         return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
@@ -367,7 +373,7 @@ class FreeAttitude(Measurement):
         return np.asarray(reading / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Gains that a pose shows, and skews that are no sum of gains and biases: see `SEEN`.
+        """Gains that a pose shows, and skews that are independent of gains and biases: see `SEEN`.
 
         The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias.
         """
@@ -376,6 +382,7 @@ class FreeAttitude(Measurement):
         seen[:3] = np.sqrt((unit**4).mean(axis=0)) >= SEEN
         beside = np.column_stack([unit**2, unit])
         for k, (i, j) in enumerate(SKEW_AXES):
+            # Part of the skew that is orthogonal to gains, biases and the skews accepted before.
             skew = unit[:, i] * unit[:, j]
             left = skew - beside @ np.linalg.lstsq(beside, skew, rcond=1e-9)[0]
             seen[3 + k] = np.sqrt((left**2).mean()) >= SEEN
@@ -399,6 +406,7 @@ def axes_matrix(skews_rad: Floats) -> Floats:
     """
     xy, xz, yz = (math.sin(skew) for skew in skews_rad)
     y_of_y = math.cos(float(skews_rad[0]))
+    # Solve Y · Z = sin(yz) for the y component of Z.
     y_of_z = (yz - xz * xy) / y_of_y if y_of_y > 0 else math.inf
     square = 1 - xz * xz - y_of_z * y_of_z
     if square <= 0:
@@ -412,8 +420,10 @@ def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
     (s_xy, s_xz, _), (c_xy, c_xz, c_yz) = np.sin(skews_rad), np.cos(skews_rad)
     y, z = axes[2, 1], axes[2, 2]
     derivative = np.zeros((3, 3, 3))
+    # Row Y depends on skew_xy only.
     derivative[0, 1, :2] = c_xy, -s_xy
     derivative[1, 2, 0] = c_xz
+    # Derivatives of the y component of Z; its z component follows from the unit length.
     slope = (-s_xz + y * s_xy / c_xy, -c_xz * s_xy / c_xy, c_yz / c_xy)
     for k in range(3):
         derivative[k, 2, 1] = slope[k]
@@ -423,6 +433,7 @@ def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
 
 def gains_and_skews(gram: Floats) -> tuple[Floats, Floats]:
     """Gains (d,) and skews (pairs,) in rad of a matrix diag(K) D Dᵀ diag(K) (d, d), d 2 or 3."""
+    # The diagonal has the squared gains; the rest has the cosines between the axes.
     gains = np.sqrt(np.diag(gram))
     cosines = gram / np.outer(gains, gains)
     pairs = [(i, j) for i in range(len(gram)) for j in range(i + 1, len(gram))]
@@ -431,6 +442,7 @@ def gains_and_skews(gram: Floats) -> tuple[Floats, Floats]:
 
 def across(unit: Floats) -> Floats:
     """Two directions across each unit vector, (n, 3, 2)."""
+    # The coordinate axis with the smallest component is never parallel to the vector.
     axis = np.eye(3)[np.abs(unit).argmin(axis=1)]
     first = _cross(unit, axis)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -438,6 +450,85 @@ def across(unit: Floats) -> Floats:
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Products a × b (n, 3); numpy's own takes more than twice as long for the rows of a session."""
+    """Products a × b (n, 3); `numpy.cross` takes more than twice as long for the rows of a session."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+
+
+FULL_DPS = 100.0
+"""Rate of a brisk turn by hand, at which amplitudes of unnamed functions are stated."""
+
+
+@dataclass(frozen=True)
+class MeanRate(Measurement):
+    """The mean rate over a dwell or a turn; its "attitude" is the true mean rate (n, 3) in °/s.
+
+    The rate is known (`Conditions.rate_dps`), so that no attitude is free.
+    """
+
+    parameters = tuple(BaseParameter(f"gyro_bias_{axis}", "dps", 0.0, spread=math.inf) for axis in "xyz")
+    axes = 3
+    freedom = 0
+    part: ClassVar[str] = "gyro"
+    unit: ClassVar[str] = "dps"
+    full: ClassVar[float] = FULL_DPS
+    driven_by: ClassVar[tuple[str, ...]] = ("force", "rotation")
+    named_forms: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "time": ("bias",),
+        "temperature": ("bias", "gain"),
+        "supply": ("bias",),
+    }
+
+    @property
+    def constant(self) -> bool:
+        """The zero rates are a constant on each axis."""
+        return True
+
+    def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
+        """Rates of turn (n, 3) in hundreds of °/s; 0 at rest, for any zero rate."""
+        if conditions.rate_dps is None:
+            return np.zeros_like(ideal)
+        return conditions.rate_dps / self.full
+
+    def pose(self, reading: Floats, conditions: Conditions) -> Floats | None:
+        """Unit vector (n, 3) of the readings of the accelerometers."""
+        if conditions.force_g is None:
+            return None
+        length = np.linalg.norm(conditions.force_g, axis=1, keepdims=True)
+        return np.asarray(conditions.force_g / np.maximum(length, 1e-12))
+
+    def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
+        """True for intervals at rest; only turns about an axis show its gain."""
+        if conditions.rate_dps is None:
+            return super().by_pose(conditions)
+        return np.asarray(~conditions.rate_dps.any(axis=1))
+
+    def begin(
+        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
+    ) -> tuple[Floats, Floats]:
+        """Mean of the readings at rest as zero rates, and the true rates."""
+        rate = np.zeros_like(reading) if conditions.rate_dps is None else conditions.rate_dps
+        # Readings at rest show the zero rates; without rest, subtract the true rates.
+        still = ~rate.any(axis=1)
+        rest = reading[still] if still.any() else reading - rate
+        return rest.mean(axis=0), rate
+
+    def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """True rate plus zero rate (n, 3) in °/s."""
+        return np.asarray(attitude + base)
+
+    def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """Empty array (n, 3, 0): no attitude is free."""
+        return np.zeros((len(attitude), self.axes, 0))
+
+    def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """∂ideal/∂base: ones, (n, 3, 3)."""
+        return np.tile(np.eye(self.axes), (len(attitude), 1, 1))
+
+    def moved(self, attitude: Floats, step: Floats) -> Floats:
+        """Return the rates unchanged."""
+        return attitude
+
+    def calibrated(self, base: Floats, reading: Floats) -> Floats:
+        """Rates (n, 3) in °/s without the zero rates."""
+        return np.asarray(reading - base)

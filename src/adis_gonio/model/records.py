@@ -1,28 +1,204 @@
-"""What was measured, as plain data: samples, dwells, sessions. No files, no devices.
+"""Measured data as plain records: samples, dwells, turns, sessions; local gravity. No files or devices.
 
-A *dwell* is the scans taken while the part is still in one *position*; a *session* is all dwells with
-what surrounded them. Files become sessions in `adis_gonio.record`; fits read them in
-`adis_gonio.fitting`.
+A *dwell* is the scans taken while the part is at rest in one *position*; a *session* is all dwells with
+their circumstances. A *turn* is the samples between two dwells; a samples CSV with positions has none, an
+archive has the samples before and after its dwells, a continuous recording has all. Files become sessions
+in `adis_gonio.record`; fits read them in `adis_gonio.fitting`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import one_line
+from adis_gonio.base.computed_once import ComputedOnce
+from adis_gonio.base.errors import UsageError, one_line
 from adis_gonio.base.numbers import counted
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from adis_gonio.model.turns import Turn
+# WGS 84 (NGA.STND.0036): gravity at the equator, Somigliana's constant, first eccentricity squared,
+# semi-major axis, flattening, and m = ω²a²b/GM.
+_EQUATOR_MPS2 = 9.7803253359
+_K = 0.001931852652458
+_E2 = 0.00669437999014
+_A_M = 6378137.0
+_F = 1 / 298.257223563
+_M = 0.00344978650684
+
+ON_EARTH_MPS2 = (9.7, 9.9)
+"""Limits of a stated gravity: 9.764 (Huascarán) to 9.834 (Arctic Ocean), with a margin."""
+_SLIPS = {0.01: "cm/s² (Gal)", 1e-5: "mGal", 9.80665: "g", 9.80665e-3: "mg", 0.3048: "ft/s²"}
+
+
+def checked_gravity_mps2(value: float, *, anywhere: bool = False) -> float:
+    """Return a stated local gravity in m/s² if it exists on Earth.
+
+    Parameters
+    ----------
+    anywhere : bool
+        Accept gravity of another place too, unless the number is gravity of the Earth in another unit.
+
+    Raises
+    ------
+    UsageError
+        It lies outside `ON_EARTH_MPS2`; the message names the unit in which it would be right.
+    """
+    low, high = ON_EARTH_MPS2
+    slips = [f"; {value:g} {unit} are {value * k:.6g} m/s²" for k, unit in _SLIPS.items()]
+    fits = [text for k, text in zip(_SLIPS, slips, strict=True) if low <= value * k <= high]
+    if low <= value <= high or (anywhere and not fits and 0 < value < math.inf):
+        return value
+    raise UsageError(
+        f"gravity is {value:g}: give m/s², {low:g} to {high:g} on Earth{fits[0] if fits else ''}; "
+        f"for another place say so by writing the unit, {value:g}mps2"
+    )
+
+
+def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:
+    """Normal gravity of the WGS 84 ellipsoid in m/s² (Somigliana's formula, second order in height).
+
+    Real gravity differs by tens of mGal (1e-5 m/s² each). ΔK and Δφ do not depend on it; the scale factors
+    get an uncertainty of about 3e-5.
+
+    Raises
+    ------
+    UsageError
+        Latitude outside ±90°, height outside -500 to 9000 m.
+    """
+    if not -90 <= latitude_deg <= 90:
+        raise UsageError(f"latitude is {latitude_deg:g}: take -90 to 90 degrees")
+    if not -500 <= height_m <= 9000:
+        raise UsageError(f"height is {height_m:g}: take -500 to 9000 m")
+    s2 = math.sin(math.radians(latitude_deg)) ** 2
+    surface = _EQUATOR_MPS2 * (1 + _K * s2) / math.sqrt(1 - _E2 * s2)
+    h = height_m / _A_M
+    return surface * (1 - 2 * (1 + _F + _M - 2 * _F * s2) * h + 3 * h * h)
+
+
+REVERSED_DEG = 10.0
+"""A smaller motion back counts as unevenness of the hand."""
+NEARLY_DEG = 5.0
+"""Angle that may be missing from a full turn."""
+
+
+class Sweeps:
+    """Counts full turns of an angle that is observed in steps: on and on, or forth and back.
+
+    Attributes
+    ----------
+    angle_deg : float
+        Present angle from the start, with its sign.
+    span_deg : float
+        From the smallest angle to the largest.
+    """
+
+    def __init__(self) -> None:
+        self.angle_deg = 0.0
+        self._least = self._greatest = 0.0
+        self._gone = 0.0
+        self._from = self._farthest = 0.0
+
+    def see(self, angle_deg: float) -> None:
+        """Add the next unwrapped angle."""
+        self.angle_deg = angle_deg
+        self._least, self._greatest = min(self._least, angle_deg), max(self._greatest, angle_deg)
+        on = self._farthest - self._from
+        if (angle_deg - self._farthest) * (on or angle_deg - self._farthest) >= 0:
+            self._farthest = angle_deg
+        elif abs(angle_deg - self._farthest) > REVERSED_DEG:
+            self._gone += abs(on)
+            self._from, self._farthest = self._farthest, angle_deg
+
+    @property
+    def span_deg(self) -> float:
+        """From the smallest angle to the largest."""
+        return self._greatest - self._least
+
+    @property
+    def travelled_deg(self) -> float:
+        """Total path, forth and back, without the tremor of the hand."""
+        return self._gone + abs(self._farthest - self._from)
+
+    @property
+    def full(self) -> int:
+        """Number of full turns; a full turn back counts too."""
+        if self.span_deg < 360.0 - NEARLY_DEG:
+            return 0
+        return int((self.travelled_deg + NEARLY_DEG) // 360.0)
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Samples between two successive dwells.
+
+    Attributes
+    ----------
+    before, position : int
+        Numbers (`Dwell.position`) of the dwells before and after the turn.
+    time_s : (n,) float
+        Time of each sample, increasing, on the clock of the dwells; n may be 0.
+    accel, gyro : (n, 3) float
+        As in `Dwell`; `gyro` is None without gyros.
+    temperature_c, supply_v : (n,) float or None
+    temperatures_c : (n, 3) float or None
+        As in `Dwell`.
+    turned_deg : float or None
+        Declared angle of the turn by a mark or a stop, about the vertical, positive counter-clockwise seen
+        from above; None if it is not declared.
+    """
+
+    before: int
+    position: int
+    time_s: Floats
+    accel: Floats
+    gyro: Floats | None = None
+    temperature_c: Floats | None = None
+    supply_v: Floats | None = None
+    turned_deg: float | None = None
+    temperatures_c: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def __repr__(self) -> str:
+        return f"Turn({self.before} to {self.position}: {counted(len(self), 'sample')})"
+
+
+def turns_of_recording(recording: Dwell, dwells: Sequence[Dwell]) -> tuple[Turn, ...]:
+    """Turns of a continuous recording between its dwells; views of its rows, no copies."""
+    made = []
+    for before, after in pairwise(dwells):
+        low = int(recording.time_s.searchsorted(before.time_s[-1], side="right"))
+        high = int(recording.time_s.searchsorted(after.time_s[0], side="left"))
+        rows = slice(low, max(low, high))
+        made.append(
+            Turn(
+                before.position,
+                after.position,
+                recording.time_s[rows],
+                recording.accel[rows],
+                _rows(recording.gyro, rows),
+                _rows(recording.temperature_c, rows),
+                _rows(recording.supply_v, rows),
+                temperatures_c=_rows(recording.temperatures_c, rows),
+            )
+        )
+    return tuple(made)
+
+
+def _rows(series: Floats | None, rows: slice) -> Floats | None:
+    return None if series is None else series[rows]
+
 
 Plane = Literal["xy", "none"]
 Use = Literal["fit", "check"]
@@ -39,7 +215,7 @@ MG_PER_G = 1000.0
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 
 METADATA = ("operator", "serial", "stage")
-"""Fields of a session that hold what the operator wrote down besides its title."""
+"""Fields of a session with notes of the operator in addition to the title."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +241,9 @@ class Dwell:
     temperature_c, supply_v : (n,) float or None
         Temperature in °C (of several thermometers their mean) and supply in V.
     temperatures_c : (n, 3) float or None
-        Of the three gyros' dies, where all three were recorded.
+        Temperatures of the three gyros' dies, if all three were recorded.
     first_row : int or None
-        Row of the file where the dwell begins, for messages.
+        First row of the dwell in the file, for messages.
     """
 
     position: int
@@ -110,8 +286,8 @@ class Dwell:
 
 
 @dataclass(frozen=True)
-class Session:
-    """All dwells of a calibration with what surrounded them.
+class Session(ComputedOnce):
+    """All dwells of a calibration with their circumstances.
 
     Attributes
     ----------
@@ -122,10 +298,10 @@ class Session:
     gravity_mps2 : float
         Local gravity in m/s².
     fixture_sigma_deg : float or None
-        Standard uncertainty of a declared angle in degrees; `inf` where attitudes are free; None not
+        Standard uncertainty of a declared angle in degrees; `inf` if attitudes are free; None if not
         stated.
     plane : {"xy", "none"}
-        Plane of rotation, or none where attitudes are anywhere in space.
+        Plane of rotation, or none for attitudes anywhere in space.
     reading_u_mg : float or None
         Standard uncertainty of a dwell that has one sample only.
     title, operator, serial, stage : str
@@ -134,18 +310,17 @@ class Session:
     source : str
         File that it came from.
     notes : tuple of str
-        What the reader of the file has to tell, one line each (segmentation, an unfinished session).
+        Remarks of the reader of the file, one line each (segmentation, an unfinished session).
     cut_by_stillness : bool
-        True where the dwells were cut out of a continuous recording, so that nobody declared that the part
-        was at rest.
+        True if the dwells were cut out of a continuous recording, so that rest of the part is not declared.
     recording : Dwell or None
-        The whole of a continuous recording, what lies between its dwells too.
+        The whole continuous recording, including the samples between dwells.
     free_turn : bool
-        True where that is one turn without declared angles; there may then be no dwells.
+        True if the recording is one turn without declared angles; there may then be no dwells.
     facts : mapping
-        Whatever else the file knows (configuration, registers, versions, truth of a simulation).
+        Other facts of the file (configuration, registers, versions, truth of a simulation).
     turns_from : callable or None
-        Reads the turns between the dwells as the file has them; None without any.
+        Reads the turns between the dwells from the file; None without turns.
     """
 
     dwells: tuple[Dwell, ...]
@@ -192,21 +367,12 @@ class Session:
             {name: np.concatenate(rows) for name, rows in columns.items() if len(rows) == len(self.sampled)}
         )
 
-    @property
+    @cached_property
     def turns(self) -> tuple[Turn, ...]:
-        """What lies between dwells that follow one another; read when first asked for.
+        """Samples between dwells that follow one another; read when first asked for.
 
-        Empty where the file has nothing between its dwells, as a samples CSV with positions.
+        Empty if the file has nothing between its dwells, as a samples CSV with positions.
         """
-        kept: tuple[Turn, ...] | None = vars(self).get("_turns")
-        if kept is None:
-            kept = self._read_turns()
-            vars(self)["_turns"] = kept
-        return kept
-
-    def _read_turns(self) -> tuple[Turn, ...]:
-        from adis_gonio.model.turns import turns_of_recording
-
         if self.turns_from is not None:
             here = {dwell.position for dwell in self.dwells}
             return tuple(turn for turn in self.turns_from() if {turn.before, turn.position} <= here)
@@ -216,12 +382,12 @@ class Session:
 
     @property
     def sampled(self) -> tuple[Dwell, ...]:
-        """What an export holds the samples of: the dwells, or a free turn as one."""
+        """Dwells with the samples of an export; a free turn counts as one dwell."""
         return (self.recording,) if self.free_turn and self.recording is not None else tuple(self.dwells)
 
     @property
     def free_attitudes(self) -> bool:
-        """True where declared angles carry no information."""
+        """True if declared angles have no information."""
         return self.fixture_sigma_deg is not None and math.isinf(self.fixture_sigma_deg)
 
     @property
@@ -230,5 +396,5 @@ class Session:
         return 1000.0 * self.gravity_mps2 / STANDARD_GRAVITY_MPS2
 
     def used_for(self, use: Use) -> Session:
-        """Session that holds only the dwells of one use."""
+        """Session with the dwells of one use only."""
         return replace(self, dwells=tuple(dwell for dwell in self.dwells if dwell.use == use))

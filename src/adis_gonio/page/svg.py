@@ -1,18 +1,25 @@
 """Line and point plots as inline SVG, drawn by matplotlib.
 
-Every series has a shape or a dash of its own besides its colour, so that a page printed in black and white
-stays readable. Colours are CSS variables with a fallback: a page's style sheet adapts them to light and
-dark, and an SVG that stands alone is drawn on a transparent ground by the fallback. Text stays text. The
-same data give the same bytes, whatever the user's matplotlibrc says.
+Every series has its own shape or dash in addition to its colour, so that a page printed in black and white
+is readable. Colours are CSS variables with a fallback: the style sheet of a page adapts them to light and
+dark; a separate SVG uses the fallback on a transparent ground. Text remains text. Equal data give equal
+bytes, independent of the user's matplotlibrc.
+
+Matplotlib writes a complete file: its ids clash with the ids of the next figure, its style sheet would
+apply to the whole page, its black does not follow a dark page, and every marker repeats its style.
+`inline_svg` makes an element of a page from it.
 
 Matplotlib is the extra `report`, imported when the first plot is drawn.
 """
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import io
 import math
+import re
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,12 +29,108 @@ from numpy.typing import ArrayLike, NDArray
 
 from adis_gonio.base.errors import NotInstalledError
 from adis_gonio.base.numbers import format_number
-from adis_gonio.page.inline import inline_svg
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
+
+_NAMESPACE = re.compile(r"\{[^}]*\}")
+
+
+def inline_svg(drawing: str, colours: Mapping[str, str], *, title: str, description: str = "") -> str:
+    """One `<svg>` element from a file of matplotlib.
+
+    Parameters
+    ----------
+    drawing : str
+        Written with `svg.fonttype: none` and a fixed `svg.hashsalt`.
+    colours : mapping of str to str
+        Replacements for the colours of the file, such as `{"#000000": "currentColor"}`.
+    title, description : str
+        Text for screen readers.
+
+    Returns
+    -------
+    str
+        All text escaped; coordinates to a tenth; every id begins with a hash of the content.
+    """
+    root = ET.fromstring(drawing)
+    box = root.get("viewBox", "")
+    root.attrib.clear()
+    for element in root.iter():
+        element.tag = _NAMESPACE.sub("", element.tag)
+        element.text = element.text if element.tag == "text" else None
+        element.tail = None
+        _attributes(element, colours)
+        for child in list(element):
+            if child.tag.endswith(("metadata", "style")):
+                element.remove(child)
+    for group in root.iter("g"):
+        _say_style_once(group)
+    name = "f" + hashlib.sha256(ET.tostring(root) + f"{title}\0{description}".encode()).hexdigest()[:10]
+    _rename(root, name)
+    root.attrib = {
+        "xmlns": "http://www.w3.org/2000/svg",
+        "class": "plot",
+        "viewBox": box,
+        "role": "img",
+        "aria-labelledby": f"{name}t {name}d" if description else f"{name}t",
+        "font-family": "inherit",
+        "font-size": "12",
+        "fill": "currentColor",
+        "stroke-linejoin": "round",
+    }
+    for tag, text in (("desc", description), ("title", title)):
+        if text:
+            said = ET.Element(tag, {"id": f"{name}{tag[0]}"})
+            said.text = text
+            root.insert(0, said)
+    return ET.tostring(root, encoding="unicode")
+
+
+def _attributes(element: ET.Element, colours: Mapping[str, str]) -> None:
+    """Adapt the attributes of an element to a page."""
+    given = {_NAMESPACE.sub("", key): value for key, value in element.attrib.items()}
+    if element.tag in ("g", "text"):
+        given.pop("id", None)
+    if given.get("transform", "").startswith("rotate(-0 "):
+        del given["transform"]
+    for key in {"d", "x", "y", "transform"} & given.keys():
+        given[key] = re.sub(r"-?\d+\.\d+", _short, " ".join(given[key].split()))
+    if "d" in given:
+        letters_alone = re.sub(r" ?([A-Za-z]) ?", r"\1", given["d"])
+        given["d"] = re.sub(r"M([^A-Z]+)L\1(?=M|$)", r"M\1h0", letters_alone)
+    if "style" in given:
+        rules = dict(rule.strip().split(": ", 1) for rule in given["style"].split(";") if rule.strip())
+        if element.tag == "text":  # size and family are the page's
+            rules = {key: value for key, value in rules.items() if not key.startswith("font")}
+        given["style"] = ";".join(f"{key}:{colours.get(value, value)}" for key, value in rules.items())
+    element.attrib = given
+
+
+def _short(found: re.Match[str]) -> str:
+    return f"{float(found[0]) + 0.0:.1f}".removesuffix(".0")
+
+
+def _say_style_once(group: ET.Element) -> None:
+    """Move the common style of the markers to their group."""
+    markers = group.findall("use")
+    if len({marker.get("style") for marker in markers}) == 1:
+        group.set("style", markers[0].get("style", ""))
+        for marker in markers:
+            marker.attrib.pop("style", None)
+
+
+def _rename(root: ET.Element, name: str) -> None:
+    """Replace the ids by the name of the figure and a number."""
+    named = [element for element in root.iter() if element.get("id")]
+    new = {element.get("id", ""): f"{name}{k}" for k, element in enumerate(named)}
+    for element in named:
+        element.set("id", new[element.get("id", "")])
+    for element in root.iter("use"):
+        element.set("href", "#" + new[element.get("href", "")[1:]])
+
 
 Style = Literal["points", "line", "steps"]
 Role = Literal["before", "after", "third", "fourth", "model"]
@@ -57,7 +160,7 @@ _MARKERS: dict[Role, dict[str, Any]] = {
     "model": {"marker": "o", "markersize": 4.0, "markeredgewidth": 0},
 }
 _MOST_MARKERS = 400
-"""Up to so many points have markers with error bars; more are dots."""
+"""Most points with markers and error bars; more points are drawn as dots."""
 _MOST_POINTS = 2000
 _CHARACTER = 6.9
 """Mean width of a character at the size of the labels, in units of the drawing."""
@@ -103,7 +206,7 @@ class Series:
 
 
 def require_matplotlib() -> None:
-    """Check that plots can be drawn, before work is spent on what they shall show.
+    """Check that plots can be drawn before the data for them are computed.
 
     Raises
     ------
@@ -141,17 +244,17 @@ def plot(
     x_label, y_label : str
         With the unit, such as `residual of x / mg`.
     title, description : str
-        What a screen reader says; they are not drawn (a page has captions).
+        Text for screen readers; not drawn (a page has captions).
     x_log, y_log : bool
         Logarithmic axes.
     x_ticks : mapping of float to str, optional
-        Ticks by hand, such as `{-1: "from above", 1: "from below"}`.
+        Given ticks, such as `{-1: "from above", 1: "from below"}`.
     x_range : (float, float), optional
         Limits; by default from the data. Points outside are left out.
     zero : bool
-        Draw the line y = 0 and let the axis hold it.
+        Draw the line y = 0 and include it in the axis.
     width, height : int
-        Size of the drawing; it scales with its place in the page.
+        Size of the drawing; it scales with the page.
 
     Returns
     -------
@@ -206,7 +309,7 @@ def _clean(one: Series, x_log: bool, y_log: bool, x_range: tuple[float, float] |
 
 
 def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
-    """Draw a series; the line that stands for it in the legend."""
+    """Draw a series and return its line for the legend."""
     x, y, error = points
     alike: dict[str, Any] = {"color": _COLOURS[role], "clip_on": False}
     if one.style != "points":
@@ -214,7 +317,7 @@ def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
         return axes.plot(x, y, label=one.label, drawstyle=stepped, **_LINES[role], **alike)[0]
     marked: dict[str, Any] = {"label": one.label, "linestyle": "none", **_MARKERS[role], **alike}
     if len(x) > _MOST_MARKERS:
-        # Strokes without length in one path: a third of the bytes of as many markers.
+        # Strokes without length in one path take a third of the bytes of markers.
         dots: dict[str, Any] = {"alpha": 0.55, "linewidth": 2, "solid_capstyle": "round"}
         axes.plot(*_upright(x, y, y), **dots, **alike)
         return axes.plot([], [], **marked)[0]

@@ -1,63 +1,285 @@
-"""What a plan will reach: uncertainties of parameters and angle, before anything is measured.
+"""Prediction of a session on a bench: its uncertainties and the effects that it detects.
 
-The imagined readings go through `fit` itself, so that a predicted uncertainty is what the fit of such a
-session states: with the fixture, the 1/f noise that dwells share, and the part's figure of a bias that the
-plan cannot see.
+The expected readings of a plan belong to a perfect part, and have the covariance that the reduction of a
+real session would find. White noise of σ per sample has the spectral density σ² at frequency zero, filtered
+or not, because the chip's filter passes zero unchanged: a mean of n samples has the variance σ²/n. The
+converter's step (`quantized_means`) and the 1/f noise that dwells have and share (`flicker_parts`) add to
+it.
 
-Few positions leave it to the stage where gravity stood, and then what they tell depends on how the stage is
-off: of four positions a tilt of the axes by Δφ moves the gains by Δφ²/2, which the fixture makes something
-where it is wide. There the median of sessions with stages off at random is given.
+The expected readings go through `fit` itself, so that a predicted uncertainty equals the uncertainty that
+the fit of such a session states. With few positions the result depends on the errors of the stage: with
+four positions, for example, a misalignment Δφ changes the gains by Δφ²/2, which matters if the fixture is
+wide. Then the prediction is the median over sessions with random errors of the stage.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import FitError
-from adis_gonio.base.values import Value
-from adis_gonio.fitting.estimation.shown import ShownAngle
+from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.numbers import join_words
+from adis_gonio.base.uncertainty import Detectable, Value
+from adis_gonio.device.sensor.settings import filter_settling_samples, sample_period_s
+from adis_gonio.device.sensor.variants import VARIANTS, Variant, variant
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings, flicker_parts, from_means, quantized_means
+from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import fit_readings
-from adis_gonio.fitting.result import FitResult
-from adis_gonio.plan.imagined import Bench, imagined
-from adis_gonio.plan.sight import Sight, sight_of
+from adis_gonio.fitting.uncertainty import ShownAngle
+from adis_gonio.model.effects import Conditions, catalogue
+from adis_gonio.model.effects.base import did_you_mean
+from adis_gonio.model.measurement import PlanarTurn
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.plans import Plan
+from adis_gonio.record.settings import TURN_S, Settings, expected_each_s
+from adis_gonio.tracing.findings import detectable
+from adis_gonio.tracing.linear_problem import LinearProblem, linearise, span
+from adis_gonio.tracing.model_search import Search, price
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.proposals import LEAST_SEPARATION, widest_terms
 
+LARGEST_FIXTURE_DEG = 30.0
+"""Error of an angle set by hand and eye without a stage; a larger one is not a declared angle."""
+LARGEST_NOISE_MG = 10_000.0
+LARGEST_START_DEG = 3600.0
 _STAGES = 16
-_ALIKE = 0.05
-"""Share of an uncertainty by which it may depend on how the stage is off."""
+_LARGEST_CHANGE = 0.05
+"""Relative change of an uncertainty by the errors of the stage up to which the exact stage is used."""
 _DEPENDS = (
-    "what so few positions reach depends on how the stage is off: the figures are medians of "
+    "with so few positions the result depends on the errors of the stage: the figures are medians of "
     f"{_STAGES} imagined sessions"
 )
+_HIDDEN = "lies in the model that every session fits, in these positions"
+_SURROUNDINGS = {
+    "temperature_c": "the temperature",
+    "temperature_history": "its history",
+    "supply_v": "the supply",
+    "variance_mg2": "vibration",
+}
+"""Conditions that no plan of positions sets."""
+_OF_BASE = frozenset({"bias", "scale", "misalignment", "gravity"})
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The bench on which a plan will be measured.
+
+    Attributes
+    ----------
+    fixture_deg : float
+        Standard uncertainty of a stage angle.
+    sensor : str
+        Name of the variant, which has the default figures.
+    noise_mg : float or None
+        White noise of a sample, rms, without the chip's filter; None: the variant's figure.
+    flicker_mg : float or None
+        Minimum of the Allan deviation (1/f noise); None: the variant's figure.
+    start_deg : float
+        Angle α of the part at the stage's zero, as far as it is known.
+    gravity_mps2 : float
+        Local gravity.
+    settings : Settings
+        Dwell, settling, rate and filter.
+
+    Raises
+    ------
+    UsageError
+        A figure that no bench has.
+    """
+
+    fixture_deg: float
+    sensor: str = "adis16354"
+    noise_mg: float | None = None
+    flicker_mg: float | None = None
+    start_deg: float = 0.0
+    gravity_mps2: float = STANDARD_GRAVITY_MPS2
+    settings: Settings = field(default_factory=Settings)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sensor", variant(self.sensor).name)
+        if not 0 <= self.fixture_deg <= LARGEST_FIXTURE_DEG:
+            raise UsageError(f"fixture is {self.fixture_deg:g}°: take 0 to {LARGEST_FIXTURE_DEG:g}°")
+        for name in ("noise_mg", "flicker_mg"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value <= LARGEST_NOISE_MG:
+                raise UsageError(f"{name} is {value:g}: take 0 to {LARGEST_NOISE_MG:g} mg")
+        if not -LARGEST_START_DEG <= self.start_deg <= LARGEST_START_DEG:
+            raise UsageError(
+                f"start is {self.start_deg:g}°: take -{LARGEST_START_DEG:g} to {LARGEST_START_DEG:g}°"
+            )
+        if not (math.isfinite(self.gravity_mps2) and self.gravity_mps2 > 0):
+            raise UsageError(f"gravity is {self.gravity_mps2:g} m/s²: take a value above 0")
+        if self.white_mg == 0 and self.floor_mg == 0:
+            raise UsageError("noise_mg and flicker_mg are both 0: of no noise nothing is to be predicted")
+
+    @property
+    def part(self) -> Variant:
+        """Properties of the variant."""
+        return VARIANTS[self.sensor]
+
+    @property
+    def white_mg(self) -> float:
+        """White noise of an unfiltered sample in mg, rms."""
+        return self.part.performance.noise_mg if self.noise_mg is None else self.noise_mg
+
+    @property
+    def floor_mg(self) -> float:
+        """Minimum of the Allan deviation in mg."""
+        return self.part.performance.bias_instability_mg if self.flicker_mg is None else self.flicker_mg
+
+    @property
+    def samples(self) -> int:
+        """Samples of a dwell."""
+        return round(self.settings.dwell_s / sample_period_s(self.settings.smpl_prd))
+
+    @property
+    def gravity_mg(self) -> float:
+        """Local gravity in mg."""
+        return 1000.0 * self.gravity_mps2 / STANDARD_GRAVITY_MPS2
+
+    @property
+    def settle_s(self) -> float:
+        """Wait before a dwell, at least the settling time of the filter."""
+        period_s = sample_period_s(self.settings.smpl_prd)
+        return max(self.settings.settle_s, filter_settling_samples(self.settings.filter_m) * period_s)
+
+    @property
+    def each_s(self) -> float:
+        """Time for a position, as a session expects it before it has measured one."""
+        return expected_each_s(self.settle_s, self.settings.dwell_s)
+
+    def begins_s(self, plan: Plan) -> Floats:
+        """Begin of each dwell, (n,) s after the first."""
+        waits = np.cumsum([position.wait_s for position in plan.positions])
+        return np.asarray(self.each_s * np.arange(len(plan)) + waits - waits[0])
+
+    def seconds(self, plan: Plan) -> float:
+        """Length of a session by the plan."""
+        return self.each_s * len(plan) + sum(position.wait_s for position in plan.positions)
+
+    @property
+    def mean_mg2(self) -> tuple[float, float]:
+        """Variance of a dwell's mean: the part that averaging lowers, and the remainder of the steps."""
+        step = self.part.accel_mg_per_lsb
+        # The filter: two boxcars of 2^M taps, convolved.
+        taps = 2**self.settings.filter_m
+        weights = np.convolve(np.full(taps, 1 / taps), np.full(taps, 1 / taps))
+        own = self.white_mg**2 * float(weights @ weights) + step**2 / 12
+        remainder = quantized_means(np.array([[own]]), np.array([step]))
+        # If noise dithers the steps, the rounding of a sample is white, and averaging lowers it too.
+        dithered = step**2 / 12 if not remainder.any() else 0.0
+        return (self.white_mg**2 + dithered) / self.samples, float(remainder[0, 0])
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form: the figures in use, and the time model."""
+        return {
+            "sensor": self.sensor,
+            "fixture_deg": self.fixture_deg,
+            "noise_mg": self.white_mg,
+            "flicker_mg": self.floor_mg,
+            "start_deg": self.start_deg,
+            "gravity_mps2": self.gravity_mps2,
+            "dwell_s": self.settings.dwell_s,
+            "settle_s": self.settle_s,
+            "turn_s": TURN_S,
+            "sample_rate_hz": 1 / sample_period_s(self.settings.smpl_prd),
+            "filter_m": self.settings.filter_m,
+            "samples": self.samples,
+            "settings": asdict(self.settings),
+        }
+
+
+def expected_readings(plan: Plan, bench: Bench, off_deg: Floats | None = None) -> Readings:
+    """Readings of a perfect part in the positions of a plan, with the covariance that they will have.
+
+    The readings have no temperature, supply or vibration, because no plan sets them.
+
+    Parameters
+    ----------
+    off_deg : (n,) float, optional
+        True angle of the stage minus the declared angle; by default 0.
+
+    Raises
+    ------
+    UsageError
+        The plan does not turn in a plane.
+    """
+    if plan.plane != "xy" or any(position.angle_deg is None for position in plan.positions):
+        raise UsageError(f"plan '{plan.name}' has attitudes in space: only turns in a plane are predicted")
+    angle = np.radians([position.angle_deg or 0.0 for position in plan.positions])
+    n = len(angle)
+    # Times of the dwells, from the time model of a session.
+    begin = bench.begins_s(plan)
+    end = begin + bench.settings.dwell_s
+    mean = ideal_mg(angle if off_deg is None else angle + np.radians(off_deg), bench)
+    white, rounding = bench.mean_mg2
+    # 1/f noise of each dwell itself, and the part that dwells share.
+    own, slow = flicker_parts(begin, end, np.full(2, bench.floor_mg**2))
+    approach = np.array([float(position.approach) for position in plan.positions])
+    # Begin and end of each dwell in turn, for the history of the load.
+    between = np.column_stack([begin, end]).ravel()
+    return from_means(
+        mean,
+        (white + rounding + own)[:, :, None] * np.eye(2),
+        Conditions(
+            time_s=(begin + end) / 2 - begin[0],
+            angle_rad=angle,
+            order=np.arange(n, dtype=float),
+            approach=approach if approach.any() else None,
+            previous_angle_rad=np.concatenate([angle[:1], angle[:-1]]),
+            load_history=(between - begin[0], np.repeat(mean, 2, axis=0)),
+        ),
+        gravity_mg=bench.gravity_mg,
+        fixture_rad=math.radians(bench.fixture_deg),
+        check=np.array([position.use == "check" for position in plan.positions]),
+        samples=np.full(n, bench.samples, dtype=np.intp),
+        slow=slow,
+        quantization=np.full((n, 2), rounding),
+        flicker=own,
+        sensor=bench.sensor,
+    )
+
+
+def ideal_mg(angle_rad: Floats, bench: Bench) -> Floats:
+    """Readings (n, 2) in mg of the axes of a perfect part at stage angles (n,)."""
+    model = PlanarTurn(bench.gravity_mg)
+    base = model.nominal
+    base[model.index("alpha")] = math.radians(bench.start_deg)
+    return model.ideal(base, np.zeros(len(angle_rad)), -angle_rad)
+
+
+# -- uncertainties ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class PlanUncertainty:
-    """Uncertainties that a plan reaches; the values are those of no part, and NaN.
+    """Uncertainties that a plan reaches; every value is NaN, because no part was measured.
 
     Attributes
     ----------
     method : str
-        By which they are had.
+        Method of the fit.
     parameters : dict of str to Value
-        Those that the plan determines.
+        Parameters that the plan determines.
     angle, angle_worst : Value
-        The angle that the calibrated goniometer shows of a reading as long as a dwell, in degrees: root
-        mean square over the turn, and at its worst place; without an uncertainty where the plan leaves
-        part of it undetermined.
+        Angle in degrees that the calibrated goniometer shows of a reading as long as a dwell: root mean
+        square over the turn, and at the worst angle. No uncertainty if the plan does not determine it.
     fitted_deg : float
-        The part of `angle_worst` that the fitted parameters have, as a standard uncertainty: what a plan
-        can lower; NaN where the angle is not determined.
+        Part of `angle_worst` due to the fitted parameters, which a plan can lower, as a standard
+        uncertainty; NaN if the angle is not determined.
     undetermined : tuple of str
         Parameters that the plan cannot determine.
     notes : tuple of str
-        What the fit has to say of such a session.
+        Warnings of the fit.
     """
 
     method: str
@@ -72,18 +294,58 @@ class PlanUncertainty:
         """JSON form."""
         return {
             "method": self.method,
-            "parameters": {name: _told(value) for name, value in self.parameters.items()},
-            "angle": _told(self.angle),
-            "angle_worst": _told(self.angle_worst),
+            "parameters": {name: _without_value(value) for name, value in self.parameters.items()},
+            "angle": _without_value(self.angle),
+            "angle_worst": _without_value(self.angle_worst),
             "angle_worst_by_parameters_u_deg": self.fitted_deg,
             "undetermined": list(self.undetermined),
             "notes": list(self.notes),
         }
 
 
+def _without_value(value: Value) -> dict[str, Any]:
+    return {name: entry for name, entry in value.as_dict().items() if name != "value"}
+
+
+@dataclass(frozen=True)
+class ConfoundedPair:
+    """Two effects that a plan cannot distinguish.
+
+    Attributes
+    ----------
+    separation : float
+        Distance in standard uncertainties between one effect at its detectable amplitude and the other's
+        best imitation of it; the smaller one of both directions.
+    """
+
+    one: str
+    other: str
+    separation: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of `confounded`."""
+        return {"effects": [self.one, self.other], "separation": self.separation}
+
+
+@dataclass(frozen=True)
+class Sight(JsonRecord):
+    """Effects that a plan detects and distinguishes.
+
+    Attributes
+    ----------
+    detectable : dict of str to Detectable
+        For each effect of the catalogue, the amplitude that 90 of 100 sessions would find.
+    confounded : tuple of ConfoundedPair
+        Pairs that the plan cannot distinguish, the worst first.
+    """
+
+    detectable: dict[str, Detectable]
+    confounded: tuple[ConfoundedPair, ...]
+
+
 @dataclass(frozen=True)
 class Prediction:
-    """What a plan will reach and see."""
+    """A plan on a bench, with its uncertainties and the effects that it detects."""
 
     plan: Plan
     bench: Bench
@@ -92,7 +354,7 @@ class Prediction:
 
     @property
     def seconds(self) -> float:
-        """How long it takes."""
+        """Length of the session."""
         return self.bench.seconds(self.plan)
 
     def as_dict(self) -> dict[str, Any]:
@@ -107,7 +369,7 @@ class Prediction:
 
 
 def predict(plan: Plan, bench: Bench) -> Prediction:
-    """Everything that is to be said of a plan beforehand.
+    """Predict the uncertainties and the detectable effects of a session.
 
     Raises
     ------
@@ -116,22 +378,23 @@ def predict(plan: Plan, bench: Bench) -> Prediction:
     FitError
         It has too few positions, or determines neither ΔK nor Δφ.
     """
-    return Prediction(plan, bench, reach_of(plan, bench), sight_of(imagined(plan, bench).training))
+    sight = predict_sight(expected_readings(plan, bench).training)
+    return Prediction(plan, bench, predict_uncertainty(plan, bench), sight)
 
 
-def reach_of(plan: Plan, bench: Bench) -> PlanUncertainty:
-    """Uncertainties alone; see `predict`."""
-    stages = np.random.default_rng(0).normal(0.0, bench.fixture_deg, (_STAGES, len(plan)))
-    exact = _reach(fit_readings(imagined(plan, bench).training))
-    if _agree(exact, _off(plan, bench, stages[0])):
+def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
+    """Predict the uncertainties; errors as in `predict`."""
+    offsets = np.random.default_rng(0).normal(0.0, bench.fixture_deg, (_STAGES, len(plan)))
+    exact = _reach(fit_readings(expected_readings(plan, bench).training))
+    if _agree(exact, _reach_off(plan, bench, offsets[0])):
         return exact
-    return _median(exact, [_off(plan, bench, stage) for stage in stages])
+    return _median(exact, [_reach_off(plan, bench, off_deg) for off_deg in offsets])
 
 
-def _off(plan: Plan, bench: Bench, stage_deg: Floats) -> PlanUncertainty | None:
-    """The same of a stage that is off by (n,) degrees; None where such a session determines nothing."""
+def _reach_off(plan: Plan, bench: Bench, off_deg: Floats) -> PlanUncertainty | None:
+    """Uncertainties with stage errors of (n,) degrees; None if such a session determines nothing."""
     try:
-        return _reach(fit_readings(imagined(plan, bench, stage_deg).training))
+        return _reach(fit_readings(expected_readings(plan, bench, off_deg).training))
     except FitError:
         return None
 
@@ -140,48 +403,46 @@ def _agree(one: PlanUncertainty, other: PlanUncertainty | None) -> bool:
     if other is None or one.undetermined != other.undetermined:
         return False
     pairs = [(value.u, other.parameters[name].u) for name, value in one.parameters.items()]
-    return all(a is None or b is None or abs(b - a) <= _ALIKE * a for a, b in pairs)
+    return all(a is None or b is None or abs(b - a) <= _LARGEST_CHANGE * a for a, b in pairs)
 
 
-def _median(exact: PlanUncertainty, stages: Sequence[PlanUncertainty | None]) -> PlanUncertainty:
-    """Medians over sessions; without an uncertainty what fewer than half of them determine."""
+def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) -> PlanUncertainty:
+    """Median over the sessions. A parameter that fewer than half of them determine has no uncertainty."""
 
-    def middle(value: Value, of: Callable[[PlanUncertainty], float | None]) -> Value:
-        found = [None if stage is None else of(stage) for stage in stages]
+    def median(value: Value, u_of: Callable[[PlanUncertainty], float | None]) -> Value:
+        found = [None if session is None else u_of(session) for session in sessions]
+        # A session that does not determine the value counts as infinitely uncertain.
         u = float(np.median([math.inf if u is None else u for u in found]))
         return replace(value, u=u if math.isfinite(u) else None)
 
-    names = dict.fromkeys(name for stage in stages if stage is not None for name in stage.parameters)
-    known = {name: value for stage in (exact, *stages) if stage for name, value in stage.parameters.items()}
-    parameters = {
-        name: middle(known[name], lambda stage, name=name: _u_of(stage, name))  # type: ignore[misc]
-        for name in (*exact.parameters, *(name for name in names if name not in exact.parameters))
-    }
+    def u_by_name(name: str) -> Callable[[PlanUncertainty], float | None]:
+        return lambda session: session.parameters[name].u if name in session.parameters else None
+
+    known = dict(exact.parameters)
+    for session in sessions:
+        known |= session.parameters if session else {}
+    parameters = {name: median(value, u_by_name(name)) for name, value in known.items()}
     sure = {name: value for name, value in parameters.items() if value.u is not None}
-    fitted = middle(exact.angle, lambda stage: stage.fitted_deg if stage.angle.u is not None else None)
+    fitted = median(exact.angle, lambda one: one.fitted_deg if one.angle.u is not None else None)
     return replace(
         exact,
         parameters=sure,
-        angle=middle(exact.angle, lambda stage: stage.angle.u),
-        angle_worst=middle(exact.angle_worst, lambda stage: stage.angle_worst.u),
+        angle=median(exact.angle, lambda one: one.angle.u),
+        angle_worst=median(exact.angle_worst, lambda one: one.angle_worst.u),
         fitted_deg=math.nan if fitted.u is None else fitted.u,
         undetermined=tuple(name for name in (*parameters, *exact.undetermined) if name not in sure),
         notes=(*exact.notes, _DEPENDS),
     )
 
 
-def _u_of(reach: PlanUncertainty, name: str) -> float | None:
-    return reach.parameters[name].u if name in reach.parameters else None
-
-
 def _reach(result: FitResult) -> PlanUncertainty:
-    made = result.origin
-    assert made is not None
-    assert made.sources is not None  # the imagined noise is known
-    shown = ShownAngle.around(made.fit)
-    angle = result.shown_angle
-    assert angle is not None  # a turn in the plane
-    whole = float(np.sqrt(made.sources.by_place(shown.gradient, shown.reading).max()))
+    origin, angle = result.origin, result.shown_angle
+    # The noise is known and the part turns in a plane.
+    assert origin is not None
+    assert origin.sources is not None
+    assert angle is not None
+    shown = ShownAngle.around(origin.fit)
+    whole = float(np.sqrt(origin.sources.by_place(shown.gradient, shown.reading).max()))
     fitted = float(np.sqrt(fitted_variance(result).max()))
     sure = angle.u is not None
     return PlanUncertainty(
@@ -196,17 +457,113 @@ def _reach(result: FitResult) -> PlanUncertainty:
 
 
 def fitted_variance(result: FitResult) -> Floats:
-    """Variance (m,) in degrees² of the shown angle around the turn, beside that reading's own noise."""
-    made = result.origin
-    assert made is not None
-    assert made.sources is not None
-    shown = ShownAngle.around(made.fit)
-    own = sum(source.reading_mg2 for source in made.sources.each)
+    """Variance (m,) in degrees² of the shown angle around the turn, without the reading's own noise."""
+    origin = result.origin
+    assert origin is not None
+    assert origin.sources is not None
+    shown = ShownAngle.around(origin.fit)
+    own = sum(source.reading_mg2 for source in origin.sources.each)
+    # The share of the reading itself, g C gᵀ for each place of the turn.
     noise = np.einsum("ma,ab,mb->m", shown.reading, own, shown.reading)
-    return np.asarray(made.sources.by_place(shown.gradient, shown.reading) - noise)
+    return np.asarray(origin.sources.by_place(shown.gradient, shown.reading) - noise)
 
 
-def _told(value: Value) -> dict[str, Any]:
-    told = value.as_dict()
-    del told["value"]
-    return told
+# -- effects ------------------------------------------------------------------------------------------
+
+
+def predict_sight(readings: Readings) -> Sight:
+    """Predict which effects a session with such readings detects and distinguishes.
+
+    The detectable amplitude is defined as in `trace` (`tracing.findings`), at its error level, in addition
+    to the start angle, gains, Δφ and biases. Two effects are not distinguished if one of them, at its
+    detectable amplitude, differs by less than `LEAST_SEPARATION` standard uncertainties from the other's
+    best imitation; `advice` uses the same limit for a measurement that is worth while.
+
+    Parameters
+    ----------
+    readings : Readings
+        Expected readings without the check dwells.
+    """
+    fit = Fit.begin(readings).refit()
+    terms, missing = named_terms(readings)
+    problem = linearise(fit, terms)
+    # The bias on all axes is in each model, because every part has one.
+    widest = widest_terms(problem.terms)
+    bias = (problem.terms.index(widest["bias"]),) if "bias" in widest else ()
+    reasons = {name: _why_unplanned(name, why) for name, why in missing.items()}
+    seen = detectable(Search(problem, price(problem)), bias, reasons)
+    hidden = {name: replace(one, reason=_HIDDEN) for name, one in seen.items() if "lies in" in one.reason}
+    return Sight(seen | hidden, _confounded_pairs(problem, bias, seen))
+
+
+def _why_unplanned(name: str, why: str) -> str:
+    needs = [need for need in catalogue("accelerometer")[name].needs if need in _SURROUNDINGS]
+    if not needs:
+        return why
+    return f"depends on {join_words([_SURROUNDINGS[need] for need in needs])}, which no plan sets"
+
+
+def _confounded_pairs(
+    problem: LinearProblem, bias: tuple[int, ...], seen: dict[str, Detectable]
+) -> tuple[ConfoundedPair, ...]:
+    basis = span(problem, bias)[0]
+    columns = {}
+    for name, term in widest_terms(problem.terms).items():
+        if name != "bias" and seen[name].amplitude is not None:
+            # Whitened columns (rows, d) by the term's amplitudes, without their part in the base model.
+            index = problem.terms.index(term)
+            own = problem.block(index) @ np.linalg.pinv(problem.back[index])
+            columns[name] = np.asarray(own - basis @ (basis.T @ own))
+    found = []
+    for one, other in itertools.combinations(columns, 2):
+        separation = min(
+            _separation(columns[one], columns[other], seen[one]),
+            _separation(columns[other], columns[one], seen[other]),
+        )
+        if separation < LEAST_SEPARATION:
+            found.append(ConfoundedPair(one, other, separation))
+    return tuple(sorted(found, key=lambda pair: pair.separation))
+
+
+def _separation(columns: Floats, others: Floats, limit: Detectable) -> float:
+    """Least distance of a detectable amplitude of any of the columns from the span of the others."""
+    size = np.maximum(np.linalg.norm(others, axis=0), 1e-300)
+    u, s, _ = np.linalg.svd(others / size, full_matrices=False)
+    # Orthonormal basis of the span of the others, without directions of rounding.
+    inside = u[:, s > 1e-6]
+    outside = np.linalg.norm(columns - inside @ (inside.T @ columns), axis=0)
+    return float(outside.min()) * float(limit.amplitude or 0.0)
+
+
+def planned_terms(readings: Readings, names: Sequence[str]) -> tuple[NamedTerm, ...]:
+    """Return each named effect on all axes.
+
+    Raises
+    ------
+    UsageError
+        An unknown effect, or one that the positions of a plan do not influence.
+    """
+    terms, missing = named_terms(replace(readings, check=np.zeros(len(readings), dtype=bool)))
+    offered = widest_terms(terms)
+    with_memory = {
+        name
+        for name, term in offered.items()
+        if any(need.endswith("_history") or need.startswith("previous") for need in term.effect.needs)
+    }
+    known = sorted(set(offered) - _OF_BASE - with_memory)
+    for name in names:
+        if name in known:
+            continue
+        if name not in catalogue("accelerometer"):
+            near = did_you_mean(name, list(catalogue("accelerometer")))
+            raise UsageError(f"beware: no effect is called '{name}'{near}")
+        if name in _OF_BASE:
+            why = "lies in the model that every session fits: leave it out"
+        elif name in offered:
+            why = "depends on all positions before, which an exchange of single ones cannot plan for"
+        elif name in missing:
+            why = _why_unplanned(name, missing[name])
+        else:
+            why = "acts on single dwells"
+        raise UsageError(f"beware: {name} {why}; known here: {', '.join(known)}")
+    return tuple(offered[name] for name in dict.fromkeys(names))

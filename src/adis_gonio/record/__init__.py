@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from adis_gonio.base.lazy_names import lazily
+from adis_gonio.base import lazily
 
 _HOMES = {
     "Archive": "archive",

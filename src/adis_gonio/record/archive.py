@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing, __version__
 from adis_gonio.base.errors import SessionError
 from adis_gonio.base.shapes import ShapeError, anything
-from adis_gonio.base.version import __version__
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.record import database
 from adis_gonio.record.archive_tables import (
@@ -65,7 +64,7 @@ class ArchiveView(Closing):
     @contextmanager
     def snapshot(self) -> Iterator[None]:
         """Let all reads in the block see one state, even if another program writes."""
-        with database.explained(self.path):
+        with database.translated_errors(self.path):
             self._connection.execute("BEGIN")
         try:
             yield
@@ -312,7 +311,7 @@ class ArchiveView(Closing):
         their checksum was checked.
         """
         checked, characters = [], 0
-        with database.explained(self.path):
+        with database.translated_errors(self.path):
             rows = self._connection.execute(
                 f"SELECT * FROM {table} WHERE {column} = ? ORDER BY {order}", (value,)
             )
@@ -490,7 +489,7 @@ class Archive(ArchiveView):
 
     @contextmanager
     def _transaction(self, *, new: bool = False) -> Iterator[None]:
-        with database.explained(self.path):
+        with database.translated_errors(self.path):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 if not new:

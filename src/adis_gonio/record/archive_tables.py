@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from adis_gonio.base import __version__
 from adis_gonio.base.jsonable import json_value
 from adis_gonio.base.shapes import (
     Shape,
@@ -33,7 +34,6 @@ from adis_gonio.base.shapes import (
     truth_value,
     whole,
 )
-from adis_gonio.base.version import __version__
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
 from adis_gonio.record.blocks import GENERIC, UNITS, Block
@@ -399,7 +399,7 @@ _OF_RUN, _OF_ATTEMPT = f"{_INTEGER} REFERENCES runs", f"{_INTEGER} REFERENCES at
 
 
 def _one_of(name: str, *allowed: str) -> TableColumn:
-    """Column whose value is one of a few texts."""
+    """Column that allows a few texts only."""
     listed = ", ".join(f"'{text}'" for text in allowed)
     return TableColumn(name, f"{_TEXT} CHECK ({name} IN ({listed}))", choice(*allowed))
 

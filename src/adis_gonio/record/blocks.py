@@ -196,7 +196,7 @@ def session_series(columns: dict[str, Floats]) -> dict[str, Any]:
 SUPPLY_LIMITS_V = (4.75, 5.25)
 """Specified supply (DS, B)."""
 
-WITHOUT_NEWS = "they held no new data (ND), so their data-ready edge was not the sensor's"
+WITHOUT_NEWS = "they had no new data (ND), so their data-ready edge did not come from the sensor"
 
 
 @dataclass(frozen=True)
@@ -223,12 +223,12 @@ class Alarms(JsonRecord):
     def __str__(self) -> str:
         times = "once" if self.times == 1 else f"{self.times} times"
         return (
-            f"an error or alarm stood in {counted(self.scans, 'scan')} ({times}, at most"
+            f"an error or alarm in {counted(self.scans, 'scan')} ({times}, at most"
             f" {self.longest_s:.3g} s, first {self.first_s:.3g} s into the dwell)"
         )
 
 
-def alarms_of(scans: Block) -> Alarms | None:
+def find_alarms(scans: Block) -> Alarms | None:
     """Alarms in the scans of a dwell; None if there are none or the sensor has no bit EA."""
     alarm = scans.alarm
     if alarm is None or not alarm.any():

@@ -39,12 +39,12 @@ from adis_gonio.record.archive_tables import APPLICATION_ID, SCHEMA_VERSION, TAB
 MOST_STEPS = 100_000_000
 """Instructions of SQLite's machine after which a statement is stopped; a session of a day takes 10⁶."""
 LONGEST_ROW_BYTES = 4_000_000
-"""A block has some ten kilobytes, a plan of 3600 positions half a megabyte."""
+"""Limit of a row: a block has some ten kilobytes, a plan of 3600 positions half a megabyte."""
 MOST_TEXT = 4_000_000
 """Limit of characters in the rows of a query; parsed JSON takes up to 30 times its length in memory."""
 
 WAIT_S = 30.0
-"""How long a reader waits for a commit, and a writer for readers, in s."""
+"""Time in s for which a reader waits for a commit, and a writer for readers."""
 
 LONGEST_TEXT = 100
 
@@ -74,7 +74,7 @@ def connect(path: Path, *, write: bool) -> sqlite3.Connection:
     _check_file(path)
     connection = _open(path, "rw" if write else "ro")
     try:
-        with explained(path):
+        with translated_errors(path):
             try:
                 _check_content(path, connection)
             except sqlite3.OperationalError:
@@ -111,7 +111,7 @@ def create(path: Path) -> sqlite3.Connection:
         raise SessionError(f"{path}: cannot be made: {error.strerror}") from None
     connection = _open(path, "rw")
     try:
-        with explained(path):
+        with translated_errors(path):
             make_durable(connection)
     except BaseException:
         connection.close()
@@ -127,14 +127,14 @@ def make_durable(connection: sqlite3.Connection) -> None:
 
 
 @contextmanager
-def explained(path: Path) -> Iterator[None]:
+def translated_errors(path: Path) -> Iterator[None]:
     """Turn errors of SQLite into one line that names the file."""
     try:
         yield
     except sqlite3.Error as error:
         raise _explain(path, error) from error
     except UnicodeDecodeError as error:
-        raise damaged(path, "text that is none") from error
+        raise damaged(path, "text that is not UTF-8") from error
 
 
 def damaged(path: Path, what: str) -> DataError:
@@ -187,7 +187,7 @@ def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
 
 
 def _open(path: Path, mode: str) -> sqlite3.Connection:
-    with explained(path):
+    with translated_errors(path):
         connection = sqlite3.connect(
             f"file:{quote(os.fsencode(path.absolute()))}?mode={mode}",
             uri=True,
@@ -218,12 +218,13 @@ def _check_file(path: Path) -> None:
 
 
 def _check_content(path: Path, connection: sqlite3.Connection) -> None:
-    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()  # rolls back, too
+    # This query also rolls back a journal.
+    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     (application,) = connection.execute("PRAGMA application_id").fetchone()
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if not tables and not application:
         raise SessionError(
-            f"{path}: holds no session yet, it was interrupted at its very beginning; begin anew"
+            f"{path}: has no session yet, it was interrupted at its beginning; begin a new session"
         )
     if application != APPLICATION_ID:
         raise DataError(f"{path}: is an SQLite file, but no session file")

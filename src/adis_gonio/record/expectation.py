@@ -15,7 +15,7 @@ from statistics import NormalDist
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_radians
-from adis_gonio.base.levels import POSITION_QUESTIONED
+from adis_gonio.base.uncertainty import POSITION_QUESTIONED
 from adis_gonio.record.stillness import SHIFT_MG
 
 K = NormalDist().inv_cdf(1 - POSITION_QUESTIONED / 2)
@@ -40,7 +40,7 @@ class PriorKnowledge:
     bias_mg : float
         Standard deviation of a bias.
     reading_mg : float
-        Standard uncertainty of a look at the sensor.
+        Standard uncertainty of the mean of a window.
     fixture_deg : float or None
         Standard uncertainty of a stage angle; None if it is not stated.
     gravity_mg : float
@@ -108,6 +108,7 @@ class Expectation:
         seen = phi + self.sense * math.radians(angle_deg)
         if self._start_rad is None:
             self._start_rad = seen
+        # Two observations for each dwell: the angle, and the logarithm of the length of the reading.
         rest = wrap_radians(seen - self._start_rad)
         for row, value, u in (
             (_angle_row(phi), rest, self._angle),
@@ -124,6 +125,7 @@ class Expectation:
         covariance = np.linalg.inv(self._information)
         mean = covariance @ self._weighted
         expected = self._start_rad + mean[0] - self.sense * math.radians(angle_deg)
+        # Linear prediction of the angle; its variance comes from the parameters and from the reading.
         row = _angle_row(expected)
         residual = wrap_radians(phi - expected - float(row[1:] @ mean[1:]))
         limit = K * math.sqrt(float(row @ covariance @ row) + self._angle**2)
@@ -157,9 +159,6 @@ def _angle_row(psi: float) -> Floats:
 
 
 def _norm_row(psi: float) -> Floats:
-    """∂ ln |U| by the same."""
+    """∂ ln |U| by these parameters."""
     c, s = math.cos(psi), math.sin(psi)
     return np.array([0.0, c * c, s * s, s * c, c, s])
-
-
-__all__ = ["Expectation", "Off", "PriorKnowledge", "turned_deg"]

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Session
+from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Session, checked_gravity_mps2
 
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 
@@ -19,16 +18,16 @@ REVERSE = "reverse"
 """Word in place of degrees: the stage turned the other way to these positions."""
 
 
-def as_it_is(reason: str) -> str:
+def explain_refusal(reason: str) -> str:
     """Reason for refusing a file, for commands without overrides: explain options that it mentions."""
     if not _OPTIONS.search(reason):
         return reason
-    return f"{reason} (an option of fit, trace and report; here the file itself has to say it)"
+    return f"{reason} (an option of fit, trace and report; for this command it has to be in the file)"
 
 
 @dataclass(frozen=True)
 class AngleChange:
-    """Another declared angle for one position, or for several in a row.
+    """A correction of the declared angle of one position or of consecutive positions.
 
     Attributes
     ----------
@@ -98,7 +97,7 @@ class Overrides:
     Attributes
     ----------
     gravity_mps2 : float or None
-        Local gravity; any value above zero (`adis_gonio.model.gravity.checked_gravity_mps2` checks whether
+        Local gravity; any value above zero (`adis_gonio.model.records.checked_gravity_mps2` checks whether
         it occurs on Earth).
     fixture_sigma_deg : float or None
         Standard uncertainty of a declared angle in degrees; `inf` if attitudes are free.
@@ -115,7 +114,7 @@ class Overrides:
     Raises
     ------
     UsageError
-        A value that no session can have.
+        A value is out of range or unknown.
     """
 
     gravity_mps2: float | None = None
@@ -194,7 +193,7 @@ class Overrides:
 
 
 def _reversed(dwell: Dwell) -> Dwell:
-    # Adding zero makes no minus of it.
+    # Adding zero turns -0.0 into 0.0.
     angle = None if dwell.angle_deg is None else -dwell.angle_deg + 0.0
     return replace(dwell, angle_deg=angle, approach=-dwell.approach)
 

@@ -4,8 +4,8 @@
 |---|---|---|
 | `two-position` | 0°, 90° | the seed paper's; determines ΔK and Δφ, but no bias |
 | `four-position` | 0°, 90°, 180°, 270° | opposite positions cancel a bias |
-| `mmpm` | nine, every 40° | all six planar parameters with the most information that nine can give |
-| `tumble` | n up and the same n back (12) | the way back shows backlash, hysteresis and drift |
+| `mmpm` | nine, every 40° | all six planar parameters, with the largest information of nine positions |
+| `tumble` | n up and n back (12) | the way back shows backlash, hysteresis and drift |
 | `poses` | n free attitudes in space (14) | bias, scale and skew of all three axes; needs no stage |
 
 Why steps of 40° for nine positions: readings of a turn are a first-order trigonometric regression, for
@@ -160,7 +160,7 @@ _KINDS: dict[str, _Kind] = {
 }
 
 PLAN_NAMES: tuple[str, ...] = tuple(_KINDS)
-"""Names that `plan` takes."""
+"""Names of plans for `plan`."""
 
 
 def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0) -> Plan:
@@ -171,8 +171,8 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     name : str
         One of `PLAN_NAMES`.
     positions : int or None
-        Number of angles (`tumble` visits each twice); None for the plan's own. The two- and the
-        four-position plan have no choice.
+        Number of angles (`tumble` visits each twice); None for the plan's default, which is fixed for the
+        two- and the four-position plan.
     check : int
         Number of `check` positions between the others. They are spread over the session: at its end a drift
         would make them extrapolations.
@@ -180,7 +180,7 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     Raises
     ------
     UsageError
-        No such plan, or a number that it does not allow.
+        There is no such plan, or it does not allow this number of positions.
     """
     kind = _KINDS.get(name)
     if name == "free-turn":
@@ -201,7 +201,7 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     _refuse_checks(check)
     if name == "poses":
         uses: list[Use] = ["fit"] * count
-        # The last first, so that the places of the others stay valid.
+        # Insert from the end, so that the earlier indices stay valid.
         for k in reversed(range(check)):
             uses.insert(math.ceil((k + 1) * count / (check + 1)), "check")
         places = zip(uses, _sphere(len(uses)), strict=True)
@@ -210,7 +210,7 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
 
 
 def with_checks(made: Plan, check: int) -> Plan:
-    """A plan in the plane with so many more `check` positions between the others; see `plan`."""
+    """Plan in the plane with further `check` positions between the others; see `plan`."""
     _refuse_checks(check)
     return replace(made, positions=_with_checks(list(made.positions), check)) if check else made
 
@@ -241,13 +241,13 @@ def _sphere(count: int) -> list[tuple[float, float, float]]:
 
 
 def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
-    """Put check positions evenly into the gaps between neighbours, in the gap's direction of travel."""
+    """Distribute check positions evenly over the gaps, in the direction of travel of each gap."""
     gaps = [
         k for k, (here, there) in enumerate(itertools.pairwise(fit)) if here.angle_deg != there.angle_deg
     ]
     inserted = [0] * len(fit)
     for k in range(check):
-        # Middles of equal parts of the row of gaps: 1 check goes to the middle gap, 2 to the quarters.
+        # Divide the gaps into equal parts and use their middles: one check goes to the middle gap.
         inserted[gaps[int((k + 0.5) * len(gaps) / check)]] += 1
     result: list[Position] = []
     for k, position in enumerate(fit):

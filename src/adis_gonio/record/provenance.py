@@ -98,27 +98,27 @@ _FROM_SESSION = ("sensor", "plane", "gravity_mps2", "title", *METADATA)
 
 
 def provenance_of(session: Session) -> Provenance:
-    """Provenance of a session; computed once and stored with the session."""
-    kept: Provenance | None = vars(session).get("_provenance")  # the session is frozen: it cannot go stale
-    if kept is None:
-        from adis_gonio.base.version import __version__
+    """Provenance of a session, computed once for each session."""
+    return session.once(_provenance)
 
-        kept = Provenance(
-            **{name: getattr(session, name) for name in _FROM_SESSION},
-            counts=session.accel_unit == "counts",
-            source=PurePath(session.source).name,
-            sha256=digest_of(session),
-            recorded_utc=str(session.facts.get("started_utc") or ""),
-            temperature_c=_covered([dwell.temperature_c for dwell in session.dwells]),
-            supply_v=_covered([dwell.supply_v for dwell in session.dwells]),
-            software=f"adis-gonio {__version__}",
-            offsets_lsb=_offsets(session.facts, ACCEL_OFF),
-            **_written(session, ACCEL_OFF),
-            gyro_offsets_lsb=_offsets(session.facts, GYRO_OFF),
-            **{f"gyro_{name}": value for name, value in _written(session, GYRO_OFF).items()},
-        )
-        vars(session)["_provenance"] = kept
-    return kept
+
+def _provenance(session: Session) -> Provenance:
+    from adis_gonio.base import __version__
+
+    return Provenance(
+        **{name: getattr(session, name) for name in _FROM_SESSION},
+        counts=session.accel_unit == "counts",
+        source=PurePath(session.source).name,
+        sha256=digest_of(session),
+        recorded_utc=str(session.facts.get("started_utc") or ""),
+        temperature_c=_coverage([dwell.temperature_c for dwell in session.dwells]),
+        supply_v=_coverage([dwell.supply_v for dwell in session.dwells]),
+        software=f"adis-gonio {__version__}",
+        offsets_lsb=_offsets(session.facts, ACCEL_OFF),
+        **_later_writes(session, ACCEL_OFF),
+        gyro_offsets_lsb=_offsets(session.facts, GYRO_OFF),
+        **{f"gyro_{name}": value for name, value in _later_writes(session, GYRO_OFF).items()},
+    )
 
 
 def changed_registers(session: Session) -> list[str]:
@@ -141,7 +141,7 @@ def digest_of(session: Session) -> str:
     return digest.hexdigest()
 
 
-def _covered(series: list[Floats | None]) -> Covered | None:
+def _coverage(series: list[Floats | None]) -> Covered | None:
     rows = [one for one in series if one is not None and len(one)]
     if not rows or len(rows) != len(series):
         return None
@@ -150,7 +150,7 @@ def _covered(series: list[Floats | None]) -> Covered | None:
     return Covered(float(np.mean(means)), low, high) if np.isfinite([*means, low, high]).all() else None
 
 
-def _written(session: Session, registers: tuple[str, ...]) -> dict[str, Any]:
+def _later_writes(session: Session, registers: tuple[str, ...]) -> dict[str, Any]:
     held = _offsets(session.facts, registers)
     if held is None or not session.facts.get("offset_writes"):
         return {}

@@ -40,7 +40,7 @@ class SamplesColumn:
     aliases : tuple of str
         Other names of the column in a header.
     units : Units
-        Units that a header may state.
+        Units that may be stated in a header.
     largest : float
         Largest magnitude of a number in it.
     per_dwell : bool
@@ -148,7 +148,7 @@ class CsvColumn:
     place : int
         Number of the cell in a row, from 0.
     text : str
-        The header's own text.
+        Text of the header cell.
     unit : str
         Unit from the header, in the format's spelling once it is known; empty if the header has none.
     plain : bool
@@ -168,7 +168,7 @@ class CsvColumn:
 _BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$")
 _SLASH = re.compile(r"^([^/]+?)\s*/\s*\(?(.+?)\)?$")
 _LONGEST_NAME = 200
-"""Characters of a header's cell that are read: these forms take the cube of its length."""
+"""Limit of characters in a header cell: the time of the patterns grows with the cube of the length."""
 _SPACES = re.compile(r"[\s.\-]+")
 
 
@@ -181,8 +181,8 @@ def split_unit(text: str) -> tuple[str, str]:
     return text.strip(), ""
 
 
-def recognised(text: str) -> tuple[str, str, bool] | None:
-    """Column, unit, and whether it is the format's own name, of a header's cell; None if unknown."""
+def recognise_column(text: str) -> tuple[str, str, bool] | None:
+    """Column and unit of a header cell, and True if it has the format's own name; None if unknown."""
     text = text.strip()
     if text in COLUMNS:
         return text, "", True
@@ -201,7 +201,7 @@ def recognised(text: str) -> tuple[str, str, bool] | None:
 # -- keys -----------------------------------------------------------------------------------------
 
 _LARGEST = 1e6
-"""Of gravity in m/s², an uncertainty in degrees or mg; a session file has the same bounds."""
+"""Limit of gravity in m/s² and of uncertainties in degrees or mg, as in a session file."""
 _LEAST_SIGMA_DEG = 1e-9
 
 
@@ -275,7 +275,7 @@ KEYS: dict[str, Key] = {
     "reading_u_mg": Key(_positive, number_text),
     "decimal": Key(_mark),
 }
-"""Keys in the order of a file that is written: fields of a `Session`, and the mark of its fractions."""
+"""Keys in the order of writing: fields of a `Session`, and the decimal mark."""
 
 _BEGINS = r"(?=[=+\-@＝＋－＠])"
 _FORMULA = re.compile(r"""([,;|][\s"']*)""" + _BEGINS)
@@ -283,7 +283,7 @@ _WITHOUT_FORMULA = re.compile(r"""([,;|][\s"']*)'""" + _BEGINS)
 
 
 def without_formulas(text: str) -> str:
-    """Text in which a spreadsheet finds no formula, even if it begins a new cell at a comma.
+    """Make a text safe in a spreadsheet: no part of it is a formula, even if a comma begins a new cell.
 
     An apostrophe is put before each sign that would begin a formula; `with_formulas` removes it.
     """

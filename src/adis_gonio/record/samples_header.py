@@ -24,15 +24,14 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, checked_gravity_mps2
 from adis_gonio.record.samples_columns import (
     AXES,
     COLUMNS,
     GYROS,
     KEYS,
     CsvColumn,
-    recognised,
+    recognise_column,
     split_unit,
     with_formulas,
 )
@@ -74,16 +73,16 @@ codecs.register_error("adis_gonio.windows-1252", _as_windows_1252)
 
 @dataclass(frozen=True)
 class Chunk:
-    """Neighbouring lines.
+    """Consecutive lines of a file.
 
     Attributes
     ----------
     first : int
         Number of the first line, counted from 1.
     lines : list of str
-        Without their ends.
+        Lines without line ends.
     share : float
-        Part of the file that has been read, 0 to 1.
+        Share of the file that has been read, 0 to 1.
     last : bool
     cut : bool
         True in the last chunk if its last line has no line end.
@@ -96,13 +95,13 @@ class Chunk:
     cut: bool = False
 
 
-def chunks_of(path: Path) -> Iterator[Chunk]:
+def read_chunks(path: Path) -> Iterator[Chunk]:
     """Lines of a file, chunk by chunk.
 
     Raises
     ------
     DataError
-        Not readable, damaged gzip, empty, binary or another kind of file.
+        The file is not readable, empty, binary or of another kind, or its gzip data is damaged.
     """
     first, carry = 1, ""
     for text, share in _texts(path):
@@ -131,7 +130,7 @@ def _refuse_long(path: Path, first: int, lines: list[str]) -> None:
 def _plain_ends(text: str) -> str:
     if "\r" not in text:
         return text
-    # Text that was opened twice for translation ends its lines with two carriage returns.
+    # A program that translates line ends twice writes two carriage returns.
     return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -192,7 +191,7 @@ def _encoding(head: bytes) -> str:
 def _refuse_binary(path: Path, text: str) -> None:
     if "\x00" in text or _REPLACEMENT in text:
         raise DataError(
-            f"{path.name}: not a samples CSV: it holds binary data; give a .csv, a .csv.gz or a file "
+            f"{path.name}: not a samples CSV: it has binary data; give a .csv, a .csv.gz or a file "
             "written by calibrate or simulate"
         )
 
@@ -204,7 +203,7 @@ SPACE = " "
 DELIMITERS = ("\t", ";", ",", SPACE)
 _IN_WORDS = {"\t": "tab", ";": "semicolon", ",": "comma", SPACE: "space"}
 
-# Possessive (++): digits are never tried again in another split, which takes hours in a cell of thousands.
+# Possessive quantifiers (++) prevent backtracking, which takes hours in a cell of thousands of digits.
 _NUMBER = r"[+-]?(?:\d++{0}?\d*+|{0}\d+)(?:[eE][+-]?\d+)?"
 _GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{1}\d{{3}})+(?:{0}\d*)?"
 _FORMS = {
@@ -220,7 +219,7 @@ _TOKENS = re.compile(r"\s+(?![\[(])")
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a file writes its rows.
+    """Delimiter and number format of a file.
 
     Attributes
     ----------
@@ -242,7 +241,7 @@ class Dialect:
         Raises
         ------
         ValueError
-            A quote that does not end.
+            A quotation mark is not closed.
         """
         if self.delimiter == SPACE:
             return line.split()
@@ -251,7 +250,7 @@ class Dialect:
         try:
             return next(csv.reader([line], delimiter=self.delimiter, strict=True, skipinitialspace=True))
         except (csv.Error, StopIteration):
-            raise ValueError("a quotation mark does not end, or stands within a cell") from None
+            raise ValueError("a quotation mark does not end, or is within a cell") from None
 
     def number(self, cell: str) -> float:
         """Number of a cell.
@@ -292,7 +291,7 @@ def header_cells(line: str, delimiter: str) -> list[str]:
     return cells
 
 
-def proved_mark(cells: Iterable[str]) -> str:
+def find_decimal_mark(cells: Iterable[str]) -> str:
     """Decimal mark that a cell proves; empty if no cell proves one."""
     for cell in cells:
         text = cell.strip()
@@ -364,14 +363,14 @@ class Head:
             if values.get(key, unit) != unit and not (key == "accel_unit" and unit_told):
                 raise DataError(
                     f"{self.path.name}, row {self.line}: the header says {table} in {unit}, the line "
-                    f"'# {key}: {values[key]}' says otherwise; take one of them out"
+                    f"'# {key}: {values[key]}' states another unit; remove one of them"
                 )
             values.setdefault(key, unit)
         return values
 
 
-def head_of(path: Path, wanted: Mapping[str, str]) -> Head:
-    """Head of a file.
+def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
+    """Read the head of a file.
 
     Parameters
     ----------
@@ -388,11 +387,11 @@ def head_of(path: Path, wanted: Mapping[str, str]) -> Head:
     """
     top = _leading(path, wanted)
     delimiter, cells = _split(top.text, top.separator, wanted)
-    if not any(map(recognised, cells)) and not wanted and top.comments:
+    if not any(map(recognise_column, cells)) and not wanted and top.comments:
         # A header behind a comment sign, as numpy.savetxt writes it.
         line, under = top.comments[-1]
         other, names_there = _split(under.lstrip("# "), top.separator, wanted)
-        if sum(recognised(cell) is not None for cell in names_there) > 1:
+        if sum(recognise_column(cell) is not None for cell in names_there) > 1:
             delimiter, cells, top.line = other, names_there, line
             del top.comments[-1]
     line, skipped = top.line, top.skipped
@@ -419,7 +418,7 @@ class _Top:
     comments, skipped : list of (int, str)
         Lines that begin with `#`, and other lines above the header, with their numbers.
     line, text : int, str
-        Number and text of the header; 0 and empty without any line.
+        Number and text of the header; 0 and empty if the file has no line.
     separator : str or None
         Delimiter stated by `sep=`.
     """
@@ -447,7 +446,7 @@ def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
     none, the first line is taken, so that the error shows it.
     """
     top, characters = _Top(), 0
-    for chunk in chunks_of(path):
+    for chunk in read_chunks(path):
         for number, line in enumerate(chunk.lines, chunk.first):
             bare = line.strip()
             characters += len(bare)
@@ -473,9 +472,11 @@ def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
 def _names_samples(line: str, separator: str | None, wanted: Mapping[str, str]) -> bool:
     """True if the line names a time and two accelerations, or one of the columns that the user names."""
     _, cells = _split(line, separator, wanted)
-    if any(_alike(cell, text.strip()) for cell in cells for text in wanted.values()):
+    if any(_same_name(cell, text.strip()) for cell in cells for text in wanted.values()):
         return True
-    return {"time_s", "ax", "ay"} <= {found[0] for found in map(recognised, cells) if found is not None}
+    return {"time_s", "ax", "ay"} <= {
+        found[0] for found in map(recognise_column, cells) if found is not None
+    }
 
 
 def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
@@ -486,7 +487,7 @@ def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple
 
     def quality(split: tuple[str, list[str]]) -> tuple[int, int]:
         delimiter, cells = split
-        known = sum((recognised(cell) is not None) + (cell.lower() in named) for cell in cells)
+        known = sum((recognise_column(cell) is not None) + (cell.lower() in named) for cell in cells)
         return known, len(cells) if delimiter != SPACE else 0
 
     return max(((delimiter, header_cells(line, delimiter)) for delimiter in DELIMITERS), key=quality)
@@ -507,7 +508,7 @@ def _read_keys(
     values: dict[str, Any] = {}
     notes: list[str] = []
     for number, line in lines:
-        name, colon, text = _bare(line, dialect, columns).partition(":")
+        name, colon, text = _comment_text(line, dialect, columns).partition(":")
         name, text = name.strip().lower(), with_formulas(text.strip())
         if not colon:
             continue
@@ -516,7 +517,7 @@ def _read_keys(
         elif name not in KEYS:
             notes.append(f"key '{name}' in row {number} is not known and was ignored")
         elif name in values:
-            raise DataError(f"{file}, row {number}: key '{name}' stands there twice")
+            raise DataError(f"{file}, row {number}: key '{name}' occurs twice")
         elif text:
             try:
                 values[name] = KEYS[name].read(text)
@@ -528,11 +529,11 @@ def _read_keys(
     try:
         checked_gravity_mps2(values.get("gravity_mps2", STANDARD_GRAVITY_MPS2))
     except UsageError as error:
-        notes.append(f"gravity_mps2 is taken as it stands, but {str(error).split(';')[0]}")
+        notes.append(f"gravity_mps2 is used as stated, but {str(error).split(';')[0]}")
     return values, notes
 
 
-def _bare(line: str, dialect: Dialect, columns: int) -> str:
+def _comment_text(line: str, dialect: Dialect, columns: int) -> str:
     """A line without its `#` and without quotes and delimiters that a spreadsheet has added."""
     if line.startswith('"'):
         try:
@@ -558,7 +559,7 @@ class _Assignment:
         return DataError(f"{self.path.name}, row {self.line}: {message}")
 
     def columns(self, wanted: Mapping[str, str]) -> tuple[dict[str, CsvColumn], list[str]]:
-        told = dict(self._told(mine, theirs) for mine, theirs in wanted.items())
+        told = dict(self._named_column(mine, theirs) for mine, theirs in wanted.items())
         found = told | self._by_name(told)
         if not found:
             raise self._unknown()
@@ -568,18 +569,18 @@ class _Assignment:
         if gyros and len(gyros) < 3:
             missing = next(name for name in GYROS if name not in chosen)
             if any(chosen[name].plain for name in gyros):
-                raise self._fail(f"column '{missing}' is missing beside '{gyros[0]}'")
+                raise self._fail(f"column '{missing}' is missing, but there is '{gyros[0]}'")
             notes.append(f"rates about {', '.join(gyros)} alone were ignored: '{missing}' is missing")
             chosen = {name: column for name, column in chosen.items() if name not in GYROS}
         return chosen, [*self._ignored(found), *_renamed(chosen), *notes]
 
-    def _told(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
+    def _named_column(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
         """Column that the user has named."""
-        known = recognised(mine)
+        known = recognise_column(mine)
         if known is None:
             raise UsageError(f"columns: '{mine}' is no column of the format; known: {', '.join(COLUMNS)}")
         there = [k for k, cell in enumerate(self.cells) if cell == theirs] or [
-            k for k, cell in enumerate(self.cells) if _alike(cell, theirs)
+            k for k, cell in enumerate(self.cells) if _same_name(cell, theirs)
         ]
         if len(there) != 1:
             what = "no column is called" if not there else "several columns are called"
@@ -594,14 +595,14 @@ class _Assignment:
         taken = {column.place for column in told.values()}
         found: dict[str, CsvColumn] = {}
         for k, cell in enumerate(self.cells):
-            known = None if k in taken else recognised(cell)
+            known = None if k in taken else recognise_column(cell)
             if known is None or known[0] in told:
                 continue
             column = CsvColumn(known[0], k, cell, known[1], known[2])
             other = found.get(column.name)
             if other is not None and other.plain == column.plain:
                 if column.plain:
-                    raise self._fail(f"column '{cell}' stands there twice")
+                    raise self._fail(f"column '{cell}' occurs twice")
                 raise self._fail(
                     f"both '{other.text}' and '{cell}' may be {column.name}; say which: "
                     f"--columns {column.name}={cell}"
@@ -638,10 +639,10 @@ class _Assignment:
         missing = [name for name in ("time_s", "ax", "ay") if name not in chosen]
         if not missing:
             return
-        spare = [cell for cell in self.cells if cell and recognised(cell) is None]
+        spare = [cell for cell in self.cells if cell and recognise_column(cell) is None]
         hint = ""
         if spare:
-            likely = ",".join(f"{name}={_likely(name, spare)}" for name in missing)
+            likely = ",".join(f"{name}={_likely_column(name, spare)}" for name in missing)
             shown = ", ".join(f"'{cell[:40]}'" for cell in spare[:12])
             hint = f"; not known are {shown}: say which it is, such as --columns '{likely}'"
         raise self._fail(f"column '{missing[0]}' is missing{hint}")
@@ -650,7 +651,7 @@ class _Assignment:
         cells = [cell for cell in self.cells if cell]
         if cells and all(_numeric(cell) for cell in cells):
             return self._fail(
-                f"no header row: the first row holds numbers; put a row such as '{_EXPECTED}' above it"
+                f"no header row: the first row has numbers; put a row such as '{_EXPECTED}' above it"
             )
         shown = ", ".join(f"'{cell[:40]}'" for cell in cells[:12])
         example = ",".join(f"{n}={c[:40]}" for n, c in zip(("time", "ax", "ay"), cells, strict=False))
@@ -671,7 +672,7 @@ class _Assignment:
         return notes
 
 
-def _likely(name: str, spare: Sequence[str]) -> str:
+def _likely_column(name: str, spare: Sequence[str]) -> str:
     """Unknown column that ends like the axis or begins like a time; dots if there is none."""
     for cell in spare:
         text = split_unit(cell)[0].lower()
@@ -680,7 +681,7 @@ def _likely(name: str, spare: Sequence[str]) -> str:
     return "…"
 
 
-def _alike(cell: str, theirs: str) -> bool:
+def _same_name(cell: str, theirs: str) -> bool:
     return theirs.lower() in (cell.lower(), split_unit(cell)[0].lower())
 
 
@@ -693,7 +694,7 @@ def _numeric(cell: str) -> bool:
 
 
 def _renamed(chosen: Mapping[str, CsvColumn]) -> list[str]:
-    """Remark on columns whose names differ from the format's."""
+    """Remark on columns with other names than the format's."""
     own = [column for column in chosen.values() if column.text.strip().lower() != column.name]
     if not own:
         return []

@@ -31,7 +31,15 @@ from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.loading import Overrides
 from adis_gonio.record.plans import MOST_POSITIONS
 from adis_gonio.record.samples_columns import AXES, COLUMNS, GYROS, SAME
-from adis_gonio.record.samples_header import SPACE, Chunk, Dialect, Head, chunks_of, head_of, proved_mark
+from adis_gonio.record.samples_header import (
+    SPACE,
+    Chunk,
+    Dialect,
+    Head,
+    find_decimal_mark,
+    read_chunks,
+    read_head,
+)
 from adis_gonio.record.segmentation import segment_with_notes, shows_a_free_turn
 
 _WALL_CLOCK = re.compile(
@@ -44,7 +52,7 @@ _SLOWEST_S = 2.0
 
 @dataclass(frozen=True)
 class SamplesTable:
-    """A file in numbers, in the units of the format.
+    """A file as arrays of numbers, in the units of the format.
 
     Attributes
     ----------
@@ -120,7 +128,7 @@ class _Reader:
         """Time of the first row, if the file has times of the wall clock."""
         self._repeated, self._first_repeated = 0, 0
         self._joined = ""
-        """Note on marks between thousands, once there are any."""
+        """Note on marks between thousands, if there are any."""
         self._waiting: tuple[int, str, str] | None = None
         """Line that is allowed only at the end: its number, the error elsewhere, the note at the end."""
 
@@ -210,7 +218,7 @@ class _Reader:
         if not kept:
             return
         if chunk.cut and numbers[-1] == chunk.first + len(chunk.lines) - 1 and not self._whole(kept[-1]):
-            self.notes.append(_cut(numbers.pop()))
+            self.notes.append(_cut_note(numbers.pop()))
             kept.pop()
             if not kept:
                 return
@@ -228,10 +236,10 @@ class _Reader:
             cells = self.dialect.cells(line)
         except ValueError as error:
             cells = []
-            wrong = (f"{error}", _cut(number))
+            wrong = (f"{error}", _cut_note(number))
         else:
             there = f"{len(cells)} values where the header has {width}"
-            wrong = (there, _cut(number))
+            wrong = (there, _cut_note(number))
             if not any(cell.strip() for cell in cells):
                 wrong = ("empty row", "")
                 cells = []
@@ -342,7 +350,7 @@ class _Reader:
             )
 
     def done(self) -> SamplesTable:
-        """The table, when all chunks have been taken."""
+        """Finish the table after the last chunk."""
         if self._waiting is not None and self._waiting[2]:
             self.notes.append(self._waiting[2])
         if not self.n:
@@ -371,18 +379,18 @@ class _Reader:
         return table
 
 
-def table_of(path: Path, wanted: dict[str, str]) -> SamplesTable:
-    """Read a file; `wanted` names columns as in `head_of`.
+def read_table(path: Path, wanted: dict[str, str]) -> SamplesTable:
+    """Read a file; `wanted` names columns as in `read_head`.
 
     Raises
     ------
     DataError
         See `read_samples_csv`.
     UsageError
-        See `head_of`.
+        See `read_head`.
     """
-    head = head_of(path, wanted)
-    reader = _Reader(head, _decided(head))
+    head = read_head(path, wanted)
+    reader = _Reader(head, _with_decimal_mark(head))
     tell: Callable[[str], Any] = current().tell
     for chunk in _rows_of(head):
         tell(f"{chunk.share:.0%}")
@@ -390,21 +398,21 @@ def table_of(path: Path, wanted: dict[str, str]) -> SamplesTable:
     return reader.done()
 
 
-def _cut(number: int) -> str:
+def _cut_note(number: int) -> str:
     return f"row {number} is the last one and was cut short: it was ignored"
 
 
 def _rows_of(head: Head) -> Iterator[Chunk]:
     """Chunks of the file without its head."""
-    for chunk in chunks_of(head.path):
+    for chunk in read_chunks(head.path):
         skip = max(head.line + 1 - chunk.first, 0)
         lines = chunk.lines[skip:] if skip else chunk.lines
         if lines:
             yield Chunk(chunk.first + skip, lines, chunk.share, chunk.last, chunk.cut)
 
 
-def _decided(head: Head) -> Dialect:
-    """The dialect with the decimal mark that the file states or its numbers prove."""
+def _with_decimal_mark(head: Head) -> Dialect:
+    """Dialect with the decimal mark that the file states or that its numbers prove."""
     stated = head.keys.get("decimal")
     if stated is not None:
         return head.dialect.with_decimal(stated, proved=True)
@@ -440,7 +448,7 @@ def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
         except ValueError:
             continue
         own = [cells[k].strip() for k in places if k < len(cells)]
-        proof = proved_mark(own)
+        proof = find_decimal_mark(own)
         if proof:
             return proof, None
         if undecided is None:
@@ -465,7 +473,7 @@ def _refuse_unclear_time(table: SamplesTable) -> None:
 
 
 MOST_DWELLS = MOST_POSITIONS
-"""Positions of a file, as many as a plan has: the memory of a fit grows with their square."""
+"""Limit of positions in a file, as in a plan: the memory of a fit grows with their square."""
 
 
 def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Session:
@@ -479,12 +487,12 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     DataError
         One line with file and row: not text, damaged gzip, empty, unknown value of a key, missing column,
         unknown unit, text in place of a number, ambiguous numbers, NaN or infinity, decreasing time, a
-        position whose rows are not contiguous, an angle, approach or use that changes within a dwell.
+        position with rows that are not contiguous, an angle, approach or use that changes within a dwell.
     UsageError
         `overrides` names a column that does not exist.
     """
     path, overrides = Path(path), overrides or Overrides()
-    table = table_of(path, dict(overrides.columns))
+    table = read_table(path, dict(overrides.columns))
     settings = table.head.settings(unit_told=overrides.accel_unit is not None)
     if settings.get("plane") == "none" and table.series["accel"].shape[1] < 3:
         raise DataError(f"{path.name}: column 'az' is missing; plane 'none' needs ax, ay and az")
@@ -496,10 +504,10 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
         recording = _dwell(table, 0, slice(0, len(table)))
         slices, notes, free = _dwells_by_stillness(path.name, recording)
         numbers = list(range(len(slices)))
-    said = _Remarks(len(slices))
-    angle = _per_dwell(table, "angle_deg", slices, _angle, said)
-    approach = _per_dwell(table, "approach", slices, _approach, said)
-    use = _per_dwell(table, "use", slices, _use, said)
+    remarks = _Remarks(len(slices))
+    angle = _per_dwell(table, "angle_deg", slices, _angle, remarks)
+    approach = _per_dwell(table, "approach", slices, _approach, remarks)
+    use = _per_dwell(table, "use", slices, _use, remarks)
     dwells = tuple(
         _dwell(table, number, rows, angle_deg=angle[k], approach=approach[k] or 0, use=use[k] or "fit")
         for k, (number, rows) in enumerate(zip(numbers, slices, strict=True))
@@ -507,7 +515,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     session = Session(
         dwells=dwells,
         source=str(path),
-        notes=(*table.notes, *notes, *said.notes(free=free)),
+        notes=(*table.notes, *notes, *remarks.notes(free=free)),
         cut_by_stillness=recording is not None,
         recording=recording,
         free_turn=free,
@@ -516,7 +524,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     session = overrides.apply(session)
     if session.sensor == "generic" and session.accel_unit == "lsb":
         raise DataError(
-            f"{path.name}: accel_unit 'lsb' needs a sensor whose LSB is known; for a generic one add a "
+            f"{path.name}: accel_unit 'lsb' needs a sensor with a known LSB; for a generic one add a "
             "line '# accel_unit: mg' (or g, mps2, counts), or give --unit"
         )
     return session
@@ -526,7 +534,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
 
 
 def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dwell:
-    """Rows as a dwell; views, no copies."""
+    """Dwell with views of the rows, not copies."""
     return Dwell(
         position=number,
         first_row=table.line_of(rows.start),
@@ -562,7 +570,7 @@ def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
         if number in seen:
             raise table.fail(
                 row,
-                f"position {number} comes back after another one (first in row {seen[number]}); "
+                f"position {number} occurs again after another one (first in row {seen[number]}); "
                 "the rows of a dwell must be contiguous: give a second visit a number of its own",
             )
         if len(numbers) == MOST_DWELLS:
@@ -595,7 +603,7 @@ class _Remarks:
     given : list of str
         Columns with a value in any row.
     taken : dict of str to int
-        Number of dwells whose value was noted before their first row, by column.
+        Number of dwells with a value noted before their first row, by column.
     filled, unused : list of str
         Columns with empty cells within a dwell, and columns without a value in any dwell.
     lost : list of str
@@ -614,7 +622,7 @@ class _Remarks:
         notes = []
         unused = self.given if free else self.unused
         if unused:
-            why = "a free turn has no dwells" if free else "no dwell that was found goes with its values"
+            why = "a free turn has no dwells" if free else "no dwell belongs to its values"
             notes.append(
                 f"not used: {', '.join(unused)}: {why}; add a column 'position', or fill in every row"
             )
@@ -633,7 +641,7 @@ def _per_dwell(
     name: str,
     slices: list[slice],
     parse: Callable[[SamplesTable, str], Any],
-    said: _Remarks,
+    remarks: _Remarks,
 ) -> list[Any]:
     """Values of a column with one value a dwell; None for a dwell without a value.
 
@@ -643,12 +651,12 @@ def _per_dwell(
     """
     if name not in table.runs:
         return [None] * len(slices)
-    said.given += [name] if any(text.strip() for _, text in table.runs[name]) else []
+    remarks.given += [name] if any(text.strip() for _, text in table.runs[name]) else []
     inside = [_stated(table, name, rows) for rows in slices]
     edges = [0, *(rows.stop for rows in slices)]
     ends = [*(rows.start for rows in slices), len(table)]
     gaps = [_stated(table, name, slice(a, b)) for a, b in zip(edges, ends, strict=True)]
-    # Values noted on the last row of each dwell would all go to the dwell after.
+    # If values were noted on the last row of each dwell, they would all go to the next dwell.
     before = bool(gaps[0]) or not gaps[-1] or not slices or bool(inside[0])
     values, taken = [], 0
     last: list[tuple[int, str]] = []
@@ -659,15 +667,15 @@ def _per_dwell(
             taken += bool(texts)
             last = texts
         elif texts and any(not text.strip() for _, text in table.texts(name, rows)):
-            said.filled += [name] if name not in said.filled else []
+            remarks.filled += [name] if name not in remarks.filled else []
         values.append(_one_value(table, name, texts, parse))
     if taken:
-        said.taken[name] = taken
+        remarks.taken[name] = taken
         unused = sum(len(gap) - 1 for gap in gaps[:-1] if gap) + len(gaps[-1])
         where = f"{name}: {counted(unused, 'value')} given where no dwell was found"
-        said.lost += [where] if unused else []
+        remarks.lost += [where] if unused else []
     elif any(gaps) and not any(inside):
-        said.unused.append(name)
+        remarks.unused.append(name)
     return values
 
 
@@ -684,7 +692,7 @@ def _one_value(
     texts: list[tuple[int, str]],
     parse: Callable[[SamplesTable, str], Any],
 ) -> Any:
-    """Value of a dwell out of its texts; None without any."""
+    """Common value of the texts of a dwell; None if there are no texts."""
     value = None
     for k, (row, text) in enumerate(texts):
         try:

@@ -179,8 +179,8 @@ def export_csv(session: Session, path: str | Path) -> None:
     DataError
         See `write_samples_csv`.
     """
-    with _new_file(path) as beside:
-        write_csv(session, beside)
+    with _new_file(path) as temporary:
+        write_csv(session, temporary)
 
 
 def write_csv(session: Session, path: Path) -> None:
@@ -188,8 +188,8 @@ def write_csv(session: Session, path: Path) -> None:
     try:
         write_samples_csv(session, path)
     except DataError as error:
-        told = str(error).removeprefix(f"{path.name}: ")
-        raise DataError(f"{session.source or 'session'}: {told}") from None
+        reason = str(error).removeprefix(f"{path.name}: ")
+        raise DataError(f"{session.source or 'session'}: {reason}") from None
 
 
 def export_json(session: Session, path: str | Path) -> None:
@@ -204,12 +204,12 @@ def export_json(session: Session, path: str | Path) -> None:
     DataError
         A value has no JSON form.
     """
-    with _new_file(path) as beside:
+    with _new_file(path) as temporary:
         try:
             text = json.dumps(session_dict(session), ensure_ascii=False, allow_nan=False)
         except (TypeError, ValueError) as error:
             raise DataError(f"{session.source or 'session'}: has no JSON form: {error}") from None
-        write_utf8(beside, text + "\n")
+        write_utf8(temporary, text + "\n")
 
 
 def session_dict(session: Session) -> dict[str, Any]:
@@ -239,8 +239,8 @@ def _new_file(path: str | Path) -> Iterator[Path]:
     if path.exists():
         raise exists_error(path)
     try:
-        with replacing(path) as beside:
-            yield beside
+        with replacing(path) as temporary:
+            yield temporary
     except OutputError as error:
         raise SessionError(str(error)) from None
 

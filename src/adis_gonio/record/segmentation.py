@@ -9,7 +9,7 @@ noise without harm. Their limit is therefore ten times their median in windows i
 are still.
 
 Every run of still windows is trimmed at both ends, which the hand may disturb, and kept if it is long. A
-run within which the mean moves on (a slip, or a slow turn) is split there.
+run is split at steps of its mean (a slip, or a slow turn).
 
 The recording is read several times from its beginning, a block at a time: its extent, its noise, the gyros'
 noise, its dwells. Memory is needed for one block and the results only.
@@ -37,10 +37,10 @@ LEAST_S = 1.0
 
 _GYRO_UPPER = 10.0
 _OFTEN = 0.25
-"""Share of windows with a constant word above which this is the converter's step and not a fault."""
+"""Share of windows with constant words above which the cause is the converter's step and not a fault."""
 _LEAST_WINDOW = 8
 _BLOCK = 1 << 16
-"""Rows that are worked on at a time."""
+"""Rows of a block."""
 _FIRST = 20_000
 """Rows at the beginning that determine the converter's step."""
 
@@ -49,7 +49,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Piece:
-    """Neighbouring samples of a recording.
+    """Consecutive samples of a recording.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Piece:
     accel : (n, axes) float
         Accelerometer samples, any unit.
     gyro : (n, 3) float or None
-        Gyro samples, any unit, in all pieces or in none.
+        Gyro samples, any unit; all pieces have them or none.
     """
 
     time_s: Floats
@@ -75,7 +75,7 @@ class Piece:
 
 
 Reading = Callable[[], Iterable[Piece]]
-"""Reads a recording from its beginning; called once a pass, each time with the same samples."""
+"""Reads a recording from its beginning; called once for each pass, and always gives equal samples."""
 
 
 def segment_with_notes(
@@ -141,7 +141,7 @@ def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
     ]
     if cutter.stuck:
         rows = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in cutter.stuck[:4])
-        notes.append(f"stuck data left out: an axis shows less than a tenth of its noise at {rows}")
+        notes.append(f"stuck data left out: an axis has less than a tenth of its noise at {rows}")
     return slices, notes
 
 
@@ -192,7 +192,7 @@ _SHIFT = 52 - 10
 
 
 class Quantiles:
-    """Numbers of zero or more, fed in pieces; any quantile of them to 0.1 %.
+    """Histogram of non-negative numbers, fed in pieces, that gives quantiles to 0.1 %.
 
     A quantile is the mean of the numbers in its bin, so that equal numbers are returned unchanged. Memory
     grows only with the logarithm of the ratio of the largest to the smallest number.
@@ -215,6 +215,8 @@ class Quantiles:
         self.zeros += len(values) - len(some)
         if not len(some):
             return
+        # The bit pattern of a positive float64 grows with its value, so that its upper bits number the
+        # bins.
         places: NDArray[np.int64] = np.ascontiguousarray(some, dtype=np.float64).view(np.int64) >> _SHIFT
         low, high = int(places.min()), int(places.max()) + 1
         self._reach(low, high)
@@ -230,14 +232,14 @@ class Quantiles:
         share : float
             0 to 1.
         below : float
-            Numbers above it take no part.
+            Larger numbers are excluded.
         with_zeros : bool
-            Whether zeros take part.
+            True to include zeros.
 
         Raises
         ------
         ValueError
-            No number takes part.
+            There are no numbers.
         """
         mean = self._sum / np.maximum(self._count, 1)
         count = np.where(mean <= below, self._count, 0)
@@ -245,6 +247,7 @@ class Quantiles:
         total = int(count.sum()) + zeros
         if not total:
             raise ValueError("no numbers")
+        # Rank among the sorted numbers, of which the zeros are the first.
         rank = share * (total - 1)
         if rank < zeros:
             return 0.0
@@ -322,6 +325,7 @@ class _Range:
         largest = np.maximum(np.abs(self.low), np.abs(self.high))
         first = np.concatenate(self._first)
         for axis in range(self.axes):
+            # The smallest difference of two values is the step, unless it is a rounding error.
             gaps = np.diff(np.unique(first[:, axis]))
             gaps = gaps[gaps > 1e-9 * max(1.0, float(largest[axis]))]
             steps[axis] = gaps.min() if gaps.size else 0.0
@@ -363,6 +367,7 @@ def _deviation(samples: Floats, window: int, middle: float, rounding: float) -> 
     """Standard deviation (n − window + 1,) of samples (n,) in every window."""
     if len(samples) < window:
         return np.zeros(0)
+    # Differences of running sums give the sums of x and x² over every window.
     part = samples - middle
     first = np.concatenate([[0.0], np.cumsum(part)])
     second = np.concatenate([[0.0], np.cumsum(part**2)])
@@ -435,7 +440,7 @@ class _Cutter:
         self._limits = limits
         self._extent = extent
         self._turn = turn
-        # An axis that never changes has no limit and no step either.
+        # An axis that never changes has the limit 0: avoid a division by zero.
         self._unit = np.maximum(limits.upper / UPPER, 1e-300)
         self._still = _Runs()
         self._flat = _Runs()
@@ -488,6 +493,7 @@ class _Cutter:
         window = self._sizes.window
         if len(still) <= window or not still.any():
             return
+        # Difference of the means of adjacent windows in units of the noise, the largest over the axes.
         jump = np.zeros(len(still) - window)
         for axis in range(accel.shape[1]):
             sums = np.concatenate([[0.0], np.cumsum(accel[:, axis] - self._extent.accel.middle[axis])])
@@ -499,7 +505,7 @@ class _Cutter:
             self._steps.append((start + rows, jump[rows]))
 
     def _close(self, first: int, last: int) -> None:
-        """A run of still windows has ended: keep its rows, in parts."""
+        """Keep the rows of an ended run of still windows, split at steps of the mean."""
         sizes = self._sizes
         start, stop = first + sizes.trim, last + sizes.window - sizes.trim
         cuts = self._cuts(start, stop) if stop - start >= 2 * sizes.least else []
@@ -533,6 +539,7 @@ class _Runs:
         self.open: int | None = None
 
     def feed(self, flags: Flags) -> list[tuple[int, int]]:
+        # +1 where a run begins, -1 behind its last flag.
         edges = np.diff(flags.astype(np.int8), prepend=np.int8(self.open is not None))
         found = []
         for k in np.flatnonzero(edges).tolist():
@@ -551,9 +558,9 @@ class _Runs:
 
 _HALF_TURN = math.pi
 _MOST_REST = 0.5
-"""Part of the time at rest beyond which a recording is a row of positions."""
+"""Share of the time at rest above which a recording is a series of positions."""
 _OUT_OF_PLANE = 0.25
-"""Z and the change of the length of X and Y, over that length, beyond which no plane was kept."""
+"""Largest Z and change of the length of (X, Y), relative to this length, for a turn in the plane."""
 
 
 def shows_a_free_turn(recording: Dwell, dwells: Sequence[slice]) -> bool:
@@ -569,6 +576,7 @@ def shows_a_free_turn(recording: Dwell, dwells: Sequence[slice]) -> bool:
     rest = sum(rows.stop - rows.start for rows in dwells)
     if recording.gyro is None or rest > _MOST_REST * len(recording) or len(recording) < 2 * _LEAST_WINDOW:
         return False
+    # Means of 64 samples remove most of the noise before the angle is unwrapped.
     blocks = np.array_split(recording.accel, max(len(recording) // 64, 8))
     x, y, *z = np.array([block.mean(axis=0) for block in blocks]).T
     length = np.hypot(x, y)

@@ -1,6 +1,6 @@
 """A session file as a `Session` for the fits, with the turns between its dwells or its free turn.
 
-Turns between dwells are read when somebody asks for them: a fit without gyros costs nothing more.
+Turns between dwells are read on demand, so that a fit without gyros does not need them.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ import numpy as np
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor.registers import changed_settings
-from adis_gonio.model.records import METADATA, Dwell, Session
-from adis_gonio.model.turns import Turn
+from adis_gonio.model.records import METADATA, Dwell, Session, Turn
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.archive_tables import Header, JsonDict, StoredAttempt
 from adis_gonio.record.blocks import (
@@ -25,8 +24,8 @@ from adis_gonio.record.blocks import (
     WITHOUT_NEWS,
     Alarms,
     Block,
-    alarms_of,
     die_temperatures,
+    find_alarms,
     join,
     session_columns,
     session_series,
@@ -211,7 +210,7 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
     """Session of one continuous turn; if it was broken off, a note gives the reason."""
     recording, reason = recording_of(view)
     if recording is None:
-        raise DataError(f"{path}: holds no turn yet; resume the session")
+        raise DataError(f"{path}: has no turn yet; resume the session")
     lost = sum(block.lost for a in view.attempts() for block in view.blocks(a))
     facts = _facts(view) | {
         "advised": [],
@@ -275,9 +274,9 @@ def _of_writes(facts: JsonDict) -> tuple[str, ...]:
     recorded = facts["registers"]["configured"]
     if not facts["offset_writes"] or not recorded:
         return ()
-    from adis_gonio.record.write_journal import operations, remarks_on
+    from adis_gonio.record.write_journal import describe_writes, operations
 
-    return remarks_on(operations(facts["offset_writes"]), recorded)
+    return describe_writes(operations(facts["offset_writes"]), recorded)
 
 
 def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwell:
@@ -293,7 +292,7 @@ def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwel
 
 
 def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
-    alarms = alarms_of(scans)
+    alarms = find_alarms(scans)
     return {
         "place": attempt.place,
         "attempt": attempt.number,
@@ -313,7 +312,7 @@ def _changed_registers(view: ArchiveView) -> list[JsonDict]:
     changed = changed_settings(then or {}, now or {})
     if not changed:
         return []
-    # No range has code 0 or 7: such a reply comes from a line that is stuck.
+    # No range has the code 0 or 7: such a reply comes from a stuck line.
     level = {0x0000: "zeros", 0xFFFF: "ones"}.get((now or {}).get("SENS_AVG", 1))
     if level is not None:
         message = (
@@ -321,10 +320,10 @@ def _changed_registers(view: ArchiveView) -> list[JsonDict]:
             ", the data line (MISO) was stuck; check the line, then measure again"
         )
         return [{"attempt": None, "kind": "registers", "message": message}]
-    told = ", ".join(f"{name} {before} → {after}" for name, (before, after) in changed.items())
+    listed = ", ".join(f"{name} {before} → {after}" for name, (before, after) in changed.items())
     message = (
-        f"the sensor's settings changed while the session was recorded ({told}): it restarted, or somebody"
-        " wrote to it, and dwells from before and after do not agree"
+        f"the sensor's settings changed while the session was recorded ({listed}): it restarted, or"
+        " somebody wrote to it, and dwells from before and after do not agree"
     )
     return [{"attempt": None, "kind": "registers", "message": message}]
 

@@ -1,4 +1,4 @@
-"""How a session measures: dwell length, settling, and the sensor's configuration."""
+"""Settings of a session: dwell length, settling, and the sensor's configuration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TURN_S = 10.0
 
 
 def expected_each_s(settle_s: float, dwell_s: float) -> float:
-    """Time in s that a position is expected to take: the turn, the settling and the dwell."""
+    """Expected time of a position in s: the turn, the settling and the dwell."""
     return TURN_S + settle_s + dwell_s
 
 
@@ -34,9 +34,9 @@ class Settings(JsonRecord):
     dwell_s : float
         Length of a dwell in s.
     settle_s : float
-        Wait between stillness and the dwell in s; the filter's settling time is the least.
+        Wait between stillness and the dwell in s, at least the filter's settling time.
     still_timeout_s : float
-        How long to wait for stillness in s before asking again (or giving up, without an operator).
+        Time to wait for stillness in s before the operator is asked (or the session ends without one).
     smpl_prd : int
         SMPL_PRD; 1 is the fastest, 819.2 samples a second.
     filter_m : int
@@ -54,7 +54,7 @@ class Settings(JsonRecord):
     Raises
     ------
     UsageError
-        A value that the sensor does not have, or a dwell too short for its rate.
+        The sensor does not support a value, or the dwell is too short for its rate.
     """
 
     dwell_s: float = 10.0
@@ -89,12 +89,12 @@ class Settings(JsonRecord):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Settings:
-        """Settings from their JSON form; those that are not there have their defaults.
+        """Settings from their JSON form; missing settings have their defaults.
 
         Raises
         ------
         UsageError
-            A value as above, or a setting that this program does not know.
+            A value is not supported, or a setting is unknown to this program.
         """
         unknown = sorted(data.keys() - cls.__dataclass_fields__.keys())
         if unknown:

@@ -8,26 +8,25 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
-from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.data_ready import MASK as DATA_READY_BITS
 from adis_gonio.device.sensor.data_ready import DataReadyLoan
 from adis_gonio.device.sensor.driver import Adis16354, open_sensor
 from adis_gonio.device.sensor.registers import BY_NAME, READING_BITS, REGISTERS
-from adis_gonio.device.sensor.settings import Configuration, Status
+from adis_gonio.device.sensor.settings import Configuration, Status, white_noise_gain
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.settings import Settings
 
 
 class Measuring(Protocol):
-    """How a sensor measures."""
+    """Configuration of a sensor, as far as a session needs it."""
 
     @property
     def sample_rate_hz(self) -> float:
@@ -45,8 +44,8 @@ class Measuring(Protocol):
         """JSON form."""
 
 
-class SampleStream(Protocol):
-    """Blocks of samples until it is closed; a context manager.
+class SampleStream(Iterator[Block], AbstractContextManager[Any], Protocol):
+    """Blocks of samples until it is closed; the next block raises `BusError` if the sensor fails.
 
     Attributes
     ----------
@@ -60,25 +59,8 @@ class SampleStream(Protocol):
     def caveat(self) -> str:
         """Limitation of the samples, as text, or empty."""
 
-    def __iter__(self) -> Iterator[Block]:
-        """Itself."""
-
-    def __next__(self) -> Block:
-        """Next block; raises `BusError` if the sensor fails."""
-
     def close(self) -> None:
         """Stop and undo changes made for the stream; may be called twice."""
-
-    def __enter__(self) -> Self:
-        """Itself."""
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +85,7 @@ class KnownPart:
 class SampleSource(Closing):
     """A sensor for a session; a context manager. It raises the errors of `adis_gonio.base.errors`.
 
-    Methods about registers have defaults for a sensor without any.
+    Methods about registers have defaults for a sensor without registers.
 
     Attributes
     ----------
@@ -206,7 +188,7 @@ class ChipSource(SampleSource):
         self._marked: tuple[str, int] | None = None
 
     def now_s(self) -> float:
-        """Clock of the bus."""
+        """Time of the bus's clock."""
         return self.sensor.bus.now_s()
 
     def sleep_s(self, seconds: float) -> None:
@@ -242,7 +224,7 @@ class ChipSource(SampleSource):
         control = BY_NAME["MSC_CTRL"]
         stimulus = control.field("positive").mask | control.field("negative").mask
         word = self.sensor.read(control)
-        if word & stimulus and not word & ~control.write_mask:  # other bits: the line gives no replies
+        if word & stimulus and not word & ~control.write_mask:  # other bits mean a dead line
             self.give_back()
             word = self.sensor.read(control) & ~stimulus
             raise ChipError(
@@ -325,7 +307,7 @@ class ChipSource(SampleSource):
     def expected_noise_mg(self, measuring: Measuring) -> float:
         """The variant's noise estimate behind the present filter."""
         filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
-        return self.sensor.variant.performance.noise_mg * white_gain(filter_m)
+        return self.sensor.variant.performance.noise_mg * white_noise_gain(filter_m)
 
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
         """Scans of the registers that the settings name."""
@@ -338,7 +320,7 @@ class ChipSource(SampleSource):
         )
 
     def status(self) -> Status:
-        """STATUS."""
+        """Read STATUS, which clears it."""
         return self.sensor.status()
 
     def close(self) -> None:

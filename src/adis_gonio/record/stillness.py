@@ -82,7 +82,7 @@ STUCK_LOOKS = 3
 
 
 def window_samples(measuring: Measuring) -> int:
-    """Length of a window of the watch in samples, for a rate and a filter's settling time."""
+    """Length of a window of the watch in samples, by the sample rate and the filter's settling time."""
     return max(
         LEAST_WINDOW,
         round(WINDOW_S * measuring.sample_rate_hz),
@@ -116,7 +116,7 @@ class Look:
 
 
 class _Windows:
-    """Half-overlapping windows over samples that come in pieces."""
+    """Half-overlapping windows over samples that are fed in pieces."""
 
     def __init__(self, length: int) -> None:
         self._length = length
@@ -125,7 +125,7 @@ class _Windows:
         self.fed = 0
 
     def feed(self, samples: Floats) -> list[tuple[int, Floats]]:
-        """Windows (length, 3) that these samples complete, each with the count of samples at its end."""
+        """Windows (length, 3) completed by these samples, each with the number of samples up to its end."""
         self._kept = np.concatenate([self._kept, samples])
         self.fed += len(samples)
         first = self.fed - len(self._kept)
@@ -211,7 +211,7 @@ class StillnessWatch:
 
     @property
     def fed(self) -> int:
-        """Samples that were fed so far."""
+        """Number of samples so far."""
         return self._windows.fed
 
     def anchor(self, sample: int | None) -> None:
@@ -239,6 +239,7 @@ class StillnessWatch:
         if self._anchor_from is not None and end - self._length >= self._anchor_from:
             if self._anchor is None:
                 self._anchor = mean
+            # The first window of the dwell is the reference for the shift of later ones.
             shift = np.abs(mean - self._anchor)
             allowed = np.maximum(self._upper, SHIFT_MG)
             if (shift > allowed).any():
@@ -249,7 +250,7 @@ class StillnessWatch:
 
 
 def stuck_error(axis: str, value_mg: float) -> SessionError:
-    """Error of an axis that does not change."""
+    """Error for an axis that does not change."""
     return SessionError(
         f"accelerometer {axis} is stuck at {value_mg:.1f} mg: a live sensor shows its noise;"
         " check the sensor, its wiring and its supply, then resume the session"

@@ -6,10 +6,10 @@ step behind the sensor, and the registers, ENDURANCE and the journal together de
 
 | registers | after |
 |---|---|
-| old | a cut before anything was saved (the part takes its flash copies at power-on), or an undo |
+| old | a power cut before anything was saved (at power-on the part loads its flash copies), or an undo |
 | new | a write; in flash if ENDURANCE went up by one since `saving` |
-| half | the program ended between two bytes or two registers while the power stayed |
-| other | somebody else wrote them, or it is another part |
+| half | the program ended between two bytes or two registers, without a power cut |
+| other | another program wrote them, or it is another part |
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ KIND = "offsets"
 """Kind of the archive's records that are the journal."""
 
 INTERRUPTED = (
-    "a write of offsets was interrupted, so what the sensor holds is not known; run `adis-gonio write` "
+    "a write of offsets was interrupted, so the state of the sensor is unknown; run `adis-gonio write` "
     "with --status, then finish it or --undo"
 )
 
@@ -39,7 +39,11 @@ Op = Literal["write", "undo", "autonull"]
 
 
 class WriteStep(StrEnum):
-    """Steps of an operation, in their order; `DONE` and `SET_BACK` end it."""
+    """Steps of an operation, in their order; `DONE` and `SET_BACK` end it.
+
+    Numbers that are in flash already are `SAVED` without `SAVING`. An autonull begins with `SAVING`, since
+    the part saves it automatically, and `SAVED` has the numbers found.
+    """
 
     PLANNED = "planned"
     WRITTEN = "written"
@@ -50,20 +54,6 @@ class WriteStep(StrEnum):
     SET_BACK = "set-back"
 
 
-AFTER: dict[WriteStep | None, tuple[WriteStep, ...]] = {
-    None: (WriteStep.PLANNED,),
-    WriteStep.PLANNED: (WriteStep.WRITTEN, WriteStep.SAVING, WriteStep.SET_BACK),
-    WriteStep.WRITTEN: (WriteStep.VERIFIED, WriteStep.SAVING, WriteStep.DONE, WriteStep.SET_BACK),
-    WriteStep.VERIFIED: (WriteStep.SAVING, WriteStep.SAVED, WriteStep.DONE, WriteStep.SET_BACK),
-    WriteStep.SAVING: (WriteStep.SAVED, WriteStep.SET_BACK),
-    WriteStep.SAVED: (WriteStep.DONE,),
-    WriteStep.DONE: (),
-    WriteStep.SET_BACK: (),
-}
-"""Steps that may follow each step. Numbers that are in flash already are `saved` without `saving`. An
-autonull begins with `saving`, since the part saves it automatically, and `saved` has the numbers found."""
-
-
 @dataclass(frozen=True)
 class Operation(JsonRecord):
     """One write, undo or autonull in the journal.
@@ -71,7 +61,7 @@ class Operation(JsonRecord):
     Attributes
     ----------
     number : int
-        From 1.
+        Number of the operation, from 1.
     op : {"write", "undo", "autonull"}
     old, new : dict of str to int
         Numbers before the write and numbers to write. An undo has the numbers of the write that it undoes;
@@ -156,7 +146,7 @@ def operations_of(session: Session, names: Sequence[str] = ACCEL_OFF) -> tuple[O
     return tuple(operation for operation in known if operation.concerns(names))
 
 
-def remarks_on(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
+def describe_writes(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
     """Remarks on writes for a session's results: one line for each half of the sensor that was written."""
     own = [tuple(one for one in known if one.concerns(names)) for names in (ACCEL_OFF, GYRO_OFF)]
     said = (*_remarks(own[0], recorded, "biases"), *_remarks(own[1], recorded, "zero rates"))
@@ -179,7 +169,7 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
     )
 
 
-def to_undo(known: Sequence[Operation]) -> Operation | None:
+def find_undoable(known: Sequence[Operation]) -> Operation | None:
     """The write that an undo would undo: the last one that was not undone already."""
     for operation in reversed(known):
         if operation.op != "undo" and operation.steps[-1] is not WriteStep.SET_BACK:
@@ -220,7 +210,7 @@ class HeldOffsets(JsonRecord):
     text: str
 
 
-def standing_of(
+def held_offsets(
     known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
 ) -> HeldOffsets:
     """State of a sensor with these numbers and this ENDURANCE.
@@ -237,14 +227,14 @@ def standing_of(
         )
     last = known[-1]
     if last.op == "autonull" and not last.saved:
-        last = replace(last, new={name: now[name] for name in last.old})  # whatever the part found
+        last = replace(last, new={name: now[name] for name in last.old})  # the numbers found by the part
         known = (*known[:-1], last)
     axes = {name: _state(name, now[name], last.old[name], last.new[name]) for name in last.new}
-    registers = _together(now, last, axes)
+    registers = _common_state(now, last, axes)
     flash = _in_flash(known, now, endurance, others)
     saved = None if flash is None else all(flash.get(name) == now[name] for name in last.new)
     if registers == "old" and flash == {}:
-        saved = None  # they were found there, in flash or not
+        saved = None  # unknown: the old numbers were there before the write
     return HeldOffsets(registers, saved, last.open, axes, last, _words(registers, flash, axes, last))
 
 
@@ -255,7 +245,7 @@ def flash_untouched(
     return not known or _in_flash(known, now, endurance, others) in ({}, known[-1].old)
 
 
-def _together(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
+def _common_state(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
     """One state for all registers; a register that an operation does not change is both old and new."""
     both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
     written = last.op == "write" or (last.op == "autonull" and last.saved)
@@ -291,7 +281,7 @@ def _in_flash(
             if operation is known[-1] and written == 1 and all(now[k] == asked[k] for k in asked):
                 flash = certain
             elif written:
-                # A supply that dipped just before the flash was written may have put the others there.
+                # After a dip of the supply just before the flash write, the other numbers may be in flash.
                 flash = None
     return flash
 

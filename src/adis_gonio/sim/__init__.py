@@ -4,33 +4,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from adis_gonio.base.lazy_names import lazily
+from adis_gonio.base import lazily
 
 _HOMES = {
-    "Inputs": "inputs",
+    "Inputs": "sampling",
     "SimBus": "bus",
     "SimStage": "bus",
     "SimulatedChip": "chip",
     "Stage": "stage",
     "State": "chip",
-    "Surroundings": "inputs",
+    "Surroundings": "sampling",
     "World": "world",
     "WorldSettings": "settings",
     "open_from_url": "bus",
 }
 
-__all__ = [
-    "Inputs",
-    "SimBus",
-    "SimStage",
-    "SimulatedChip",
-    "Stage",
-    "State",
-    "Surroundings",
-    "World",
-    "WorldSettings",
-    "open_from_url",
-]
+__all__ = sorted(_HOMES)  # noqa: PLE0605 (a list of strings)
 
 if TYPE_CHECKING:
     from adis_gonio.sim.bus import SimBus as SimBus
@@ -38,8 +27,8 @@ if TYPE_CHECKING:
     from adis_gonio.sim.bus import open_from_url as open_from_url
     from adis_gonio.sim.chip import SimulatedChip as SimulatedChip
     from adis_gonio.sim.chip import State as State
-    from adis_gonio.sim.inputs import Inputs as Inputs
-    from adis_gonio.sim.inputs import Surroundings as Surroundings
+    from adis_gonio.sim.sampling import Inputs as Inputs
+    from adis_gonio.sim.sampling import Surroundings as Surroundings
     from adis_gonio.sim.settings import WorldSettings as WorldSettings
     from adis_gonio.sim.stage import Stage as Stage
     from adis_gonio.sim.world import World as World

@@ -1,26 +1,27 @@
 """The simulated bus: a chip in a world behind the contract of `adis_gonio.device.bus`.
 
-Time is virtual: an exchange takes as long as its frames would, `sleep_s` and moves of the stage only set
-the clock forward, so an hour's session runs in seconds. With `realtime` the clock is the wall's.
+Time is virtual: an exchange takes as long as its frames would take, and `sleep_s` and moves of the stage
+only advance the clock, so an hour's session runs in seconds. With `realtime` the bus follows the wall
+clock.
 
-The bus keeps the timing that it is given and refuses none that is physically possible: the chip answers
-for what it is sent.
+The bus accepts every timing that is physically possible; the chip answers for frames that come too fast.
 
-What is not simulated
+Not simulated
     Electrical faults, a bridge's own latency and buffers (a stream never overflows; edges are lost only
-    where the read list takes longer than the update period), which DIO line the bridge listens to.
+    if the read list takes longer than the update period), the choice of the DIO line.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.base.errors import BusClosedError, BusTimeoutError, CapabilityError, UsageError
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import BusTimeoutError, UsageError
 from adis_gonio.device.bus.contract import (
     FRAME_BITS,
     Capability,
@@ -30,15 +31,13 @@ from adis_gonio.device.bus.contract import (
     SpiTiming,
     Words,
 )
-from adis_gonio.device.bus.host import SAFE_TIMING
+from adis_gonio.device.bus.host import SAFE_TIMING, UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, Device
-from adis_gonio.device.sensor.registers import WRITE
 from adis_gonio.device.sensor.variants import Variant
+from adis_gonio.model.effects import parse_effect
 from adis_gonio.model.effects.base import Effect
-from adis_gonio.model.effects.registry import parse_effect
 from adis_gonio.sim.chip import SimulatedChip
 from adis_gonio.sim.gyros import realistic_gyros, stream_of
-from adis_gonio.sim.inputs import Floats
 from adis_gonio.sim.memory import FlashFile
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Stage
@@ -55,7 +54,7 @@ class SimBus(SpiBus):
     Parameters
     ----------
     settings : WorldSettings
-        The world; by default all that is hidden is drawn from the seed.
+        The world; by default all hidden parameters are drawn from the seed.
     seed : int
         Seed of everything random.
     part : str or Variant
@@ -67,14 +66,14 @@ class SimBus(SpiBus):
     realtime : bool
         Follow the wall clock.
     chip : SimulatedChip
-        A chip of one's own, in `world`, instead of a new one.
+        An existing chip in `world`, instead of a new one.
     world : World
-        A world of one's own; settings, seed and effects are then its business.
+        An existing world; settings, seed and effects are then ignored.
 
     Attributes
     ----------
     chip, world, stage
-        What is behind the bus; `stage` moves the part.
+        Simulated objects behind the bus; `stage` moves the part.
     """
 
     def __init__(
@@ -107,7 +106,7 @@ class SimBus(SpiBus):
 
     @property
     def virtual_time(self) -> bool:
-        """True where the clock is set forward by what is done; False where it is the wall's."""
+        """True if actions advance the clock, False if the bus follows the wall clock."""
         return self._wall_s is None
 
     # -- time -----------------------------------------------------------------------------------
@@ -120,7 +119,7 @@ class SimBus(SpiBus):
             return self._now
 
     def sleep_s(self, seconds: float) -> None:
-        """Set the clock forward; waits only where the bus follows the wall clock."""
+        """Advance the clock; wait only if the bus follows the wall clock."""
         if not seconds >= 0:
             raise UsageError(f"cannot sleep {seconds} s")
         with self._lock:
@@ -160,52 +159,26 @@ class SimBus(SpiBus):
 
     # -- optional capabilities ---------------------------------------------------------------------
 
-    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Run read frames once at each data-ready edge.
+    def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
+        if self._stream is not None:
+            raise UsageError(f"{self.url}: a stream is running; close it first")
+        self._stream = SimStream(self, np.array(frames, np.uint16), block_scans)
+        return self._stream
 
-        Raises
-        ------
-        BusTimeoutError
-            The chip gives no data-ready edges: its output is not enabled in MSC_CTRL, or it is not
-            running.
-        UsageError
-            The list is empty or holds a write, or a stream is running.
-        """
-        with self._lock:
-            self._require_open()
-            if Capability.STREAM not in self.capabilities:
-                raise CapabilityError(f"{self.url} has no capability '{Capability.STREAM}'")
-            if self._stream is not None:
-                raise UsageError(f"{self.url}: a stream is running; close it first")
-            if not frames or any(not 0 <= frame < WRITE >> 1 for frame in frames):
-                raise UsageError("a stream takes at least one read frame and no writes")
-            if block_scans < 1:
-                raise UsageError(f"a block of {block_scans} scans is not possible; give at least 1")
-            self._stream = SimStream(self, np.array(frames, np.uint16), block_scans)
-            return self._stream
+    def _pull_reset(self) -> None:
+        self.chip.hard_reset(self.now_s())
 
-    def hard_reset(self) -> None:
-        """Pull the RST line; the chip then starts up."""
-        with self._lock:
-            self._require_open()
-            self.chip.hard_reset(self.now_s())
-
-    def read_event_counter(self) -> int:
-        """Data-ready edges since the last call."""
-        with self._lock:
-            self._require_open()
-            if Capability.EVENT_COUNTER not in self.capabilities:
-                raise CapabilityError(f"{self.url} has no capability '{Capability.EVENT_COUNTER}'")
-            edges = self.chip.data_ready_edges(self.now_s())
-            new, self._counted = edges - self._counted, edges
-            return new
+    def _count_edges(self) -> int:
+        edges = self.chip.data_ready_edges(self.now_s())
+        new, self._counted = edges - self._counted, edges
+        return new
 
 
 class SimStream(FrameStream):
     """A stream of a simulated bus.
 
-    The list runs from each falling edge on, with one idle frame behind it that fetches the last reply;
-    edges that fall into a run are lost. Time that the caller lets pass between blocks is buffered.
+    The list runs after each falling edge, followed by one idle frame that fetches the last reply; edges
+    during a run are lost. Scans between two calls are buffered.
     """
 
     def __init__(self, bus: SimBus, frames: Words, block_scans: int) -> None:
@@ -263,7 +236,7 @@ class SimStream(FrameStream):
 
 
 class SimStage:
-    """The stage as a program moves it: a move takes its time on the bus's clock."""
+    """The stage as moved by a program: each move takes time on the clock of the bus."""
 
     def __init__(self, bus: SimBus, stage: Stage) -> None:
         self._bus = bus
@@ -271,7 +244,7 @@ class SimStage:
 
     @property
     def angle_deg(self) -> float:
-        """Declared angle; nan where the attitude was given in space."""
+        """Declared angle; NaN after a move in space."""
         return self._stage.angle_deg
 
     @property
@@ -282,64 +255,54 @@ class SimStage:
     def move_to(self, angle_deg: float, approach: int = 0) -> None:
         """Turn to a declared angle in degrees, arriving from below (+1), above (-1) or the short way."""
         with self._bus._lock:
-            self._require_open()
-            self._bus._set_now(self._stage.move_to(self._bus.now_s(), angle_deg, approach))
+            self._bus._set_now(self.begin_move(angle_deg, approach))
 
     def orient(self, vector: Sequence[float] | Floats) -> None:
         """Turn until an ideal sensor reads along a vector (3,); level with Z up is (0, 0, -1)."""
         with self._bus._lock:
-            self._require_open()
-            self._bus._set_now(self._stage.orient(self._bus.now_s(), np.asarray(vector, np.float64)))
+            self._bus._set_now(self.begin_orient(vector))
 
     def turn_about(self, angle_deg: float, axis: Sequence[float] | Floats | None = None) -> None:
-        """Turn the part by an angle in degrees about an axis (3,) of its own, or about the vertical.
+        """Turn the part by an angle in degrees about an axis (3,) of the part, or about the vertical.
 
         See `Stage.turn_about`.
         """
         with self._bus._lock:
-            self._require_open()
             about = None if axis is None else np.asarray(axis, np.float64)
-            self._bus._set_now(self._stage.turn_about(self._bus.now_s(), angle_deg, about))
+            self._bus._set_now(self._begin(self._stage.turn_about, angle_deg, about))
 
     def begin_move(self, angle_deg: float, approach: int = 0) -> float:
-        """As `move_to`, but the bus's clock stands still, so that the move can be recorded."""
-        with self._bus._lock:
-            self._require_open()
-            return self._stage.move_to(self._bus.now_s(), angle_deg, approach)
+        """Begin `move_to` and return its end; the clock does not advance, so the move can be recorded."""
+        return self._begin(self._stage.move_to, angle_deg, approach)
 
     def begin_orient(self, vector: Sequence[float] | Floats) -> float:
-        """As `orient`, but the bus's clock stands still; when it ends."""
-        with self._bus._lock:
-            self._require_open()
-            return self._stage.orient(self._bus.now_s(), np.asarray(vector, np.float64))
+        """Begin `orient` and return its end; the clock does not advance."""
+        return self._begin(self._stage.orient, np.asarray(vector, np.float64))
 
     def begin_turn(self, angle_deg: float) -> float:
-        """Begin to turn the part about the vertical (counter-clockwise positive); returns when it ends.
+        """Begin to turn the part about the vertical (counter-clockwise positive) and return the end.
 
-        The bus's clock stands still, so that the turn can be recorded.
+        The clock does not advance, so the turn can be recorded.
         """
-        with self._bus._lock:
-            self._require_open()
-            return self._stage.turn_about(self._bus.now_s(), angle_deg)
+        return self._begin(self._stage.turn_about, angle_deg)
 
     def turn_freely(self, turns: int = 1) -> float:
-        """Begin turns by hand; returns when they end, on the bus's clock, which stands still."""
-        with self._bus._lock:
-            self._require_open()
-            return self._stage.turn_freely(self._bus.now_s(), turns)
+        """Begin turns by hand and return their end; the clock does not advance."""
+        return self._begin(self._stage.turn_freely, turns)
 
-    def _require_open(self) -> None:
-        if self._bus.closed:
-            raise BusClosedError(f"{self._bus.url}: the bus is closed")
+    def _begin(self, motion: Callable[..., float], *arguments: object) -> float:
+        with self._bus._lock:
+            self._bus._require_open()
+            return motion(self._bus.now_s(), *arguments)
 
 
 def open_from_url(url: BusUrl) -> SimBus:
     """Open `sim:?seed=1&variant=adis16354&noise_mg=4.7…`.
 
-    Options are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1), `effects` (of the catalogue,
-    such as `quadratic:k2_x=2.5;cubic`), `flash` (a file that keeps the part's flash, and only that, from
-    one opening to the next), `gyros` (`realistic` draws their faults from the seed, see `gyros`; what
-    is given by name stands) and every name of `WorldSettings`.
+    Options are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1), `effects` (of the catalogue, such
+    as `quadratic:k2_x=2.5;cubic`), `flash` (a file that keeps the flash of the part between two openings),
+    `gyros` (`realistic` draws their faults from the seed, but keeps values given by name) and every name of
+    `WorldSettings`.
 
     Raises
     ------
@@ -348,25 +311,27 @@ def open_from_url(url: BusUrl) -> SimBus:
     """
     if url.place:
         raise UsageError(f"'{url.text}': the simulator has no place '{url.place}'; write sim:?seed=1")
-    options = url.options
-    seed = _whole(options, "seed", 0)
+    options = UrlOptions(url, tuple(url.options))  # `WorldSettings.from_options` refuses unknown names
+    seed = options.number("seed", 0, 0, 2**63 - 1)
+    realistic = options.one_of("gyros", ("ideal", "realistic")) == "realistic"
+    drawn = realistic_gyros(stream_of(seed)) if realistic else {}
     world = World(
-        WorldSettings.from_options(options, others=_OPTIONS, drawn=_gyros(options, seed)),
-        part=options.get("variant", "adis16354"),
+        WorldSettings.from_options(url.options, others=_OPTIONS, drawn=drawn),
+        part=options.text("variant", "adis16354"),
         seed=seed,
-        effects=[parse_effect(text) for text in filter(None, options.get("effects", "").split(";"))],
+        effects=[parse_effect(text) for text in filter(None, options.text("effects").split(";"))],
     )
     return SimBus(
         world=world,
-        chip=_chip(world, options["flash"], seed) if "flash" in options else None,
-        stream=_switch(options, "stream", default=True),
-        realtime=_switch(options, "realtime", default=False),
+        chip=_chip(world, url.options["flash"], seed) if "flash" in url.options else None,
+        stream=options.switch("stream", default=True),
+        realtime=options.switch("realtime"),
         url=url.text,
     )
 
 
 def _chip(world: World, path: str, seed: int) -> SimulatedChip:
-    """A part that begins with the flash of a file and keeps it there."""
+    """Make a part that keeps its flash in a file."""
     if not path:
         raise UsageError("flash: name a file, such as flash=part.flash")
     kept = FlashFile(Path(path), f"{world.variant.name}, seed {seed}")
@@ -382,27 +347,5 @@ def _chip(world: World, path: str, seed: int) -> SimulatedChip:
 
 
 def find_devices() -> list[Device]:
-    """What the simulator offers to open."""
+    """Devices that the simulator offers."""
     return [Device("sim:?seed=1", "simulated ADIS16354 on a stage (no hardware)")]
-
-
-def _gyros(options: Mapping[str, str], seed: int) -> dict[str, float]:
-    """Settings of the gyros that the option `gyros` asks for."""
-    wanted = options.get("gyros", "ideal")
-    if wanted not in ("ideal", "realistic"):
-        raise UsageError(f"gyros: write ideal or realistic, not '{wanted}'")
-    return realistic_gyros(stream_of(seed)) if wanted == "realistic" else {}
-
-
-def _whole(options: Mapping[str, str], name: str, default: int) -> int:
-    text = options.get(name, str(default))
-    if not text.isascii() or not text.isdigit():
-        raise UsageError(f"{name}: '{text}' is no whole number from 0 on")
-    return int(text)
-
-
-def _switch(options: Mapping[str, str], name: str, *, default: bool) -> bool:
-    text = options.get(name, "1" if default else "0")
-    if text not in ("0", "1"):
-        raise UsageError(f"{name}: write 0 or 1, not '{text}'")
-    return text == "1"

@@ -1,12 +1,12 @@
-"""An ADIS16350-family chip at frame level, in its own time.
+"""A simulated chip of the ADIS16350 family at frame level, in its own time.
 
-`SimulatedChip.frame` sees what the pins would see: when chip select falls, how fast the clock runs, how
-many bits there are. Whatever lies between two frames happens inside: internal updates, flash updates,
-self-tests, sleep. The chip knows neither bus nor driver; its registers are those of
-`adis_gonio.device.sensor.registers`.
+`SimulatedChip.frame` gets one frame as the pins see it: the fall of chip select, the clock and the number
+of bits. Between two frames the chip updates its outputs, writes its flash, tests itself or sleeps. It
+depends on neither bus nor driver; its registers are the table `adis_gonio.device.sensor.registers`. The
+levels of its DIO lines follow the order of precedence data-ready, alarm, general output (CHIP.md, A).
 
-Choices where the real behaviour is not known
----------------------------------------------
+Choices for behaviour that is not known
+---------------------------------------
 | situation | here | confidence |
 |---|---|---|
 | word of a read | taken when chip select rises after the 16th clock | D |
@@ -14,22 +14,22 @@ Choices where the real behaviour is not known
 | stall too short | no answer until a hard reset; the data line floats | C |
 | frame during start-up, reset or factory restore | the same bad state | C |
 | clock outside the mode's range | not executed, reply XOR 0xA5A5, STATUS[3] | D |
-| frame period too short | executed, but its reply is the one of the frame before, STATUS[3] | D |
+| frame period too short | executed, but its reply repeats the frame before, STATUS[3] | D |
 | frame of other than 16 bits | ignored, STATUS[3]; chip select without a clock is only ignored | B, C |
 | frame during a flash update or recovery from sleep | ignored, stale reply | D |
-| frame while an autonull averages | ignored but for a software reset | D |
-| self-test running | registers answer, outputs read 0 with ND 0, commands but a reset are ignored | D |
-| updates during a flash update, restore or self-test | none; they start anew after it | D |
+| frame while an autonull averages | ignored except a software reset | D |
+| self-test running | registers answer, outputs read 0 with ND 0, commands except a reset are ignored | D |
+| updates during a flash update, restore or self-test | none; they restart after it | D |
 | autonull | takes the filtered gyros of the last update, or a mean over `Electronics.autonull_s` | D |
 | precision autonull | mean of the unfiltered gyros over 30 s, or `Electronics.precision_autonull_s` | D |
-| what either takes | all that the gyros read ahead of their offsets: gravity, warmth, earth, a hand | D |
+| content of either mean | the whole signal ahead of the offsets: gravity, warmth, earth, a hand | D |
 | supply below 4.75 V at the last update before a flash update ends | nothing saved, STATUS[2] | D |
 | bit 14 of a frame, COMMAND's high byte | ignored | D |
 | waking | SLP_CNT reads 0 and the taps are empty | D |
-| change of SMPL_PRD | updates start anew from there, the taps are empty | D |
+| change of SMPL_PRD | updates restart then, the taps are empty | D |
 | data-ready pulse | 50 µs wide by default, begins with the update (or ends with it: `update_edge`) | C |
 
-What is not simulated
+Not simulated
     Edges and levels on the pins within a frame (t_DAV and the like), supply current, brown-out, the noise
     that aligning the accelerometers' origin (MSC_CTRL[6]) takes from the gyros, the 350 Hz analog poles,
     jitter and drift of the chip's own clock, wear of the flash.
@@ -45,15 +45,75 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import BY_NAME, EA, GYRO_OFF, ND
 from adis_gonio.device.sensor.variants import Variant, variant
-from adis_gonio.sim import rules
-from adis_gonio.sim.electronics import IDEAL, BringsElectronics, Electronics
-from adis_gonio.sim.inputs import Floats, Surroundings
-from adis_gonio.sim.lines import data_ready_enabled, gpio_word, levels
-from adis_gonio.sim.memory import Memory
-from adis_gonio.sim.sampling import GYRO_COLUMNS, OUTPUTS, SignalChain, Updates
+from adis_gonio.sim.memory import (
+    FLASH_S,
+    SELF_TEST_S,
+    SLEEP_UNIT_S,
+    START_UP_S,
+    TOLERANCE_S,
+    WAKE_S,
+    Memory,
+    SerialLimits,
+    serial_limits,
+    update_period_s,
+)
+from adis_gonio.sim.sampling import (
+    ALARM_BITS,
+    GYRO_COLUMNS,
+    IDEAL,
+    OUTPUTS,
+    Electronics,
+    SignalChain,
+    Surroundings,
+    Updates,
+)
+
+_MISC = BY_NAME["MSC_CTRL"]
+_ALARM = BY_NAME["ALM_CTRL"]
+_GPIO = BY_NAME["GPIO_CTRL"]
+_ANY_ALARM = ALARM_BITS[0] | ALARM_BITS[1]
+
+
+def data_ready_enabled(memory: Memory) -> bool:
+    """True if a DIO line carries data-ready."""
+    return bool(_MISC.field("data_ready").of(memory["MSC_CTRL"]))
+
+
+def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None, int | None]:
+    """Levels that the chip drives on DIO1 and DIO2; None for an input.
+
+    Parameters
+    ----------
+    pulse : bool
+        True during the data-ready pulse.
+    status : int
+        STATUS; an alarm output follows its alarm bits (D: until STATUS is read).
+    """
+    gpio, alarm, misc = memory["GPIO_CTRL"], memory["ALM_CTRL"], memory["MSC_CTRL"]
+    result: list[int | None] = [
+        _GPIO.field(f"level{k}").of(gpio) if _GPIO.field(f"output{k}").of(gpio) else None for k in (1, 2)
+    ]
+    if _ALARM.field("output").of(alarm):
+        active = bool(status & _ANY_ALARM)
+        result[_ALARM.field("line").of(alarm)] = int(active == bool(_ALARM.field("polarity").of(alarm)))
+    if data_ready_enabled(memory):
+        result[_MISC.field("line").of(misc)] = int(pulse == bool(_MISC.field("polarity").of(misc)))
+    return result[0], result[1]
+
+
+def gpio_word(memory: Memory, external: tuple[int, int]) -> int:
+    """Return GPIO_CTRL as read: an input shows the level on its line."""
+    word = memory["GPIO_CTRL"]
+    for k, level in enumerate(external, 1):
+        if not _GPIO.field(f"output{k}").of(word):
+            mask = _GPIO.field(f"level{k}").mask
+            word = word | mask if level else word & ~mask
+    return word
+
 
 Words = NDArray[np.uint16]
 UpdateEdge = Literal["first", "last"]
@@ -84,7 +144,7 @@ SELF_TEST_BITS = {
 
 
 class State(Enum):
-    """What the chip is doing."""
+    """Activity of the chip."""
 
     RUNNING = auto()
     STARTING = auto()
@@ -116,7 +176,7 @@ class SimulatedChip:
     endurance : int
         Flash updates so far.
     floating_word : int
-        What a host reads while nothing drives the data line; 0xFFFF with the usual pull-up (D).
+        Word that a host reads while nothing drives the data line; 0xFFFF with the usual pull-up (D).
     self_test_failures : sequence of str
         Parts that fail the internal self-test: `xaccl`, `zgyro`, …
     data_ready_pulse_s : float
@@ -127,15 +187,15 @@ class SimulatedChip:
         Supply and over-range bits of STATUS fall by themselves; False keeps them until a read, as the
         other bits.
     electronics : Electronics
-        What the chip does to its gyros and accelerometers; by default that of the surroundings where they
-        have one (a `World` has), else ideal.
+        Effect of the chip on its gyros and accelerometers; by default taken from the surroundings if they
+        bring one (a `World` does), else ideal.
 
     Attributes
     ----------
     variant : Variant
         Its row of the variants table.
     external_levels : tuple of int, int
-        Levels that stand on DIO1 and DIO2 from outside, read where a line is an input.
+        External levels on DIO1 and DIO2, read if the line is an input.
 
     Raises
     ------
@@ -173,9 +233,7 @@ class SimulatedChip:
         self._update_edge = update_edge
         self._falling = FALLING_BITS if status_falls else 0
         self._memory = Memory(flash, endurance, saved)
-        if electronics is None and isinstance(surroundings, BringsElectronics):
-            electronics = surroundings.electronics
-        self._electronics = electronics or IDEAL
+        self._electronics: Electronics = electronics or getattr(surroundings, "electronics", None) or IDEAL
         self._sampler = SignalChain(self.variant, self._memory, self._electronics)
         self._row: Words
         self._read_at: NDArray[np.int64]
@@ -197,16 +255,16 @@ class SimulatedChip:
         self._last_start = self._last_rise = -math.inf
         self._start_up(start_s)
 
-    # -- what stands beside the serial port -------------------------------------------------------
+    # -- access past the serial port ---------------------------------------------------------------
 
     @property
     def state(self) -> State:
-        """What the chip is doing at the time of the last frame or question."""
+        """Activity of the chip at the time of the last frame or question."""
         return self._state
 
     @property
     def memory(self) -> Memory:
-        """The register file, for a look past the serial port."""
+        """The register file, past the serial port."""
         return self._memory
 
     @property
@@ -221,23 +279,23 @@ class SimulatedChip:
 
     @property
     def data_ready_enabled(self) -> bool:
-        """True where a DIO line carries data-ready."""
+        """True if a DIO line carries data-ready."""
         return data_ready_enabled(self._memory)
 
     @property
     def time_s(self) -> float:
-        """Time up to which the chip has lived."""
+        """Time up to which the chip is simulated."""
         return self._time_s
 
     @property
     def pending_reply(self) -> int:
-        """What a sound frame that began now would shift out; pin-level rigs need it before its end."""
+        """Word that a valid frame would shift out now; pin-level rigs need it before the frame ends."""
         if self._state in (State.STARTING, State.RESTORING, State.ASLEEP, State.DEAD):
             return self.floating_word
         return self._reply
 
     def run_to(self, time_s: float) -> None:
-        """Let the chip live until a time."""
+        """Simulate the chip until a time."""
         if time_s > self._time_s:
             self._advance(time_s)
 
@@ -247,9 +305,9 @@ class SimulatedChip:
         return self._edges
 
     def next_update_s(self, after_s: float) -> float | None:
-        """Time of the next internal update; None where none comes by itself.
+        """Time of the next internal update; None if no update follows without a frame.
 
-        What ends before then (a start-up, a flash update) is lived through.
+        Activities that end before then (a start-up, a flash update) are completed.
         """
         self.run_to(after_s)
         while self._state not in _SAMPLING:
@@ -261,14 +319,14 @@ class SimulatedChip:
         return self._epoch + (count + 1) * self._period
 
     def edge_after_update_s(self, *, rising: bool) -> float:
-        """How long after an update its pulse's rising or falling edge comes in s; negative before it."""
+        """Time in s from an update to an edge of its pulse; negative if the edge comes first."""
         high = bool(BY_NAME["MSC_CTRL"].field("polarity").of(self._memory["MSC_CTRL"]))
         begins = high == rising
         at_first = 0.0 if self._update_edge == "first" else -self._pulse_s
         return at_first if begins else at_first + self._pulse_s
 
     def next_edge_s(self, after_s: float, *, rising: bool) -> float | None:
-        """Time of the data-ready edge of the next update, later than `after_s`; None where none comes."""
+        """Time of the next data-ready edge later than `after_s`; None if no edge follows."""
         update_s = self.next_update_s(after_s)
         if update_s is None:
             return None
@@ -276,16 +334,16 @@ class SimulatedChip:
         return edge_s if edge_s > after_s else edge_s + self._period
 
     def dio(self, time_s: float) -> tuple[int | None, int | None]:
-        """Levels that the chip drives on DIO1 and DIO2 at a time; None where a line is an input."""
+        """Levels that the chip drives on DIO1 and DIO2 at a time; None for an input."""
         self.run_to(time_s)
         since = time_s - (self._epoch + self._k * self._period)
         if self._update_edge == "last":
             since += self._pulse_s - self._period
         pulse = self._state in _SAMPLING and self._k > 0 and 0 <= since < self._pulse_s
-        return levels(self._memory, pulse=pulse, status=self._status)
+        return dio_levels(self._memory, pulse=pulse, status=self._status)
 
     def hard_reset(self, time_s: float) -> None:
-        """RST is released at a time; the start-up follows."""
+        """Release RST at a time; the start-up follows."""
         self.run_to(time_s)
         self._start_up(max(time_s, self._time_s))
 
@@ -299,7 +357,7 @@ class SimulatedChip:
         Parameters
         ----------
         word : int
-            What is shifted in.
+            Word that is shifted in.
         start_s : float
             Time at which chip select falls; its stall is counted from the last rise.
         clock_hz : float
@@ -310,14 +368,14 @@ class SimulatedChip:
         Returns
         -------
         int
-            What is shifted out: the reply to the frame before.
+            Word that is shifted out: the reply to the frame before.
 
         Raises
         ------
         UsageError
             The frame lies before the last one.
         """
-        if start_s < self._last_start or start_s < self._time_s - rules.TOLERANCE_S:
+        if start_s < self._last_start or start_s < self._time_s - TOLERANCE_S:
             raise UsageError(f"frame at {start_s} s: the chip has already lived until {self._time_s} s")
         self._advance(start_s)
         rise = start_s + bits / clock_hz + cs_hold_s
@@ -328,7 +386,7 @@ class SimulatedChip:
         return reply
 
     def frames(self, words: Words, *, start_s: float, frame_s: float, clock_hz: float) -> Words:
-        """Take n frames that start `frame_s` apart; what `frame` n times would give, but quicker.
+        """Take n frames that start `frame_s` apart; same result as n calls of `frame`, but faster.
 
         Parameters
         ----------
@@ -362,18 +420,18 @@ class SimulatedChip:
     def _fast(self, words: Words, starts: Floats, clock_hz: float, out: Words) -> int:
         """Answer the first of some reads, without a loop; returns how many were answered."""
         first = float(starts[0])
-        if first < max(self._last_start, self._time_s - rules.TOLERANCE_S):
+        if first < max(self._last_start, self._time_s - TOLERANCE_S):
             return 0
         self._advance(first)
-        limits = rules.limits(self._memory["SMPL_PRD"])
+        limits = serial_limits(self._memory["SMPL_PRD"])
         if self._state is not State.RUNNING or not limits.clock_ok(clock_hz):
             return 0
         if not _in_time(first - self._last_rise, first - self._last_start, limits):
             return 0
         starts = starts[:_CHUNK]
         rises = starts + 16 / clock_hz
-        bad = ((starts[1:] - rises[:-1]) < limits.stall_s - rules.TOLERANCE_S) | (
-            np.diff(starts) < limits.period_s - rules.TOLERANCE_S
+        bad = ((starts[1:] - rises[:-1]) < limits.stall_s - TOLERANCE_S) | (
+            np.diff(starts) < limits.period_s - TOLERANCE_S
         )
         n = int(np.argmax(bad)) + 1 if bad.any() else len(starts)
         done = np.floor((rises[:n] - self._epoch) / self._period + _EDGE_TOLERANCE).astype(np.int64)
@@ -405,7 +463,7 @@ class SimulatedChip:
         rows: Words,
         faulty: NDArray[np.bool_],
     ) -> Words:
-        """Words that n reads take, ND and EA included."""
+        """Words of n reads, including ND and EA."""
         columns = _COLUMN[slots]
         values: Words = rows[index, columns]
         values[faulty[index]] |= EA
@@ -426,12 +484,12 @@ class SimulatedChip:
     def _answer(
         self, word: int, bits: int, clock_hz: float, cs_hold_s: float, stall: float, period: float
     ) -> int:
-        limits = rules.limits(self._memory["SMPL_PRD"])
+        limits = serial_limits(self._memory["SMPL_PRD"])
         refused = self._refusal(bits, clock_hz, stall, limits)
         if refused is not None:
             return refused
         reply = self._reply
-        if period < limits.period_s - rules.TOLERANCE_S:
+        if period < limits.period_s - TOLERANCE_S:
             self._status |= _SPI_FAILED
             reply = self._shifted
         self._advance(self._last_rise)
@@ -445,18 +503,18 @@ class SimulatedChip:
             self._reply = self._read(word >> 8 & 0x3F)
         return reply
 
-    def _refusal(self, bits: int, clock_hz: float, stall: float, limits: rules.SerialLimits) -> int | None:
-        """What a chip replies that does not take the word: it is not running, or the frame is broken."""
+    def _refusal(self, bits: int, clock_hz: float, stall: float, limits: SerialLimits) -> int | None:
+        """Reply if the chip does not take the word (not running, or a broken frame); None if it does."""
         if self._state in (State.STARTING, State.RESTORING):
             self._state, self._until = State.DEAD, math.inf
         if self._state is State.DEAD:
             return self.floating_word
         if self._state is State.ASLEEP:
-            self._state, self._until = State.WAKING, self._last_rise + rules.WAKE_S
+            self._state, self._until = State.WAKING, self._last_rise + WAKE_S
             return self.floating_word
         if self._state in (State.FLASHING, State.WAKING):
             return self._reply
-        if stall < limits.stall_s - rules.TOLERANCE_S:
+        if stall < limits.stall_s - TOLERANCE_S:
             self._state, self._until = State.DEAD, math.inf
             return self.floating_word
         if bits == 0:
@@ -489,7 +547,7 @@ class SimulatedChip:
             return gpio_word(self._memory, self.external_levels)
         return self._memory.at(address)
 
-    def _write(self, address: int, data: int, cs_hold_s: float, limits: rules.SerialLimits) -> None:
+    def _write(self, address: int, data: int, cs_hold_s: float, limits: SerialLimits) -> None:
         before = self._memory["SMPL_PRD"]
         row = self._memory.write_byte(address, data)
         if row is None:
@@ -505,42 +563,42 @@ class SimulatedChip:
         if self._state is not State.RUNNING:
             return
         if row.name == "MSC_CTRL" and self._memory["MSC_CTRL"] & _SELF_TEST:
-            self._state, self._until = State.TESTING, now + rules.SELF_TEST_S
+            self._state, self._until = State.TESTING, now + SELF_TEST_S
         elif row.name == "SLP_CNT" and self._memory["SLP_CNT"] and cs_hold_s <= limits.sleep_cs_s:
             self._state = State.ASLEEP
-            self._until = now + rules.SLEEP_UNIT_S * (self._memory["SLP_CNT"] & 0xFF)
+            self._until = now + SLEEP_UNIT_S * (self._memory["SLP_CNT"] & 0xFF)
 
     def _command(self, data: int, now: float) -> None:
-        """Do what COMMAND says; where several bits are set only the first of this order acts (D)."""
+        """Execute COMMAND; if several bits are set, only the first in this order acts (D)."""
         if data & _COMMAND.field("reset").mask:
             self._start_up(now)
         elif self._state is not State.RUNNING:
             return
         elif data & _COMMAND.field("restore").mask:
             self._memory.zero_offsets()
-            self._state, self._until = State.RESTORING, now + rules.FLASH_S
+            self._state, self._until = State.RESTORING, now + FLASH_S
         elif data & _COMMAND.field("autonull").mask:
             self._begin_null(now, self._electronics.autonull_s)
         elif data & _COMMAND.field("precision_autonull").mask:
             self._begin_null(now, self._electronics.precision_autonull_s)
         elif data & _COMMAND.field("flash_update").mask:
-            self._state, self._until = State.FLASHING, now + rules.FLASH_S
+            self._state, self._until = State.FLASHING, now + FLASH_S
         elif data & _COMMAND.field("latch_dac").mask:
             self._dac = self._memory["AUX_DAC"]
 
     def _begin_null(self, now: float, average_s: float) -> None:
-        """Average the gyros for a time; with none take what the filter has."""
+        """Average the gyros for a time; at 0 s use the present output of the filter."""
         if average_s:
             self._null_sum, self._null_count = np.zeros(3), 0
             self._state, self._until = State.NULLING, now + average_s
             return
         self._null(self._sampler.gyro_mean())
-        self._state, self._until = State.FLASHING, now + rules.FLASH_S
+        self._state, self._until = State.FLASHING, now + FLASH_S
 
     # -- time ---------------------------------------------------------------------------------------
 
     def _start_up(self, now: float) -> None:
-        self._state, self._until = State.STARTING, now + rules.START_UP_S
+        self._state, self._until = State.STARTING, now + START_UP_S
         self._status = self._standing = self._dac = 0
         self._reply = self._shifted = 0
         self._memory.load()
@@ -552,7 +610,7 @@ class SimulatedChip:
 
     def _restart_sampling(self, now: float, *, empty: bool = False) -> None:
         self._epoch, self._k = now, 0
-        self._period = rules.update_period_s(self._memory["SMPL_PRD"])
+        self._period = update_period_s(self._memory["SMPL_PRD"])
         if empty:
             self._sampler.clear()
         self._sampler.configure(self._memory)
@@ -566,7 +624,7 @@ class SimulatedChip:
         self._time_s = max(self._time_s, time_s)
 
     def _finish(self, now: float) -> None:
-        """End what was going on."""
+        """End the present activity."""
         state, self._state, self._until = self._state, State.RUNNING, math.inf
         if state in (State.FLASHING, State.RESTORING):
             self._save()
@@ -576,10 +634,10 @@ class SimulatedChip:
                 self._status |= SELF_TEST_BITS[name]
         elif state is State.NULLING:
             self._null(self._null_sum / max(self._null_count, 1))
-            self._state, self._until = State.FLASHING, now + rules.FLASH_S
+            self._state, self._until = State.FLASHING, now + FLASH_S
             return
         elif state is State.ASLEEP:
-            self._state, self._until = State.WAKING, now + rules.WAKE_S
+            self._state, self._until = State.WAKING, now + WAKE_S
             return
         elif state is State.WAKING:
             self._memory["SLP_CNT"] = 0
@@ -622,8 +680,8 @@ class SimulatedChip:
         return updates
 
 
-def _in_time(stall: float, period: float, limits: rules.SerialLimits) -> bool:
-    return stall >= limits.stall_s - rules.TOLERANCE_S and period >= limits.period_s - rules.TOLERANCE_S
+def _in_time(stall: float, period: float, limits: SerialLimits) -> bool:
+    return stall >= limits.stall_s - TOLERANCE_S and period >= limits.period_s - TOLERANCE_S
 
 
 def _is_reset(word: int) -> bool:

@@ -1,15 +1,11 @@
-"""Three gyros with their faults: what they read, and what is true of them.
+"""Three gyros with their faults: readings, true parameters, die temperatures, realistic draws.
 
-The convention is that of `settings.GyroSettings`. A gyro's axis is misaligned towards the axes of the
-gyros' frame (`gyro_misalignment_…`), and that frame is turned against the accelerometers' (`gyro_triad_…`);
-what is stated is the two together, in the accelerometers' frame, as a fit sees it.
+The convention is defined in `settings.GyroSettings`. The axis of a gyro is misaligned towards the axes of
+the gyros' frame (`gyro_misalignment_…`), and that frame is rotated against the frame of the accelerometers
+(`gyro_triad_…`); the truth states both together, in the accelerometers' frame, as a fit finds them.
 
-Gyros as they are sold: a draw of all their faults, each figure with its source and confidence.
-
-Sources: CHIP is what is known of the chip, of whose sibling's sheet the figures with confidence B are; they
-are taken as the size of the fault. D are estimates of what parts of this class do.
-
-Temperatures of the three gyros' dies, which are what the three thermometers feel.
+Sources of the drawn faults: CHIP is the known data of the chip. Figures with confidence B are in the data
+sheet of its siblings and are used as the size of the fault. D are estimates for parts of this class.
 """
 
 from __future__ import annotations
@@ -21,14 +17,13 @@ from typing import Literal
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import Confidence
 from adis_gonio.device.sensor.variants import Performance
-from adis_gonio.model.effects.base import AXES
-from adis_gonio.model.effects.lag import lagged
-from adis_gonio.sim.electronics import Electronics
-from adis_gonio.sim.inputs import Floats
+from adis_gonio.model.effects.base import AXES, lagged
 from adis_gonio.sim.noise import RateWalk
+from adis_gonio.sim.sampling import Electronics
 from adis_gonio.sim.settings import WorldSettings
 
 REFERENCE_C = 25.0
@@ -38,14 +33,14 @@ PAIRS = tuple(a + b for a, b in itertools.product(AXES, repeat=2))
 
 @dataclass(frozen=True)
 class Felt:
-    """What gyros feel at n times.
+    """Inputs of the gyros at n times.
 
     Attributes
     ----------
     rate_dps : (n, 3) float
         Rate of turn in the accelerometers' frame.
     gravity_mg, force_mg : (n, 3) float
-        What ideal accelerometers read of gravity, and of gravity and motion together.
+        Readings of ideal accelerometers from gravity alone, and from gravity and motion.
     dies_c : (n, 3) float
         Temperature of each gyro.
     supply_v, time_s : (n,) float
@@ -59,6 +54,20 @@ class Felt:
     time_s: Floats
 
 
+def apply_matrix(matrix: Floats, vectors: Floats) -> Floats:
+    """Product of a matrix (3, 3) with each of the vectors (n, 3).
+
+    The sums are written out, because a matrix product may round differently for another number of rows.
+    """
+    x, y, z = vectors.T
+    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in matrix], axis=1)
+
+
+def value_or(given: float | None, other: float) -> float:
+    """Return a given value, or another one if it is None."""
+    return other if given is None else given
+
+
 class GyroTriad:
     """Three gyros.
 
@@ -66,7 +75,7 @@ class GyroTriad:
     ----------
     settings : WorldSettings
     figures : Performance
-        Of the variant, for what is not given.
+        Figures of the variant, for settings that are not given.
     bias_dps : (3,) float
         Biases at 25 °C.
     walk : Generator
@@ -81,12 +90,12 @@ class GyroTriad:
         self._walk = RateWalk(settings.gyro_rate_walk_dps_per_rt_s, walk)
         self.sensitivity = _sensitivity(settings)
         """Gains and directions (3, 3) in the accelerometers' frame."""
-        own_g = _or(settings.gyro_g_dps_per_g, figures.gyro_g_sensitivity_dps_per_g)
-        supply = _or(settings.gyro_supply_dps_per_v, figures.gyro_supply_sensitivity_dps_per_v)
-        per_g = [_or(self._given(f"gyro_g_sensitivity_{pair}_dps_per_g"), own_g) for pair in PAIRS]
+        own_g = value_or(settings.gyro_g_dps_per_g, figures.gyro_g_sensitivity_dps_per_g)
+        supply = value_or(settings.gyro_supply_dps_per_v, figures.gyro_supply_sensitivity_dps_per_v)
+        per_g = [value_or(self._given(f"gyro_g_sensitivity_{pair}_dps_per_g"), own_g) for pair in PAIRS]
         self.per_g = np.array(per_g).reshape(3, 3)
         """Linear g-sensitivity (3, 3) in °/s/g: the first index is the gyro's."""
-        self._per_v = np.array([_or(self._given(f"gyro_supply_{a}_dps_per_v"), supply) for a in AXES])
+        self._per_v = np.array([value_or(self._given(f"gyro_supply_{a}_dps_per_v"), supply) for a in AXES])
         per_g2 = [getattr(settings, f"gyro_g2_sensitivity_{pair}_dps_per_g2") for pair in PAIRS]
         self._per_g2 = np.array(per_g2).reshape(3, 3)
         self._tempco = self._by_axis("gyro_bias_tempco_{}_dps_per_c")
@@ -103,7 +112,7 @@ class GyroTriad:
 
     @property
     def electronics(self) -> Electronics:
-        """What the chip that these gyros are built into does about them."""
+        """Electronics of the chip that contains these gyros."""
         given = self._settings
         return Electronics(
             range_gain={150: given.gyro_range_gain_150, 75: given.gyro_range_gain_75},
@@ -133,22 +142,15 @@ class GyroTriad:
         return gyro
 
     def of_supply(self, supply_v: Floats) -> Floats:
-        """What the supply (n,) adds (n, 3)."""
+        """Effect (n, 3) in °/s of the supply (n,)."""
         return np.asarray((supply_v - REFERENCE_V)[:, None] * self._per_v)
 
     def _turning(self, felt: Felt) -> Floats:
-        """What the gyros make of the turn."""
+        """Readings (n, 3) of the turn alone, with gains, directions and asymmetry."""
         if np.array_equal(self.sensitivity, np.eye(3)):
             rate = felt.rate_dps
         else:
-            rate = np.empty_like(felt.rate_dps)
-            for k, row in enumerate(self.sensitivity):
-                # Written out: a matrix product may round differently for another number of rows.
-                rate[:, k] = (
-                    row[0] * felt.rate_dps[:, 0]
-                    + row[1] * felt.rate_dps[:, 1]
-                    + row[2] * felt.rate_dps[:, 2]
-                )
+            rate = apply_matrix(self.sensitivity, felt.rate_dps)
         if self._asymmetry.any():
             rate = rate + self._asymmetry * np.abs(rate)
         if self._scale_tempco.any():
@@ -156,15 +158,16 @@ class GyroTriad:
         return rate
 
     def _warming(self, time_s: Floats) -> Floats:
-        """What is left (n,) of what power-on brought."""
+        """Fraction (n,) of the warm-up that remains."""
         on_s = np.maximum(time_s + self._settings.powered_s, 0.0)
         return np.asarray(np.exp(-on_s / self._settings.gyro_warm_up_tau_s))
 
-    # -- what is true -----------------------------------------------------------------------------
+    # -- true parameters ----------------------------------------------------------------------------
 
     def truth(self) -> dict[str, float]:
         """Parameters at 25 °C, 5 V, long after power-on, by the names that fits use."""
         gains = np.linalg.norm(self.sensitivity, axis=1)
+        # Sines of the misalignments are the components of the unit directions.
         misalignment_deg = np.degrees(np.arcsin(self.sensitivity / gains[:, None]))
         left = (1 - self._settings.gyro_g_compensation) * self.per_g
         result: dict[str, float] = {}
@@ -194,12 +197,12 @@ class GyroTriad:
     def truth_at(
         self, time_s: Floats, dies_c: Floats, supply_v: Floats, wander_dps: Floats
     ) -> dict[str, float]:
-        """The same in the mean of times (n,): gains and biases are those of then."""
+        """Parameters as in `truth`, but with gains and biases at the mean of times (n,)."""
         result = self.truth()
         warm = dies_c.mean(axis=0) - REFERENCE_C
         bias = self._bias + wander_dps + self._per_v * (float(np.mean(supply_v)) - REFERENCE_V)
         bias = bias + self._tempco * warm + self._warm_up * float(np.mean(self._warming(time_s)))
-        walked = self._walk.lived(time_s)
+        walked = self._walk.past_values(time_s)
         if len(walked):
             bias = bias + walked.mean(axis=0)
         for k, axis in enumerate(AXES):
@@ -219,6 +222,7 @@ def _sensitivity(settings: WorldSettings) -> Floats:
     beside = (misalignment**2).sum(axis=1)
     if beside.max() >= 1:
         raise UsageError(f"gyro_misalignment_{AXES[int(beside.argmax())]}…: no axis leans so far")
+    # The direction of each gyro is a unit vector.
     own = np.sqrt(1 - beside)
     sensitivity = gains[:, None] * (misalignment + np.diag(own))
     turned = np.radians([getattr(settings, f"gyro_triad_{axis}_deg") for axis in AXES])
@@ -233,33 +237,28 @@ def _rotation(vector_rad: Floats) -> Floats:
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 
 
-def _or(given: float | None, other: float) -> float:
-    return other if given is None else given
-
-
 _OTHERS = tuple(a + b for a, b in itertools.permutations(AXES, 2))
-_ALL = tuple(a + b for a, b in itertools.product(AXES, repeat=2))
 _STREAM = 10
 """Child of a world's seed that these faults are drawn from."""
 
 
 @dataclass(frozen=True)
 class DrawnFault:
-    """How one kind of fault is drawn.
+    """Distribution of one kind of fault.
 
     Attributes
     ----------
     setting : str
-        Name of the setting, {} where the axes stand.
+        Name of the setting, with {} in place of the axes.
     axes : tuple of str
-        What stands there.
+        Values for this place.
     law : {"normal", "uniform"}
     size : float
         Standard deviation, or half the width.
     middle : float
         Mean of either.
     most : float
-        Bound of what is drawn about the middle; 0 for three sizes.
+        Largest deviation from the middle; 0 for three sizes.
     """
 
     setting: str
@@ -273,7 +272,7 @@ class DrawnFault:
 
     @property
     def described(self) -> str:
-        """How it is drawn, in words."""
+        """Description of the distribution."""
         if self.law == "uniform":
             return f"uniform, {self.middle:g} ± {self.size:g}"
         bound = f", at most {self.most:g} away" if self.most else ""
@@ -307,18 +306,18 @@ FIGURES: tuple[DrawnFault, ...] = (
     DrawnFault("gyro_asymmetry_{}", AXES, "normal", 5e-4, "CHIP: nonlinearity ±0.2 % FS allows it", "D"),
     DrawnFault("gyro_misalignment_{}_deg", _OTHERS, "uniform", 0.25, "CHIP: non-orthogonality ±0.25°", "B"),
     DrawnFault("gyro_triad_{}_deg", AXES, "uniform", 0.5, "CHIP: axis to frame ±0.5°", "B"),
-    DrawnFault("gyro_g_sensitivity_{}_dps_per_g", _ALL, "normal", 0.05, "CHIP: 0.05 °/s/g", "B"),
-    DrawnFault("gyro_g2_sensitivity_{}_dps_per_g2", _ALL, "normal", 0.01, _PART, "D"),
+    DrawnFault("gyro_g_sensitivity_{}_dps_per_g", PAIRS, "normal", 0.05, "CHIP: 0.05 °/s/g", "B"),
+    DrawnFault("gyro_g2_sensitivity_{}_dps_per_g2", PAIRS, "normal", 0.01, _PART, "D"),
     DrawnFault("gyro_supply_{}_dps_per_v", AXES, "normal", 0.25, "CHIP: 0.25 °/s/V", "B"),
     DrawnFault("gyro_rate_walk_dps_per_rt_s{}", _ONE, "uniform", 5e-4, _PART, "D", middle=5e-4),
     DrawnFault("gyro_range_gain_{}", ("150", "75"), "normal", 1e-3, _PART, "D", middle=1.0),
     DrawnFault("gyro_g_compensation{}", _ONE, "uniform", 0.1, _PART, "D", middle=0.9),
-    DrawnFault("accel_place_{}_mm", _ALL, "normal", 2.0, _PART, "D"),
+    DrawnFault("accel_place_{}_mm", PAIRS, "normal", 2.0, _PART, "D"),
     DrawnFault("die_gradient_{}_c", AXES, "normal", 0.5, _PART, "D"),
     DrawnFault("die_lag_{}_s", AXES, "uniform", 15.0, _PART, "D", middle=20.0),
     DrawnFault("earth_rate_up_dps{}", _ONE, "uniform", 0.0036, "the earth, up to 60° of latitude", "A"),
 )
-"""What is drawn, in this order. Noise and bias instability stay those of the variant."""
+"""Faults in the order in which they are drawn. Noise and bias instability are figures of the variant."""
 
 
 def realistic_gyros(rng: np.random.Generator) -> dict[str, float]:
@@ -341,17 +340,17 @@ def realistic_gyros(rng: np.random.Generator) -> dict[str, float]:
 
 
 def stream_of(seed: int) -> np.random.Generator:
-    """Generator of the faults that a simulated part with this seed has."""
+    """Generator for the faults of a simulated part with this seed."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM,)))
 
 
 _STEP_S = 1.0
 _FORGOTTEN = 12.0
-"""Time constants after which nothing is left of what was before."""
+"""Time constants after which the initial temperature is forgotten."""
 
 
 class Dies:
-    """Each die follows the part with a lag of its own, and is warmer by a gradient that power-on builds up.
+    """Temperatures of the dies: each follows the part with a lag, plus a gradient after power-on.
 
     Parameters
     ----------
@@ -368,11 +367,11 @@ class Dies:
 
     @property
     def alike(self) -> bool:
-        """True where every die has the part's temperature."""
+        """True if every die has the temperature of the part."""
         return not (self._gradient_c.any() or self._lag_s.any())
 
     def temperature_c(self, time_s: Floats, part_c: Callable[[Floats], Floats]) -> Floats:
-        """Temperatures (n, 3) at times (n,) of a part whose own temperature is known at any time."""
+        """Temperatures (n, 3) at times (n,), from the temperature of the part as a function of time."""
         result = np.repeat(part_c(time_s)[:, None], 3, axis=1)
         if self.alike:
             return result

@@ -1,45 +1,112 @@
-"""A hand that turns the stage slowly, once or several times: where the part is, how fast, what shakes it.
+"""Movements by hand: slow turns all around, and moves from one position to the next.
 
-What is known of hands, and how it stands here
-    A hand turns as far as the wrist goes, stops, takes a new grip and goes on: segments of 40 to 120° with
-    a minimum-jerk course each (Flash & Hogan 1985), pauses of 0.2 to 0.9 s between them. A slow movement is
-    not even: submovements of 0.5 to 3 Hz change its speed by a tenth or two. Physiological tremor shakes at
-    8 to 12 Hz whatever is held, and only while it is held. The axis of a bearing wobbles by hundredths of a
-    degree, at one and two cycles a turn; a part that is held in the hand sways by degrees.
+Known facts about hands, and their model here
+    A hand turns as far as the wrist goes, stops, takes a new grip and goes on: segments of 40 to 120°, each
+    with a minimum-jerk course (Flash & Hogan 1985), and pauses of 0.2 to 0.9 s between them. A slow
+    movement is not even: submovements of 0.5 to 3 Hz change its speed by a tenth or two. Physiological
+    tremor shakes the part at 8 to 12 Hz, but only while the hand holds it. The axis of a bearing wobbles by
+    hundredths of a degree, at one and two cycles a turn; a part that is held in the hand sways by degrees.
+
+    A movement to a mark is one grip or several, each a minimum-jerk course, with rests between them. The
+    last grip misses the mark by a few hundredths of its length (Meyer et al. 1988), and after 0.1 to 0.4 s
+    one or two small corrections of 0.3 to 0.6 s follow. If a mark must be reached from one side, the hand
+    stops short of it and creeps up. No two movements are equally fast. A part that is held in the hand also
+    turns about the vertical, and strays from the shortest way by degrees.
 
 All courses are sums of smooth functions with exact derivatives, so that rates and accelerations belong to
-the angle at every time. Figures are estimates (D).
-
-A hand that brings the part from one position to the next.
-
-What is known of hands, beside what `hand` says, and how it stands here
-    A movement to a mark is one grip or several, with rests between them, each a minimum-jerk course; its
-    last one misses the mark by a few hundredths of its length (Meyer et al. 1988), and after 0.1 to 0.4 s
-    one or two small corrections of 0.3 to 0.6 s follow. Where a mark has to be reached from one side the
-    hand stays short of it and creeps up. No two movements are equally fast. A part that is held in the hand
-    turns about the vertical as it likes, and strays from the shortest way by degrees.
-
-All figures are estimates (D).
+the angle at every time. All figures are estimates (D).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from adis_gonio.sim.inputs import Floats
+from adis_gonio.base.arrays import Floats
 from adis_gonio.sim.settings import WorldSettings
-from adis_gonio.sim.smooth import (
-    PAUSE_S,
-    SUBMOVEMENT_HZ,
-    SWAY_HZ,
-    TREMOR_HZ,
-    Course,
-    Sines,
-    grips,
-    hold,
-    minimum_jerk,
-    product,
-)
+
+Course = tuple[Floats, Floats, Floats]
+"""A function of time (n,) with its first and second derivative."""
+
+SEGMENT_DEG = (40.0, 120.0)
+"""How far a grip goes."""
+PAUSE_S = (0.2, 0.9)
+"""How long the next grip takes."""
+SUBMOVEMENT_HZ = (0.5, 3.0)
+TREMOR_HZ = (8.0, 12.0)
+SWAY_HZ = (0.05, 0.5)
+RISE_S = 0.5
+"""Time in which the hand takes hold, or lets go."""
+_LINES = 12
+
+
+@dataclass(frozen=True)
+class Sines:
+    """Sines of random frequency and phase; their sum has a root mean square of 1."""
+
+    omega: Floats
+    phase: Floats
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, band_hz: tuple[float, float]) -> Sines:
+        """Sines of frequencies in a band."""
+        omega = 2 * np.pi * rng.uniform(*band_hz, _LINES)
+        return cls(omega, rng.uniform(0, 2 * np.pi, _LINES))
+
+    def at(self, time_s: Floats) -> Course:
+        """Value and its two derivatives (n,)."""
+        value, first, second = (np.zeros(len(time_s)) for _ in range(3))
+        size = np.sqrt(2 / _LINES)
+        for omega, phase in zip(self.omega, self.phase, strict=True):
+            sine, cosine = np.sin(omega * time_s + phase), np.cos(omega * time_s + phase)
+            value += size * sine
+            first += size * omega * cosine
+            second -= size * omega**2 * sine
+        return value, first, second
+
+    @property
+    def mean_square_rate(self) -> float:
+        """Mean square of the first derivative."""
+        return float((self.omega**2).mean())
+
+
+def grips(turn_deg: float, rng: np.random.Generator) -> Floats:
+    """Spans (k,) of successive grips in degrees; their sum is at least `turn_deg`."""
+    spans: list[float] = []
+    while sum(spans) < turn_deg:
+        spans.append(float(rng.uniform(*SEGMENT_DEG)))
+    return np.array(spans)
+
+
+def minimum_jerk(time_s: Floats, begin_s: float, length_s: float, span: float) -> Course:
+    """A movement over a span that begins and ends at rest (Flash & Hogan 1985)."""
+    value, first, second = rise((time_s - begin_s) / length_s)
+    return span * value, span / length_s * first, span / length_s**2 * second
+
+
+def hold(time_s: Floats, length_s: float) -> Course:
+    """Firmness of the grip from 0 s to `length_s`, 0 to 1; 0 before and after."""
+    up, down = rise(time_s / RISE_S), rise((length_s - time_s) / RISE_S)
+    scale = 1 / RISE_S
+    up = (up[0], up[1] * scale, up[2] * scale**2)
+    down = (down[0], -down[1] * scale, down[2] * scale**2)
+    return product(up, down)
+
+
+def rise(x: Floats) -> Course:
+    """Minimum-jerk step from 0 to 1 with two derivatives."""
+    x = np.clip(x, 0.0, 1.0)
+    return (
+        x**3 * (10 - 15 * x + 6 * x**2),
+        30 * x**2 * (1 - x) ** 2,
+        60 * x * (1 - x) * (1 - 2 * x),
+    )
+
+
+def product(f: Course, g: Course) -> Course:
+    """Product of two functions with two derivatives."""
+    return f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2 * f[1] * g[1] + f[0] * g[2]
 
 
 class HandTurn:
@@ -48,17 +115,17 @@ class HandTurn:
     Parameters
     ----------
     settings : WorldSettings
-        Those that begin with `hand_`, and `axis_wobble_deg`.
+        Settings that begin with `hand_`, and `axis_wobble_deg`.
     rng : Generator
         Draws this hand.
     turns : int
-        How often it goes as far as the settings say, in the time that they say; where they want it
-        (`hand_returns`), every other time back.
+        Number of turns of `hand_turn_deg`, all within `hand_turn_s`; with `hand_returns` every second turn
+        goes back.
 
     Attributes
     ----------
     total_rad : float
-        From the beginning to the end, with its sign.
+        Signed angle from the beginning to the end.
     length_s : float
     """
 
@@ -70,6 +137,7 @@ class HandTurn:
         # Longer segments take longer, and no two are equally fast.
         shares = spans * rng.uniform(0.8, 1.25, len(spans))
         lengths = moving_s * shares / shares.sum()
+        # Each segment begins after the segment and the pause before it.
         begins = np.concatenate([[0.0], np.cumsum(lengths + pauses)[:-1]])
         self._segments = list(zip(begins, lengths, np.radians(ways), strict=True))
         self.total_rad = float(np.radians(ways).sum())
@@ -111,14 +179,14 @@ class HandTurn:
         return tilt + sway * swaying[0], slope + sway * swaying[1]
 
     def shaking_mg(self, time_s: Floats) -> Floats:
-        """Linear vibration (n, 3) that the hand brings, in mg."""
+        """Linear vibration (n, 3) from the hand, in mg."""
         held = hold(time_s, self.length_s)[0]
         size = self._settings.hand_vibration_mg
         return np.stack([size * held * lines.at(time_s)[0] for lines in self._shaking], axis=1)
 
 
 def _grips(settings: WorldSettings, rng: np.random.Generator, turns: int) -> tuple[Floats, Floats]:
-    """Spans (k,) of the grips as they come, and how far (k,) each turns the part, in degrees."""
+    """Spans (k,) of successive grips, and the angle (k,) by which each turns the part, in degrees."""
     turn_deg = settings.hand_turn_deg
     if not settings.hand_returns:
         spans = grips(turns * abs(turn_deg), rng)
@@ -129,12 +197,12 @@ def _grips(settings: WorldSettings, rng: np.random.Generator, turns: int) -> tup
 
 
 _SPEED = (0.7, 1.4)
-"""Of one movement, in units of the mean."""
+"""Speed of one movement, relative to the mean."""
 _SHORTEST_GRIP_S = 0.4
 _REACTION_S = (0.1, 0.4)
 _CORRECTION_S = (0.3, 0.6)
 _SECOND_MISS = 0.2
-"""What the first correction leaves, in units of what it corrects (1 sigma)."""
+"""Error after the first correction, relative to the error before it (1 sigma)."""
 
 
 class HandMove:
@@ -143,21 +211,21 @@ class HandMove:
     Parameters
     ----------
     settings : WorldSettings
-        Those that begin with `hand_`, and `move_speed_dps`.
+        Settings that begin with `hand_`, and `move_speed_dps`.
     rng : Generator
         Draws this movement.
     span_rad : float
-        From rest to rest, with its sign; not 0.
+        Signed angle from rest to rest; not 0.
     one_way : bool
-        The mark is reached from the side that the movement comes from.
+        The mark must be reached from the side on which the movement begins.
     free : bool
-        The part is held in the hand alone: it also turns about the vertical and strays.
+        Only the hand holds the part, so that it also turns about the vertical and strays.
 
     Attributes
     ----------
     span_rad, length_s : float
     twist_rad : float
-        How far it turns about the vertical besides; 0 where it is not free.
+        Additional turn about the vertical; 0 unless free.
     """
 
     def __init__(
@@ -184,6 +252,7 @@ class HandMove:
             spans = np.concatenate([spans, np.diff([*misses, 0.0])])
             lengths = np.concatenate([lengths, corrections])
             pauses = np.concatenate([pauses[:-1], reactions, [0.0]])
+        # Grips and corrections follow each other with rests between them.
         ends = np.cumsum(lengths) + np.concatenate([[0.0], np.cumsum(pauses)[:-1]])
         ways = np.sign(span_rad) * np.radians(spans)
         self._pieces = list(zip(ends - lengths, lengths, ways, strict=True))
@@ -210,8 +279,8 @@ class HandMove:
         _add(course, product(self._tremor.at(time_s), held), self._tremor_rad)
         return course[0], course[1], course[2]
 
-    def beside(self, time_s: Floats, direction: Floats, rate: Floats) -> tuple[Floats, Floats]:
-        """What the hand does beside the movement itself.
+    def add_stray(self, time_s: Floats, direction: Floats, rate: Floats) -> tuple[Floats, Floats]:
+        """Add the stray and the twist of the hand to the movement.
 
         Parameters
         ----------
@@ -221,7 +290,7 @@ class HandMove:
         Returns
         -------
         direction, rate : (n, 3) float
-            With the stray, a turn about an axis of the part, and the twist about the vertical.
+            Including the stray (a turn about an axis of the part) and the twist about the vertical.
         """
         if self._stray_rad:
             stray, straying, _ = product(self._sway.at(time_s), hold(time_s, self.length_s))
@@ -235,13 +304,13 @@ class HandMove:
         return direction, rate
 
     def shaking_mg(self, time_s: Floats) -> Floats:
-        """Linear vibration (n, 3) that the hand brings, in mg."""
+        """Linear vibration (n, 3) from the hand, in mg."""
         held = self._vibration_mg * hold(time_s, self.length_s)[0]
         return np.stack([held * lines.at(time_s)[0] for lines in self._shaking], axis=1)
 
 
 def _misses(size_deg: float, rng: np.random.Generator, *, one_way: bool) -> Floats:
-    """How far (2,) the last grip and the first correction go past the mark."""
+    """Overshoot (2,) of the last grip and of the first correction, in degrees."""
     drawn = size_deg * rng.standard_normal()
     left = drawn * _SECOND_MISS * rng.standard_normal()
     misses = np.array([drawn, left])
@@ -254,8 +323,8 @@ def _add(course: list[Floats], more: Course, size: float = 1.0) -> None:
 
 
 def _turned_back(vector: Floats, axis: Floats, angle: Floats) -> Floats:
-    """Vectors (n, 3) of the room as a part sees them that has turned about its axis by angles (n,)."""
+    """Vectors (n, 3) of the room in the frame of a part that has turned about its axis by angles (n,)."""
     sine, cosine = np.sin(angle)[:, None], np.cos(angle)[:, None]
-    # Written out: a matrix product may round differently for another number of rows.
+    # The sum is written out, because a matrix product may round differently for another number of rows.
     along = (vector[:, 0] * axis[0] + vector[:, 1] * axis[1] + vector[:, 2] * axis[2])[:, None] * axis
     return np.asarray(along + cosine * (vector - along) - sine * np.cross(axis, vector))

@@ -1,6 +1,6 @@
-"""The register file: volatile words, their flash copies, byte writes.
+"""The registers of the simulated chip: words, flash copies, byte writes, and limits of the serial port.
 
-A simulated part's flash in a file, so that it outlives the process as a real one outlives its power.
+The flash of a simulated part can live in a file, so that it outlives the process.
 """
 
 from __future__ import annotations
@@ -22,6 +22,61 @@ from adis_gonio.device.sensor.registers import (
     register,
 )
 
+TOLERANCE_S = 1e-9
+"""A stall or a period is called too short beyond this; covers the rounding of times in float64."""
+
+START_UP_S = 0.150
+"""Start-up, and recovery of a reset, which the data sheet does not give (B; the reset D)."""
+FLASH_S = 0.100
+"""Flash update (A)."""
+SELF_TEST_S = 0.035
+"""Internal self-test (B)."""
+PRECISION_S = 30.0
+"""Precision autonull (A: about 30 s)."""
+WAKE_S = 0.003
+"""Recovery from sleep (B)."""
+SLEEP_UNIT_S = 0.5
+"""LSB of SLP_CNT (B)."""
+BASE_S = (1 / 1638.4, 31 / 1638.4)
+"""Time bases of SMPL_PRD: 0.61035 and 18.921 ms (A)."""
+FIRST_NORMAL = 0x0A
+"""SMPL_PRD from here on, time-base bit included, needs the slow serial port (A)."""
+
+
+@dataclass(frozen=True)
+class SerialLimits:
+    """Limits of one mode: clock in Hz, times in s."""
+
+    name: str
+    clock_low_hz: float
+    clock_high_hz: float
+    stall_s: float
+    period_s: float
+    sleep_cs_s: float
+    """Longest time from the 16th clock to the rise of CS for SLP_CNT to act (B)."""
+
+    def clock_ok(self, clock_hz: float) -> bool:
+        """True if the chip can follow the clock."""
+        return self.clock_low_hz * (1 - 1e-9) <= clock_hz <= self.clock_high_hz * (1 + 1e-9)
+
+
+FAST = SerialLimits("fast", 10e3, 2e6, 9e-6, 40e-6, 10e-6)
+NORMAL = SerialLimits("normal", 10e3, 300e3, 75e-6, 160e-6, 80e-6)
+
+
+def serial_limits(smpl_prd: int) -> SerialLimits:
+    """Limits for a value of SMPL_PRD."""
+    return FAST if smpl_prd & 0xFF < FIRST_NORMAL else NORMAL
+
+
+def update_period_s(smpl_prd: int) -> float:
+    """Time between internal updates in s; SMPL_PRD = 0, which is not allowed, acts as 1 (D)."""
+    value = smpl_prd & 0xFF
+    if value == 0:
+        value = 1
+    return BASE_S[value >> 7] * ((value & 0x7F) + 1)
+
+
 ENDURANCE_WRAP = 32768
 
 
@@ -31,7 +86,7 @@ class Memory:
     Parameters
     ----------
     flash : mapping of str to int
-        Words that were saved before power-on; registers not named hold their defaults.
+        Words that were saved before power-on; all other registers have their defaults.
     endurance : int
         Flash updates so far.
     saved : callable or None
@@ -67,7 +122,7 @@ class Memory:
         self._words[name] = word & 0xFFFF
 
     def at(self, address: int) -> int:
-        """Word at either byte address; 0 where there is no register or none that can be read."""
+        """Word at either byte address; 0 if no readable register is there."""
         row = BY_ADDRESS.get(address & ~1)
         return self._words[row.name] if row is not None and row.readable else 0
 
@@ -79,7 +134,7 @@ class Memory:
         Returns
         -------
         Register or None
-            Row that was written; None where nothing takes a write (read-only and reserved addresses).
+            Row that was written; None for read-only and reserved addresses.
         """
         row = BY_ADDRESS.get(address & ~1)
         if row is None or not row.writable:
@@ -91,7 +146,7 @@ class Memory:
         return row
 
     def load(self) -> None:
-        """Take the flash copies, as a reset does; bits without one take their default."""
+        """Load the flash copies, as a reset does; bits without a copy take their default."""
         endurance = self._words.get("ENDURANCE", 0)
         for row in REGISTERS:
             self._words[row.name] = (row.default & ~row.flash_mask) | self._flash.get(row.name, 0)
@@ -106,32 +161,32 @@ class Memory:
             self._saved(self._flash, self._words["ENDURANCE"])
 
     def zero_offsets(self) -> None:
-        """What the factory restore does to the six offsets."""
+        """Set the six offsets to zero, as the factory restore does."""
         for name in (*GYRO_OFF, *ACCEL_OFF):
             self._words[name] = 0
 
 
 @dataclass(frozen=True)
 class FlashFile:
-    """Words of the flash and ENDURANCE as JSON; made with the first flash update.
+    """Words of the flash and ENDURANCE in a JSON file, created by the first flash update.
 
     Attributes
     ----------
     path : Path
     part : str
-        Variant and seed of the part: the file of another one is refused.
+        Variant and seed of the part; the file of another part is refused.
     """
 
     path: Path
     part: str
 
     def read(self) -> tuple[dict[str, int], int]:
-        """Words by register, and ENDURANCE; of a new part where there is no file.
+        """Words by register, and ENDURANCE; the values of a new part if there is no file.
 
         Raises
         ------
         UsageError
-            The file is none of these, is damaged, or belongs to another part.
+            The file is no flash file, is damaged, or belongs to another part.
         """
         try:
             document = json.loads(self.path.read_text(encoding="utf-8"))
@@ -145,13 +200,15 @@ class FlashFile:
         except (ValueError, KeyError, TypeError, AttributeError):
             raise UsageError(f"flash: {self.path}: is no flash of a simulated part; name another") from None
         if owner != self.part:
-            raise UsageError(f"flash: {self.path}: is that of {owner}, this is {self.part}; name another")
+            raise UsageError(
+                f"flash: {self.path}: belongs to {owner}, this is {self.part}; name another file"
+            )
         if not 0 <= endurance < ENDURANCE_WRAP:
             raise UsageError(f"flash: {self.path}: its ENDURANCE {endurance} is not possible; name another")
         return words, endurance
 
     def write(self, words: Mapping[str, int], endurance: int) -> None:
-        """Keep what a flash update has saved; whole or not at all."""
+        """Save the result of a flash update, completely or not at all."""
         document = {"part": self.part, "endurance": endurance, "flash": dict(words)}
         with replacing(self.path) as beside:
             beside.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

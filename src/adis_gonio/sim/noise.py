@@ -1,16 +1,16 @@
-"""Random processes whose values do not depend on how they are asked for."""
+"""Random processes that give the same values however the times are grouped into calls."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.sim.inputs import Floats
+from adis_gonio.base.arrays import Floats
 
 _PAGE = 1024
 
 
 class White:
-    """White noise: one row of `len(sigma)` channels an update, drawn in order."""
+    """White noise: one row of `len(sigma)` channels for each update, drawn in order."""
 
     def __init__(self, sigma: Floats, rng: np.random.Generator) -> None:
         self._sigma = np.asarray(sigma, np.float64)
@@ -24,9 +24,9 @@ class White:
 
 
 class RateWalk:
-    """Random walk of three gyro biases, 0 at the first time asked for.
+    """Random walk of three gyro biases, 0 at the first requested time.
 
-    It stands on a grid of its own in time and is interpolated.
+    It is drawn on its own time grid and interpolated.
 
     Parameters
     ----------
@@ -48,6 +48,7 @@ class RateWalk:
             return np.zeros((len(time_s), 3))
         if self._start_s is None:
             self._start_s = float(np.floor(time_s[0]))
+        # Extend the grid as far as needed, then interpolate linearly.
         place = (time_s - self._start_s) / self._STEP_S
         while len(self._grid) < int(place[-1]) + 2:
             steps = self._size * np.sqrt(self._STEP_S) * self._rng.standard_normal((_PAGE, 3))
@@ -56,8 +57,8 @@ class RateWalk:
         weight = (place - index)[:, None]
         return np.asarray(self._grid[index] + weight * (self._grid[index + 1] - self._grid[index]))
 
-    def lived(self, time_s: Floats) -> Floats:
-        """Values (m, 3) on the grid points nearest to those of the times (n,) that have been."""
+    def past_values(self, time_s: Floats) -> Floats:
+        """Values (m, 3) at the grid points nearest to past times (n,)."""
         if self._start_s is None:
             return np.empty((0, 3))
         index = np.unique(np.rint((time_s - self._start_s) / self._STEP_S).astype(np.int64))
@@ -68,9 +69,9 @@ class Flicker:
     """Noise of a spectrum 1/f, as a sum of first-order processes with corners an octave apart.
 
     A process of variance v at every octave has together the one-sided spectrum v / (f ln 2); the Allan
-    deviation of h/f is sqrt(2 h ln 2) at all averaging times, hence v = floor² / 2. The values stand on
-    a grid of their own in time and are interpolated, so neither the sample rate nor the way in which
-    times are asked for changes them.
+    deviation of h/f is sqrt(2 h ln 2) at all averaging times, hence v = floor² / 2. The values are drawn on
+    their own time grid and interpolated, so they depend neither on the sample rate nor on the grouping of
+    the times into calls.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ class Flicker:
     start_s : float
         Earliest time that may be asked for.
     step_s : float
-        Grid; above a tenth of its rate there is no flicker left.
+        Step of the grid; the flicker ends above a tenth of the grid's rate.
     lowest_hz : float
         Lowest corner; below it the spectrum is flat.
     """
@@ -94,9 +95,11 @@ class Flicker:
         lowest_hz: float = 2.0**-15,
     ) -> None:
         octaves = int(np.floor(np.log2(0.15 / (step_s * lowest_hz)))) + 1
+        # One first-order process for each octave, all with variance floor² / 2.
         corners = lowest_hz * 2.0 ** np.arange(octaves)
         self._memory = np.exp(-2 * np.pi * corners * step_s)[:, None]
         self._sigma = np.asarray(floor, np.float64) / np.sqrt(2)
+        # The drive keeps the variance of each process at 1.
         self._drive = np.sqrt(1 - self._memory**2)
         self._rng = rng
         self._step_s = step_s
@@ -116,8 +119,8 @@ class Flicker:
         result: Floats = low + weight * (high - low)
         return result
 
-    def lived(self, time_s: Floats) -> Floats:
-        """Values (m, channels) on the grid points nearest to those of the times (n,) that have been."""
+    def past_values(self, time_s: Floats) -> Floats:
+        """Values (m, channels) at the grid points nearest to past times (n,)."""
         index = np.unique(np.rint((time_s - self._origin_s) / self._step_s).astype(np.int64))
         return np.asarray(self._grid[index[(index >= 0) & (index < len(self._grid))]], np.float64)
 

@@ -1,29 +1,98 @@
 """From analog inputs to output words: scaling, filter, offsets, limits, alarms, conditions.
 
-Choices where the chip's behaviour is not known (D): the filter works at a resolution of 1/1024 LSB and
-its output is rounded once; offsets are added after it; taps are cleared when range or M change; an
-illegal range acts as ±300 °/s, M = 7 as 6, and an M below the range's least one as that one; over-range
-means a sample beyond the nominal range. What MSC_CTRL[7:6] take off is taken off each sample ahead of the
-filter, the gyros' part by what the chip's own accelerometers read; how much is a figure of `Electronics`,
-as are where the gyros are cut off and how the ranges differ.
+Choices for behaviour of the chip that is not known (D): the filter works at a resolution of 1/1024 LSB and
+its output is rounded once; offsets are added after it; taps are cleared if range or M changes; an illegal
+range acts as ±300 °/s, M = 7 as 6, and an M below the minimum of the range as this minimum; over-range
+means a sample beyond the nominal range. The compensations of MSC_CTRL[7:6] act on each sample ahead of the
+filter; the compensation of the gyros uses the readings of the chip's own accelerometers. Their size, the
+saturation of the gyros and the gains of the ranges are figures of `Electronics`. CHIP.md describes these
+functions but not how well they work, so all these figures are estimates (D).
 
-The chip's digital filter: a Bartlett window made of two cascaded boxcars (CHIP.md, A).
-
-Samples are integers in fixed point, so that sums are exact however a run of samples is divided.
+The digital filter is a Bartlett window made of two cascaded boxcars (CHIP.md, A). Samples are integers in
+fixed point, so that sums are exact however a run of samples is divided.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, REGISTERS, Register
 from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE, Variant
-from adis_gonio.sim.electronics import IDEAL, Electronics
-from adis_gonio.sim.inputs import Floats, Inputs
-from adis_gonio.sim.memory import Memory
+from adis_gonio.sim.memory import PRECISION_S, Memory
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Analog inputs at n internal updates, with the signs of the registers.
+
+    Attributes
+    ----------
+    accel_mg : (n, 3) float
+        Accelerations x, y, z in mg (thousandths of 9.80665 m/s²); level with Z up, z is -1000.
+    gyro_dps : (n, 3) float
+        Rates of turn in °/s, right-handed about the drawn axes.
+    temperature_c : (n, 3) float
+        Temperatures of the dies of the three gyros in °C.
+    supply_v, aux_v : (n,) float
+        Supply and auxiliary input in V.
+    place_mg : (n, 3) float or None
+        Part of `accel_mg` that comes from the positions of the accelerometers within the part; None if
+        there is none.
+    """
+
+    accel_mg: Floats
+    gyro_dps: Floats
+    temperature_c: Floats
+    supply_v: Floats
+    aux_v: Floats
+    place_mg: Floats | None = None
+
+
+class Surroundings(Protocol):
+    """Surroundings of a chip: they give its analog inputs."""
+
+    def sample(self, time_s: Floats) -> Inputs:
+        """Inputs at increasing times (n,) in s; each call continues after the last one.
+
+        The values must not depend on how the updates are divided into calls.
+        """
+
+
+@dataclass(frozen=True)
+class Electronics:
+    """Figures of a chip's electronics.
+
+    Attributes
+    ----------
+    range_gain : mapping of int to float
+        Gain of the gyros by range in °/s, relative to ±300 °/s; 1 for other ranges.
+    gyro_saturation : float
+        Saturation of the gyros in units of the range; the registers end at twice the range.
+    g_compensation : (3, 3) float or None
+        Compensation of the gyros by MSC_CTRL[7], in °/s per g as read by the chip's own accelerometers;
+        None uses the figure of the family for each gyro's own axis.
+    origin_compensation : float
+        Fraction of the effect of the accelerometers' positions that MSC_CTRL[6] removes.
+    autonull_s, precision_autonull_s : float
+        Averaging times of the autonulls; 0 uses the present output of the filter.
+    """
+
+    range_gain: dict[int, float] = field(default_factory=dict)
+    gyro_saturation: float = math.inf
+    g_compensation: Floats | None = None
+    origin_compensation: float = 1.0
+    autonull_s: float = 0.0
+    precision_autonull_s: float = PRECISION_S
+
+
+IDEAL = Electronics()
+
 
 Integers = NDArray[np.int64]
 
@@ -62,6 +131,7 @@ def bartlett_sums(samples: Integers, m: int) -> Integers:
 
 
 def _boxcar(samples: Integers, n: int) -> Integers:
+    # Moving sum of n samples as a difference of cumulative sums.
     total = np.cumsum(samples, axis=0)
     sums = total[n - 1 :].copy()
     sums[1:] -= total[:-n]
@@ -89,7 +159,7 @@ _GYRO_OFF_PER_LSB = {300: 4, 150: 2, 75: 1}
 _LARGEST = float(1 << 30)
 
 # Columns of the sources that ALM_CTRL numbers: 1 supply, 2-4 gyros, 5-7 accelerometers, 8-10
-# temperatures, 11 auxiliary input; they stand in the order of the output registers.
+# temperatures, 11 auxiliary input: the order of the output registers.
 _ALARM_SOURCES = len(OUTPUTS)
 
 STATUS = BY_NAME["STATUS"]
@@ -130,7 +200,7 @@ class Updates:
     words : (n, 11) uint16
         Output words without ND and EA.
     status : (n,) int
-        STATUS bits whose condition stood at each update.
+        STATUS bits of the conditions that are true at each update.
     unfiltered : (n, 11) int
         Samples before filter and offset, in 1/1024 LSB.
     """
@@ -156,7 +226,7 @@ class SignalChain:
     # -- settings -------------------------------------------------------------------------------
 
     def configure(self, memory: Memory) -> None:
-        """Take the settings over from the registers; clears the taps where range or M changed."""
+        """Read the settings from the registers; clear the taps if range or M has changed."""
         code = BY_NAME["SENS_AVG"].field("range").of(memory["SENS_AVG"])
         gyro_range = next((dps for dps, known in RANGE_CODE.items() if known == code), 300)
         m = min(max(BY_NAME["SENS_AVG"].field("m").of(memory["SENS_AVG"]), LEAST_M[gyro_range]), MOST_M)
@@ -210,11 +280,12 @@ class SignalChain:
         new = self._scaled(inputs)
         n = len(new)
         samples = np.concatenate([self._samples, new])
+        # Filter the new samples with as many rows of history as the window needs.
         sums = bartlett_sums(samples[_HISTORY - history_rows(self.m) :], self.m)
         numbers = self._numbers(sums, 2 * self.m)
         words = numbers & _MASK
-        # Bits 13:12 of a 12-bit register are not used. The real part's content is not known; never
-        # zero here, so that whoever forgets to mask them sees it.
+        # Bits 13:12 of a 12-bit register are not used. Their real content is not known; they are never zero
+        # here, so that a driver that does not mask them fails.
         words[:, _NARROW] |= 0x1000 | ((numbers[:, _NARROW] & 1) << 13)
         status = self._conditions(inputs)
         filtered = np.concatenate([self._filtered, numbers])
@@ -242,6 +313,7 @@ class SignalChain:
             values[:, GYRO_COLUMNS] += self._manual_test * SELF_TEST_GYRO_DPS
             # The accelerometers answer to the positive stimulus alone (DS p. 19, B).
             values[:, ACCEL_COLUMNS] += max(self._manual_test, 0.0) * SELF_TEST_ACCEL_MG
+        # Convert to fixed point: 1/1024 LSB.
         values -= self._zero
         values *= self._gain
         np.rint(values, out=values)
@@ -250,6 +322,7 @@ class SignalChain:
 
     def _numbers(self, sums: Integers, extra_bits: int) -> Integers:
         shift = FRACTION_BITS + extra_bits
+        # Add offset and half an LSB, then divide by the weights with a shift.
         numbers = (sums + ((self._offset << extra_bits) + (1 << (shift - 1)))) >> shift
         np.clip(numbers, _LOW, _HIGH, out=numbers)
         return numbers

@@ -28,7 +28,7 @@ def _not_negative(default: float | None) -> Any:
 
 @dataclass_transform(frozen_default=True)
 def _by_axis(cls: type[T]) -> type[T]:
-    """Make a class a frozen dataclass in which a setting of an axis stands for three, or six, or nine.
+    """Make a frozen dataclass in which one setting with a placeholder becomes three, six or nine settings.
 
     A name with `each` has one value for each axis, with `other` one for each axis and another one, with
     `pair` one for any two axes; the metadata `own` is the default of a pair of one axis with itself.
@@ -57,9 +57,9 @@ class GyroSettings:
         (1 + s (T − 25 °C)) (r + a |r|) + b + t (T − 25 °C) + w exp(−time since power-on / τ)
             + G f + C f² + v (supply − 5 V)
 
-    with the rate `r` that its own gain and direction make of the turn, the temperature `T` of its own die,
-    and the force `f` in g as ideal accelerometers read it: level with Z up −1 on z. To it come rate walk,
-    flicker and white noise; then the chip's range and its compensations.
+    with the rate `r` after its own gain and direction, the temperature `T` of its own die, and the force
+    `f` in g as ideal accelerometers read it: level with Z up −1 on z. Rate walk, flicker and white noise
+    are added; then the range and the compensations of the chip apply.
 
     Attributes
     ----------
@@ -72,42 +72,41 @@ class GyroSettings:
     gyro_bias_tempco_x_dps_per_c, … : float
         Their temperature coefficients `t`.
     gyro_warm_up_x_dps, …, gyro_warm_up_tau_s : float
-        What power-on adds (`w`), and the time constant with which that dies away.
+        Warm-up (`w`): offset at power-on, and the time constant of its decay.
     gyro_scale_x, … : float
         Gains of the gyros, 1 is perfect.
     gyro_scale_tempco_x_ppm_per_c, … : float
         Temperature coefficients of the gains (`s`).
     gyro_asymmetry_x, … : float
-        By how much the gain is greater for positive rates than for their mean, and less for negative ones
-        (`a`).
+        Excess of the gain for positive rates over the mean gain (`a`); negative rates have as much less.
     gyro_misalignment_xy_deg, … : float
         Misalignment of the first gyro's axis towards the second axis of the gyros' frame.
     gyro_triad_x_deg, gyro_triad_y_deg, gyro_triad_z_deg : float
-        Rotation (a rotation vector) of the gyros' frame against that of the accelerometers.
+        Rotation (a rotation vector) of the gyros' frame against the accelerometers' frame.
     gyro_g_dps_per_g : float or None
-        What a force along the own axis adds to each gyro (`G`).
+        Effect of a force along its own axis on each gyro (`G`).
     gyro_g_sensitivity_xx_dps_per_g, … : float or None
-        The same of one gyro.
+        Effect of a force along its own axis on one gyro.
     gyro_g_sensitivity_xy_dps_per_g, … : float
-        What a force along the second axis adds to the first gyro.
+        Effect of a force along the second axis on the first gyro.
     gyro_g2_sensitivity_xx_dps_per_g2, … : float
-        What the square of the force along the second axis adds to the first gyro (`C`): rectification.
+        Effect of the squared force along the second axis on the first gyro (`C`): rectification.
     gyro_supply_dps_per_v, gyro_supply_x_dps_per_v, … : float or None
-        What a supply other than 5 V adds (`v`), of all and of each.
+        Effect of a supply other than 5 V (`v`), on all gyros and on each.
     gyro_range_gain_150, gyro_range_gain_75 : float
         Gain of the whole signal in these ranges, relative to ±300 °/s.
     gyro_saturation : float
-        Where the signal is cut off, in units of the range in force; the words end at twice the range.
+        Saturation of the signal, in units of the present range; the words end at twice the range.
     gyro_g_compensation : float
-        How much of G the chip takes off where MSC_CTRL[7] is set: what the factory knew of it.
+        Fraction of G that the chip removes if MSC_CTRL[7] is set.
     accel_place_xx_mm, … : float
-        Where the first accelerometer is along the second axis, from the origin that the part turns about.
+        Position of the first accelerometer along the second axis, from the origin of the turns.
     origin_compensation : float
-        How much of what these places add the chip takes off where MSC_CTRL[6] is set.
+        Fraction of the effect of these positions that the chip removes if MSC_CTRL[6] is set.
     die_gradient_x_c, …, die_gradient_tau_s : float
-        How much warmer than the part a gyro's die is once it is warm, and the time constant of that.
+        Excess of a gyro's die temperature over the part in the steady state, and its time constant.
     die_lag_x_s, … : float
-        Time constants with which the dies follow the part's temperature; 0 is at once.
+        Time constants with which the dies follow the temperature of the part; 0 for no delay.
     earth_rate_up_dps : float
         Upward part of the earth's rotation: 0.00418 °/s times the sine of the latitude.
     autonull_s, precision_autonull_s : float
@@ -150,7 +149,7 @@ class GyroSettings:
 class WorldSettings(GyroSettings):
     """Settings of the world; None means drawn from the seed by the variant's figures.
 
-    Those of the gyros are in `GyroSettings`.
+    The settings of the gyros are in `GyroSettings`.
 
     Attributes
     ----------
@@ -161,7 +160,7 @@ class WorldSettings(GyroSettings):
     scale_y, scale_z : float or None
         Gains K_y and K_z (1 is perfect); K_x follows from ΔK.
     skew_xz_deg, skew_yz_deg : float or None
-        How much less than 90° the angles X-Z and Y-Z are.
+        Differences of the angles X-Z and Y-Z from 90°, positive for smaller angles.
     bias_x_mg, bias_y_mg, bias_z_mg : float or None
         Biases at 25 °C.
     bias_tempco_x_mg_per_c, … : float or None
@@ -173,7 +172,7 @@ class WorldSettings(GyroSettings):
     ambient_c, ambient_drift_c_per_h, ambient_swing_c, ambient_period_s : float
         Ambient temperature: constant, drift, and amplitude and period of a sine.
     self_heating_c, self_heating_tau_s, powered_s : float
-        Self-heating, its time constant, and how long the part was powered at time zero.
+        Self-heating, its time constant, and the time for which the part was powered at time zero.
     temperature_offset_sigma_c, temperature_noise_c : float
         Offsets of the temperature sensors (1 sigma) and their noise.
     supply_v, supply_drift_v_per_h, supply_noise_v, aux_v : float
@@ -181,11 +180,11 @@ class WorldSettings(GyroSettings):
     gravity_mps2 : float
         Local gravity.
     fixture_sigma_deg, backlash_deg, overshoot_deg : float
-        Standard deviation of the angle error that each move draws; how far apart the same position
-        reached from both sides lies; how far a move goes past its target to turn round.
+        Standard deviation of the angle error of each move; distance between the two sides of approach;
+        overshoot of a move that has to come back.
     part_slip_deg, part_slip_position : float
-        By how much the part slips in its fixture, in the direction of declared angles, on the stage's way
-        to a position (moves in the plane, counted from 0).
+        Slip of the part in its fixture, in the direction of declared angles, during the move to a position
+        (moves in the plane, counted from 0).
     axis_tilt_deg : float
         Tilt of the rotation axis out of the horizontal.
     move_speed_dps : float
@@ -194,28 +193,30 @@ class WorldSettings(GyroSettings):
         Ringing after a move stops.
     table_vibration_mg : float or None
         Largest rms of a broadband vibration of the table, on each axis and ahead of the sensor's filter.
-        The first dwell has the whole of it (what is at rest is learnt there), every other one a level of
-        its own, uniform from 0 to this. By default none, or five times the sensor's noise where an effect
-        that was added follows the variance (`vibration_rectification`).
+        The first dwell has this level, because stillness is learnt there; each other dwell has a level
+        drawn uniformly between 0 and this. By default 0, or five times the sensor's noise if an added
+        effect follows the variance (`vibration_rectification`).
     lever_x_mm, lever_y_mm : float
-        Where the part is, from the stage's axis, along its own X and Y: it feels the turn's acceleration.
+        Position of the part relative to the stage's axis, along its X and Y, where it feels the
+        acceleration of turns.
     hand_turn_deg, hand_turn_s, hand_pauses, hand_returns : float
-        A turn by hand (`hand.HandTurn`): how far each goes, how long all of them take, how long the hand
-        pauses between grips (1 usual), and whether (not 0) every second turn goes back.
+        Turns by hand (`hand.HandTurn`): angle of each turn, time of all turns, length of the pauses between
+        grips (1 is usual), and whether every second turn goes back (if not 0).
     hand_unevenness, hand_tremor_dps, hand_vibration_mg : float
-        Relative unevenness of its speed, rate of turn (rms) of its tremor, linear vibration (rms an axis).
+        Relative unevenness of the speed, rate of turn (rms) of the tremor, linear vibration (rms of an
+        axis).
     hand_sway_deg, axis_wobble_deg : float
-        How much (rms) a part held in the hand sways, and how much the axis of a bearing wobbles.
+        Sway (rms) of a part that is held in the hand, and wobble of the axis of a bearing.
     hand_moves : float
-        Whether (not 0) a hand brings the part to its positions (`hand.HandMove`), instead of a motor.
+        If not 0, a hand brings the part to its positions (`hand.HandMove`) instead of a motor.
     hand_miss : float
-        By how much of its last grip a hand misses a mark (rms), before it corrects.
+        Error (rms) of a hand at a mark before it corrects, relative to the last grip.
     hand_stray_deg, hand_twist_deg : float
-        How much (rms) a part that the hand brings to an attitude in space strays on its way, and how far
-        (1 sigma) it turns about the vertical besides.
+        Stray (rms) of a part that a hand brings to an attitude in space, and its additional turn about the
+        vertical (1 sigma).
     mark_sigma_deg : float
-        Standard deviation of the angle to which a part that was turned about an axis (`Stage.turn_about`)
-        is set back against its mark.
+        Standard deviation of the angle of a part against its mark after a turn about an axis
+        (`Stage.turn_about`).
     """
 
     alpha_deg: float | None = None
@@ -302,9 +303,9 @@ class WorldSettings(GyroSettings):
         options : mapping of str to str
             Name and value.
         others : tuple of str
-            Names that somebody else reads; they are passed over, and offered as nearest matches.
+            Names of options that the caller reads; they are skipped, and offered as nearest matches.
         drawn : mapping of str to float, optional
-            Values of settings that the text does not give.
+            Values of settings that the text omits.
 
         Raises
         ------

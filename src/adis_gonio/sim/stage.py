@@ -1,16 +1,15 @@
-"""The stage that holds the part: where it points at any time, and what its mechanics do wrong.
+"""The stage that holds the part: its direction at any time, and the faults of its mechanics.
 
-In the plane the part turns about its Z axis, which lies horizontal. The true angle is
-ψ = α − θ + δ with the declared angle θ and the error δ that each move draws (fixture, N(0, σ)) plus half
-the backlash by the direction of approach, less what the part has slipped in its fixture; X then reads
-G cos ψ and Y G sin ψ. In space the stage turns the part until a given unit vector is what an ideal sensor
-would read, in units of G.
+In the plane the part turns about its Z axis, which is horizontal. The true angle is ψ = α − θ + δ with the
+declared angle θ and the error δ that each move draws (fixture, N(0, σ)) plus half the backlash by the
+direction of approach, less the slip of the part in its fixture; X then reads G cos ψ and Y G sin ψ. In
+space the stage turns the part until an ideal sensor would read a given unit vector, in units of G.
 
-A move takes time; the part rings after it. A motor's speed rises and falls as a half sine, a hand moves as
-hands do (`hand.HandMove`). Turns all around by hand (`hand.HandTurn`) have no declared angle.
+A move takes time; the part rings after it. The speed of a motor rises and falls as a half sine; a hand
+follows `hand.HandMove`. Turns all around by hand (`hand.HandTurn`) have no declared angle.
 
-On a table (`turn_about`) the part lies as it was laid, and is turned about an axis: gravity stays where it
-was where that axis is vertical.
+On a table (`turn_about`) the part keeps its attitude and is turned about an axis; if this axis is vertical,
+the direction of gravity in the part does not change.
 """
 
 from __future__ import annotations
@@ -19,41 +18,40 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.sim.hand import HandMove, HandTurn
-from adis_gonio.sim.inputs import Floats
+from adis_gonio.sim.hand import Course, HandMove, HandTurn
 from adis_gonio.sim.settings import WorldSettings
-from adis_gonio.sim.smooth import Course
 
 _SHORTEST_MOVE_S = 0.3
 _LEAST_BY_HAND_RAD = 1e-6
 _KNOTS = 33
-"""Points of a move by which its course is told: a turn of 180° leaves its chords by (π²/64)²/8 = 0.3 %."""
+"""Points that describe a move: a turn of 180° deviates from its chords by (π²/64)²/8 = 0.3 %."""
 _HAND_KNOTS = 8
-"""So many times more where a hand moves, whose speed is not even."""
+"""Factor on the number of points for a hand, because its speed is not even."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Where the part is at n times.
+    """State of the part at n times.
 
     Attributes
     ----------
     direction : (n, 3) float
-        What an ideal sensor reads, in units of local gravity.
+        Readings of an ideal sensor, in units of local gravity.
     rate_dps : (n, 3) float
         Rate of turn of the part.
     spin_rad_s2 : (n,) float
         Angular acceleration of the part about its Z axis.
     shaking_mg : (n, 3) float
-        Linear vibration that a hand brings.
+        Linear vibration from a hand.
     ringing_mg : (n,) float
         Vibration along X and Y after a move.
     angle_rad, previous_angle_rad : (n,) float
-        Declared angle θ, and the one of the dwell before.
+        Declared angle θ, and the declared angle of the previous dwell.
     order, approach : (n,) float
-        Number of the dwell, and direction from which it was reached. Moves are counted: where the part
-        stood before the first move and where it went by it are both 0.
+        Number of the dwell, and direction of approach. Moves are counted: the positions before and after
+        the first move both have number 0.
     time_in_dwell_s : (n,) float
         Time since the move ended; 0 during the move.
     """
@@ -97,7 +95,7 @@ class _Leg:
 
     @property
     def knots(self) -> int:
-        """Points by which the course of the move is told."""
+        """Number of points that describe the course of the move."""
         halves = int(np.ceil(abs(self.turn_rad) / np.pi))
         return _KNOTS * max(halves, 1) * (1 if self.by_hand is None else _HAND_KNOTS)
 
@@ -110,7 +108,7 @@ class _Leg:
 
 
 class Stage:
-    """Trajectory of the part, put together move by move.
+    """Trajectory of the part, extended move by move.
 
     Parameters
     ----------
@@ -121,7 +119,7 @@ class Stage:
     rng : Generator
         Draws an error for each move.
     hands, moves : Generator, optional
-        Draw the hands that turn the stage all around, and those that bring it to its positions.
+        Draw the hands that turn the stage all around, and the hands that bring it to its positions.
     """
 
     def __init__(
@@ -146,7 +144,7 @@ class Stage:
 
     @property
     def angle_deg(self) -> float:
-        """Declared angle of the last target; nan where it was given in space."""
+        """Declared angle of the last target; NaN after a move in space."""
         leg = self._legs[-1]
         return float("nan") if leg.spatial else float(np.degrees(leg.to_rad))
 
@@ -166,8 +164,8 @@ class Stage:
         Parameters
         ----------
         approach : int
-            +1 or -1: arrive with the declared angle rising or falling, going past the target and back
-            where need be; 0 the short way.
+            +1 or -1: arrive with the declared angle rising or falling, with an overshoot if necessary; 0:
+            the short way.
 
         Raises
         ------
@@ -202,7 +200,7 @@ class Stage:
         Parameters
         ----------
         vector : (3,) float
-            What an ideal sensor shall read there, up to a factor; level with Z up is (0, 0, -1).
+            Reading of an ideal sensor there, up to a factor; level with Z up is (0, 0, -1).
 
         Raises
         ------
@@ -216,27 +214,28 @@ class Stage:
         self._require_still(start_s)
         self._moves += 1
         sigma = np.radians(self._settings.fixture_sigma_deg)
+        # Tilt the wanted direction by a random small rotation.
         tilted = wanted / norm + np.cross(sigma * self._rng.standard_normal(3), wanted / norm)
         return self._turn(start_s, tilted / np.linalg.norm(tilted), float("nan"), 0.0, 0)
 
     def turn_freely(self, start_s: float, turns: int = 1) -> float:
-        """Begin turns by hand, of which nobody declares an angle; returns the time at which they end.
+        """Begin turns by hand without declared angles; return the time at which they end.
 
         Parameters
         ----------
         turns : int
-            How often the hand goes `hand_turn_deg`, all within `hand_turn_s`.
+            Number of turns of `hand_turn_deg`, all within `hand_turn_s`.
 
         Raises
         ------
         UsageError
-            The last move still runs, or the part stands anywhere in space.
+            The last move still runs, or the part is not at an angle of the stage.
         """
         self._require_still(start_s)
         last = self._legs[-1]
         if last.spatial:
             raise UsageError(
-                "the part stands in space: turn it to an angle of the stage before a free turn"
+                "the part is at an attitude in space: turn it to an angle of the stage before a free turn"
             )
         self._moves += 1
         hand = HandTurn(self._settings, self._hands, turns)
@@ -251,15 +250,16 @@ class Stage:
         return end_s
 
     def turn_about(self, start_s: float, angle_deg: float, axis: Floats | None = None) -> float:
-        """Begin a turn of the part about an axis, where it lies; returns the time at which it ends.
+        """Begin a turn of the part about an axis at its place; return the time at which it ends.
 
-        A whole turn leaves the part as it was. The part is set against a mark before and after it, each
-        time with an error of its own (`mark_sigma_deg`), so that the true angle is not quite the declared.
+        A whole turn leaves the attitude unchanged. Before and after it the part is set against a mark, each
+        time with a new error (`mark_sigma_deg`), so that the true angle differs slightly from the declared
+        angle.
 
         Parameters
         ----------
         angle_deg : float
-            How far, any number of turns; positive is right-handed about the axis.
+            Angle of any number of turns; positive is right-handed about the axis.
         axis : (3,) float or None
             Axis in the part; None is the vertical, upwards: positive is then counter-clockwise, seen from
             above, as on a level table.
@@ -281,6 +281,7 @@ class Stage:
         about = about / norm
         before, self._mark_error = self._mark_error, self._mark()
         turn = float(np.radians(angle_deg)) + self._mark_error - before
+        # Split gravity into the part along the axis and the part that turns about it.
         along = (standing @ about) * about
         leg = _Leg(
             start_s, start_s, float("nan"), float("nan"), 0.0, 0.0, self._order, int(np.sign(turn)),
@@ -290,7 +291,7 @@ class Stage:
         return self._in_space(leg, self._hand_over(turn))
 
     def at(self, time_s: Floats) -> Motion:
-        """Where the part is at increasing times (n,)."""
+        """State of the part at increasing times (n,)."""
         index = np.searchsorted(self._starts, time_s, side="right") - 1
         first, last = int(index[0]), int(index[-1])
         if first == last:
@@ -303,9 +304,9 @@ class Stage:
         return Motion(*(np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES))
 
     def course(self) -> tuple[Floats, Floats]:
-        """Times (m,) and directions (m, 3) between which the part turns in nearly straight lines.
+        """Times (m,) and directions (m, 3) between which the direction changes nearly linearly.
 
-        It rests before the first and after the last of them; of no move there is one, at 0.
+        The part rests before the first and after the last of them; without any move there is one, at 0.
         """
         if self._course is None:
             moves = [leg for leg in self._legs if leg.end_s > leg.start_s]
@@ -336,7 +337,7 @@ class Stage:
         return np.array([np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)])
 
     def _hand_over(self, span_rad: float, *, one_way: bool = False, free: bool = False) -> HandMove | None:
-        """The hand that moves the part so far, where a hand does."""
+        """Draw the hand for a move of this span; None if a motor moves the part."""
         if not self._settings.hand_moves or abs(span_rad) < _LEAST_BY_HAND_RAD:
             return None
         return HandMove(self._settings, self._movements, span_rad, one_way=one_way, free=free)
@@ -380,6 +381,7 @@ class Stage:
 
     def _turn(self, start_s: float, to: Floats, theta: float, error: float, approach: int) -> float:
         base = self._standing
+        # Turn in the plane of the present and the wanted direction.
         cosine = float(np.clip(base @ to, -1.0, 1.0))
         side = to - cosine * base
         if np.linalg.norm(side) < 1e-9:
@@ -394,14 +396,14 @@ class Stage:
         return self._in_space(leg, self._hand_over(turn, free=True))
 
     def _in_space(self, leg: _Leg, by_hand: HandMove | None) -> float:
-        """Append a turn in space with its end, and return that."""
+        """Append a turn in space and return the time at which it ends."""
         end_s = leg.start_s + self._duration(leg.turn_rad, by_hand)
         self._append(replace(leg, end_s=end_s, by_hand=by_hand))
         return end_s
 
     @property
     def _standing(self) -> Floats:
-        """Direction (3,) of gravity in which the last move ends."""
+        """Direction (3,) of gravity at the end of the last move."""
         last = self._legs[-1]
         return last.target if last.spatial else self._direction(last.to_rad, last.to_error_rad)
 
@@ -427,12 +429,13 @@ class Stage:
             rate += np.degrees(leg.turn_rad * speed)[:, None] * leg.axis
             if leg.by_hand is not None:
                 since_start = time_s - leg.start_s
-                direction, turning = leg.by_hand.beside(since_start, direction, np.radians(rate))
+                direction, turning = leg.by_hand.add_stray(since_start, direction, np.radians(rate))
                 rate = np.degrees(turning)
             theta = full(n, leg.to_rad)
         else:
             span, slip = leg.to_rad - leg.from_rad, leg.to_error_rad - leg.from_error_rad
             theta = leg.from_rad + span * blend
+            # The error changes from its old to its new value during the move.
             psi = self._alpha - theta + leg.from_error_rad + slip * blend
             tilt = np.radians(self._settings.axis_tilt_deg)
             direction = np.empty((n, 3))
@@ -463,7 +466,7 @@ class Stage:
         psi = self._alpha - theta + leg.from_error_rad
         tilt = np.radians(self._settings.axis_tilt_deg) + wobble
         direction = np.stack([np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)], axis=1)
-        # The rates that turn gravity as the direction goes: d' = -rate x d.
+        # Rates for which gravity in the part follows the direction: d' = -rate x d.
         rate = np.stack([-wobbling * np.sin(psi), wobbling * np.cos(psi), turned[1]], axis=1)
         return Motion(
             direction,
@@ -479,7 +482,7 @@ class Stage:
         )
 
     def _ringing(self, since: Floats) -> Floats:
-        """Decaying sine after the stop; nothing is left of it after 20 time constants."""
+        """Decaying sine after the stop; zero after 20 time constants."""
         settings = self._settings
         if not settings.vibration_mg or not len(since) or since[0] > 20 * settings.vibration_decay_s:
             return np.zeros(len(since))
@@ -492,7 +495,7 @@ class Stage:
 
 
 def _course(leg: _Leg, time_s: Floats) -> Course:
-    """How much of a move is done at times (n,), 0 to 1, with its two derivatives; 1 after its end."""
+    """Completed fraction of a move at times (n,), 0 to 1, with its two derivatives; 1 after its end."""
     n = len(time_s)
     moving = time_s - leg.end_s < 0
     if not moving.any():

@@ -1,21 +1,21 @@
 """The world around the chip: attitude, sensor faults, temperature, supply, noise, effects.
 
-What a sensor reads (mg, x y z)
-    ideal = G [K_x d_x, K_y (d_x sin Δφ + d_y cos Δφ), K_z (s_z · d)], d the stage's direction;
-    reading = ideal (1 + tempco (T − 25 °C)) + bias + tempco (T − 25 °C) + effects + flicker + ringing
-    + noise + vibration of the table (broadband, a level a dwell). In the plane d = (cos ψ, sin ψ, 0),
-    which is the convention of the samples CSV.
+Readings of the accelerometers (mg, x y z)
+    ideal = G [K_x d_x, K_y (d_x sin Δφ + d_y cos Δφ), K_z (s_z · d)], d the stage's direction; reading =
+    ideal (1 + tempco (T − 25 °C)) + bias + tempco (T − 25 °C) + effects + flicker + ringing + noise +
+    vibration of the table (broadband, one level for each dwell). In the plane d = (cos ψ, sin ψ, 0), which
+    is the convention of the samples CSV.
 
-Noise is drawn update by update, so that what comes out depends on the seed and on the chip's settings,
-never on how frames are grouped or how often somebody asks.
+Noise is drawn update by update, so that the readings depend on the seed and on the settings of the chip,
+but not on the grouping of frames or on the number of calls.
 
-What is not simulated
+Not simulated
     The 350 Hz poles of the analog front ends (unfiltered samples are white, as the filter's table of gains
-    supposes), turns of the axes out of the stage's plane other than the skews of Z, cross-axis and
-    nonlinearity unless an effect brings them, noise that depends on temperature, the level part of the
+    supposes), turns of the axes out of the stage's plane other than the skews of Z, cross-axis response and
+    nonlinearity unless an effect adds them, noise that depends on temperature, the level part of the
     earth's rotation, thermal gradients between accelerometers. Flicker ends below 3e-5 and above 1.5 Hz.
 
-What the gyros read is said in `GyroSettings`; their faults live in `gyros`, their temperatures in `dies`.
+`GyroSettings` defines the readings of the gyros; `gyros` simulates their faults and die temperatures.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.device.sensor.variants import Variant, variant
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
 from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.sim.electronics import Electronics
-from adis_gonio.sim.gyros import PAIRS, REFERENCE_C, Dies, Felt, GyroTriad
-from adis_gonio.sim.inputs import Floats, Inputs
+from adis_gonio.sim.gyros import PAIRS, REFERENCE_C, Dies, Felt, GyroTriad, apply_matrix, value_or
 from adis_gonio.sim.noise import Flicker, White
+from adis_gonio.sim.sampling import Electronics, Inputs
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Motion, Stage
 
@@ -42,7 +42,7 @@ WARMING_TAU_S = 60.0
 _HISTORY_STEP_S = 1.0
 _DERIVATIVE_S = 1e-4
 _TABLE_OVER_NOISE = 5.0
-"""Vibration of the table in units of the sensor's noise where an effect needs it."""
+"""Vibration of the table in units of the sensor's noise, if an effect needs one."""
 
 Values = Mapping[str, float] | Sequence[float] | Floats
 
@@ -53,9 +53,9 @@ class World:
     Parameters
     ----------
     settings : WorldSettings
-        What is given; the rest is drawn from the seed by the variant's figures.
+        Given values; all other values are drawn from the seed by the figures of the variant.
     part : str or Variant
-        Whose figures.
+        Variant that provides the figures.
     seed : int
         Seed of everything random here.
     effects : sequence of (Effect, values)
@@ -73,6 +73,7 @@ class World:
         self.settings = settings or WorldSettings()
         self.variant = variant(part)
         self.seed = seed
+        # Separate streams, so that a change of one part leaves the draws of the others unchanged.
         streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(12)]
         hidden, white, self._flicker_rng, fixture, changes, shaking, self._level_rng = streams[:7]
         self._draw(hidden)
@@ -90,8 +91,8 @@ class World:
         self._warmed: list[tuple[float, float]] = []
         self._supplied: list[tuple[float, float]] = []
         figures = self.variant.performance
-        self._noise_mg = _or(self.settings.noise_mg, figures.noise_mg)
-        gyro_noise = _or(self.settings.gyro_noise_dps, figures.gyro_noise_dps)
+        self._noise_mg = value_or(self.settings.noise_mg, figures.noise_mg)
+        gyro_noise = value_or(self.settings.gyro_noise_dps, figures.gyro_noise_dps)
         self._white = White(
             np.array(
                 [self._noise_mg] * 3
@@ -102,14 +103,14 @@ class World:
             white,
         )
         follows = any("variance_mg2" in effect.needs for effect, _ in self.effects)
-        self._table_mg = _or(
+        self._table_mg = value_or(
             self.settings.table_vibration_mg, _TABLE_OVER_NOISE * self._noise_mg if follows else 0.0
         )
         self._shaking = White(np.ones(3), shaking)
         self._levels_mg = np.empty(0)
 
     def _draw(self, rng: np.random.Generator) -> None:
-        """Hidden parameters; all are drawn, so that giving one leaves the others as they were."""
+        """Draw all hidden parameters, so that a given value does not change the others."""
         figures, given = self.variant.performance, self.settings
         limit = figures.non_orthogonality_deg
         scale = 1 + figures.scale_error_typical * rng.standard_normal(3)
@@ -125,33 +126,33 @@ class World:
         self._tempco = self._by_axis("bias_tempco_{}_mg_per_c", tempco)
         self._scale_tempco = 1e-6 * self._by_axis("scale_tempco_{}_ppm_per_c", scale_tempco)
         self._gyro_bias = self._by_axis("gyro_bias_{}_dps", gyro_bias)
-        scale_y = _or(given.scale_y, float(scale[1]))
-        delta_k = _or(given.delta_k, float(scale[0] / scale[1] - 1))
-        delta_phi = _or(given.delta_phi_deg, float(skew[0]))
+        scale_y = value_or(given.scale_y, float(scale[1]))
+        delta_k = value_or(given.delta_k, float(scale[0] / scale[1] - 1))
+        delta_phi = value_or(given.delta_phi_deg, float(skew[0]))
         self._hidden = {
             "delta_k": delta_k,
             "delta_phi": delta_phi,
-            "alpha": _or(given.alpha_deg, alpha),
+            "alpha": value_or(given.alpha_deg, alpha),
             "scale_x": scale_y * (1 + delta_k),
             "scale_y": scale_y,
-            "scale_z": _or(given.scale_z, float(scale[2])),
+            "scale_z": value_or(given.scale_z, float(scale[2])),
             "skew_xy": delta_phi,
-            "skew_xz": _or(given.skew_xz_deg, float(skew[1])),
-            "skew_yz": _or(given.skew_yz_deg, float(skew[2])),
+            "skew_xz": value_or(given.skew_xz_deg, float(skew[1])),
+            "skew_yz": value_or(given.skew_yz_deg, float(skew[2])),
         }
         self._sensitivity = sensitivity(self._base())
 
     def _base(self) -> Floats:
-        """Gains and skews (6,) as `model.measurement` has them."""
+        """Gains and skews (6,) in the order of `model.measurement`."""
         in_space = FreeAttitude(self.gravity_mg)
         return np.array([self._hidden[p.name] / p.per_natural for p in in_space.parameters])
 
     def _by_axis(self, name: str, drawn: Floats) -> Floats:
-        """Values (3,) of a setting that each axis has, where not given those drawn."""
+        """Values (3,) of a setting of the axes: the given value, or the drawn one."""
         given = (getattr(self.settings, name.format(axis)) for axis in AXES)
-        return np.array([_or(value, float(own)) for value, own in zip(given, drawn, strict=True)])
+        return np.array([value_or(value, float(own)) for value, own in zip(given, drawn, strict=True)])
 
-    # -- what is hidden ---------------------------------------------------------------------------
+    # -- hidden parameters -------------------------------------------------------------------------
 
     @property
     def gravity_mg(self) -> float:
@@ -164,10 +165,10 @@ class World:
         `delta_k` (1), `delta_phi` (degree), `alpha` (degree), `scale_x…` (the gain, 1 is perfect),
         `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg),
         `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), `lever_x`, `lever_y` (mm), of the
-        gyros `gyro_scale_x…` (the gain about the accelerometer's axis), `gyro_scale_error_x…` (1, what the
-        gain about the gyro's own axis has more than 1), `gyro_misalignment_xy…` (degree, towards the
-        axes of the accelerometers), `gyro_bias_x…` (°/s, without what gravity adds), `g_sensitivity_xy…`
-        (°/s/g, `g_sensitivity_left_xy…` with MSC_CTRL[7] set), `g2_sensitivity_xy…` (°/s/g²),
+        gyros `gyro_scale_x…` (the gain about the accelerometer's axis), `gyro_scale_error_x…` (1, gain
+        about the gyro's own axis minus 1), `gyro_misalignment_xy…` (degree, towards the axes of the
+        accelerometers), `gyro_bias_x…` (°/s, without the effect of gravity), `g_sensitivity_xy…` (°/s/g,
+        `g_sensitivity_left_xy…` with MSC_CTRL[7] set), `g2_sensitivity_xy…` (°/s/g²),
         `gyro_scale_temperature_x…` (1/°C), `gyro_bias_temperature_x…` (°/s/°C), `gyro_asymmetry_x…` (1),
         `gyro_supply_x…` (°/s/V), `gyro_warm_up_x…` (°/s at power-on) and `gyro_warm_up_tau` (s),
         `gyro_range_gain_150` and `…_75` (1), `gyro_latency` (s, against the accelerometers), and the
@@ -176,16 +177,16 @@ class World:
         Parameters
         ----------
         time_s : (n,) float or None
-            Times to whose mean temperature and supply the biases and gains belong; the biases hold the
-            mean of the flicker and walk that were lived through then. None: 25 °C, 5 V and neither.
+            Times (n,) for the mean temperature and supply of the biases and gains; the biases include the
+            mean flicker and walk at these times. None: 25 °C and 5 V, without flicker and walk.
         """
         result = dict(self._hidden)
         warm, wander = 0.0, np.zeros(6)
         if time_s is not None:
             warm = float(np.mean(self.temperature_c(time_s))) - REFERENCE_C
-            lived = np.empty((0, 6)) if self._flicker is None else self._flicker.lived(time_s)
-            if len(lived):
-                wander = lived.mean(axis=0)
+            past = np.empty((0, 6)) if self._flicker is None else self._flicker.past_values(time_s)
+            if len(past):
+                wander = past.mean(axis=0)
         result |= {"lever_x": self.settings.lever_x_mm, "lever_y": self.settings.lever_y_mm}
         result |= self._gyro_truth(time_s, wander[3:])
         result["gyro_latency"] = 0.0  # gyros and accelerometers pass the same filter
@@ -210,7 +211,7 @@ class World:
 
     @property
     def electronics(self) -> Electronics:
-        """What a chip in this world does to its gyros and accelerometers."""
+        """Effect of a chip in this world on its gyros and accelerometers."""
         return self.gyros.electronics
 
     def temperature_c(self, time_s: Floats) -> Floats:
@@ -239,9 +240,9 @@ class World:
     def bring_to(
         self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
     ) -> None:
-        """Heat or cool the part, or set the supply, from a time on that has not been sampled yet.
+        """Heat or cool the part, or set the supply, from a time that has not been sampled yet.
 
-        The temperature goes there exponentially (`WARMING_TAU_S`); drifts and swings go on beneath.
+        The temperature changes exponentially (`WARMING_TAU_S`); drifts and swings continue.
         """
         now = np.array([time_s])
         if temperature_c is not None:
@@ -249,7 +250,7 @@ class World:
         if supply_v is not None:
             self._supplied.append((time_s, supply_v - float(self.supply_v(now)[0])))
 
-    # -- what the chip feels ----------------------------------------------------------------------
+    # -- inputs of the chip -------------------------------------------------------------------------
 
     def sample(self, time_s: Floats) -> Inputs:
         """Inputs of the chip at increasing times (n,)."""
@@ -263,6 +264,7 @@ class World:
         dies = temperature[:, None] if self._dies.alike else self.die_temperature_c(time_s)
         conditions = self._conditions(time_s, motion, dies, supply, vibration)
 
+        # Accelerometers: gravity, faults, effects, motion, noise, and effects on samples, in this order.
         direction = self._turned(motion.direction, conditions)
         ideal = self._ideal(direction)
         warm = (temperature - REFERENCE_C)[:, None]
@@ -287,6 +289,7 @@ class World:
                 if effect.enters is Enters.SAMPLES:
                     accel = effect.samples_mg(values, accel, conditions, rng)
 
+        # Gyros: the force in the part and the rate of turn act on each gyro.
         force = ideal if moving is None else ideal + moving
         felt = Felt(self._rate_dps(motion), ideal, force, dies, supply, time_s)
         gyro = self._read_gyros(felt, conditions) + flicker[:, 3:] + noise[:, 3:6]
@@ -301,7 +304,7 @@ class World:
         )
 
     def _read_gyros(self, felt: Felt, conditions: Conditions | None) -> Floats:
-        """Readings (n, 3) of the gyros with the effects that were added to them."""
+        """Readings (n, 3) of the gyros, including their effects."""
         gyro = self.gyros.read(felt)
         effects = self._of_part("gyro")
         if conditions is None or not effects:
@@ -312,16 +315,16 @@ class World:
         return gyro
 
     def _of_part(self, part: str) -> list[tuple[Effect, Floats]]:
-        """Effects that change the readings of a part of the sensor; one of both is the accelerometers'."""
+        """Effects on a part of the sensor; an effect on both parts belongs to the accelerometers."""
         return [(effect, values) for effect, values in self.effects if effect.parts[0] == part]
 
     def _rate_dps(self, motion: Motion) -> Floats:
-        """Rate (n, 3) of turn against the stars, as far as it is simulated."""
+        """Rate of turn (n, 3) relative to the stars, with the simulated part of the earth's rotation."""
         up_dps = self.settings.earth_rate_up_dps
         return motion.rate_dps - up_dps * motion.direction if up_dps else motion.rate_dps
 
     def _moving_mg(self, motion: Motion) -> Floats | None:
-        """What the part as a whole reads (n, 3) of its motion; None where that is nothing."""
+        """Readings (n, 3) from the motion of the whole part; None if there are none."""
         moving = motion.shaking_mg if motion.shaking_mg.any() else None
         if self._lever_m.any():
             by_lever = self._by_lever_mg(motion)
@@ -329,15 +332,17 @@ class World:
         return moving
 
     def _by_places_mg(self, time_s: Floats, motion: Motion) -> Floats:
-        """What accelerometers (n, 3) add that do not sit where the part turns about, each at its place.
+        """Readings (n, 3) from the positions r of the accelerometers off the axis of the turn.
 
-        Minus the acceleration along its own axis, as of all: ω × (ω × r) + dω/dt × r.
+        Minus the acceleration along the axis of each: ω × (ω × r) + dω/dt × r.
         """
         rate = np.radians(motion.rate_dps)
+        # Angular acceleration by central differences of the rate.
         later, earlier = (self.stage.at(time_s + step).rate_dps for step in (_DERIVATIVE_S, -_DERIVATIVE_S))
         spin = np.radians(later - earlier) / (2 * _DERIVATIVE_S)
         felt = np.empty_like(rate)
         for k, place in enumerate(self._places_m):
+            # ω × (ω × r) = ω (ω · r) − r ω², along axis k.
             along = rate[:, 0] * place[0] + rate[:, 1] * place[1] + rate[:, 2] * place[2]
             square = (rate**2).sum(axis=1)
             centripetal = rate[:, k] * along - square * place[k]
@@ -345,7 +350,7 @@ class World:
         return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
 
     def _by_lever_mg(self, motion: Motion) -> Floats:
-        """What a part away from the stage's axis reads of the turn: minus its acceleration, as of all."""
+        """Readings (n, 3) of a part off the axis of the stage: minus its acceleration."""
         spin, lever = np.radians(motion.rate_dps[:, 2]), self._lever_m
         x = lever[0] * spin**2 + lever[1] * motion.spin_rad_s2
         y = lever[1] * spin**2 - lever[0] * motion.spin_rad_s2
@@ -354,13 +359,7 @@ class World:
         return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
 
     def _ideal(self, direction: Floats) -> Floats:
-        ideal = np.empty_like(direction)
-        for k, row in enumerate(self._sensitivity):
-            # Written out: a matrix product may round differently for another number of rows.
-            ideal[:, k] = self.gravity_mg * (
-                row[0] * direction[:, 0] + row[1] * direction[:, 1] + row[2] * direction[:, 2]
-            )
-        return ideal
+        return self.gravity_mg * apply_matrix(self._sensitivity, direction)
 
     def _turned(self, direction: Floats, conditions: Conditions | None) -> Floats:
         if conditions is None or not any(e.enters is Enters.ATTITUDE for e, _ in self.effects):
@@ -369,6 +368,7 @@ class World:
         for effect, values in self.effects:
             if effect.enters is Enters.ATTITUDE:
                 angle += effect.attitude_rad(values, conditions)
+        # Rotate gravity in the plane of x and y.
         cosine, sine = np.cos(angle), np.sin(angle)
         return np.stack(
             [
@@ -381,7 +381,9 @@ class World:
 
     def _flicker_at(self, time_s: Floats) -> Floats:
         if self._flicker is None:
-            floor = _or(self.settings.bias_instability_mg, self.variant.performance.bias_instability_mg)
+            floor = value_or(
+                self.settings.bias_instability_mg, self.variant.performance.bias_instability_mg
+            )
             floors = np.array([floor] * 3 + [self.settings.gyro_instability_dps] * 3)
             self._flicker = Flicker(floors, self._flicker_rng, start_s=float(np.floor(time_s[0])))
         return self._flicker.at(time_s)
@@ -424,10 +426,6 @@ class World:
             rate_dps=rate,
             abs_rate_dps=np.abs(rate),
         )
-
-
-def _or(given: float | None, other: float) -> float:
-    return other if given is None else given
 
 
 def _values(effect: Effect, given: Values) -> Floats:

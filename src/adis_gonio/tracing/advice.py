@@ -1,4 +1,4 @@
-"""What to measure next, in words; the measurements themselves are worked out in `proposals`."""
+"""Advice on further measurements in words; `proposals` computes the measurements."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES, catalogue
 from adis_gonio.model.effects.gyro_terms import WHOLE_TURNS
-from adis_gonio.model.effects.stage import BETWEEN
+from adis_gonio.model.effects.stage_terms import BETWEEN
 from adis_gonio.tracing.findings import cycles_alike
 from adis_gonio.tracing.proposals import LEAST_SEPARATION, propose
 from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.trace_result import NextDwell
 
 PLAIN = 100.0
-"""Standard uncertainties from which a figure says nothing more."""
+"""Standard uncertainties above which only a lower limit is stated."""
 
 
 def advise(
@@ -26,18 +26,18 @@ def advise(
     terms: Sequence[Term],
     confounded: Sequence[Sequence[str]],
 ) -> tuple[tuple[str, ...], tuple[NextDwell, ...]]:
-    """Advice in words, and as measurements; the most informative first.
+    """Return advice as sentences and as measurements, the most informative first.
 
     Parameters
     ----------
     data : Readings
         All dwells.
     selection : Selection
-        Of those that were fitted.
+        Selection made from the fitted dwells.
     terms : sequence of Term
         All candidates of the session.
     confounded : sequence of sequences of str
-        What the session cannot tell apart.
+        Groups that the session cannot distinguish.
     """
     measurements = tuple(replace(m, sentence=_sentence([m])) for m in propose(data, selection, terms))
     lines = list(sentences(measurements))
@@ -56,14 +56,14 @@ def advise(
     lines += _not_recorded(selection.data)
     if not selection.adequate and not lines:
         lines.append(
-            "repeat each position at another time and from the other side: what is left is larger than "
+            "repeat each position at another time and from the other side: the residual is larger than "
             "the noise within the dwells, and no single cause explains it"
         )
     return tuple(lines), measurements
 
 
 def sentences(measurements: Sequence[NextDwell]) -> tuple[str, ...]:
-    """One sentence for all measurements that part the same."""
+    """Return one sentence for each group of measurements with a common purpose."""
     return tuple(_sentence(group) for group in _grouped(measurements))
 
 
@@ -80,7 +80,7 @@ def place(measurement: NextDwell) -> str:
 
 
 def where(measurement: NextDwell) -> str:
-    """Position alone, such as `45° from above`."""
+    """Position without conditions, such as `45° from above`."""
     if measurement.angle_deg is not None:
         side = " from above" if measurement.approach < 0 else ""
         return f"{measurement.angle_deg:g}°{side}"
@@ -90,7 +90,7 @@ def where(measurement: NextDwell) -> str:
 
 
 def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
-    """Measurements that part the same, in order; all that only look for what was not to be seen."""
+    """Group measurements that separate the same hypotheses, and those that cover unseen effects."""
     groups: dict[object, list[NextDwell]] = {}
     for m in measurements:
         key: object = (m.one, m.other)
@@ -120,20 +120,20 @@ def _sentence(group: Sequence[NextDwell]) -> str:
 
 
 def _faint(group: Sequence[NextDwell]) -> str:
-    """The positions that tell most where a dwell at none of them decides."""
+    """Sentence for positions that separate hypotheses too little for a decision by a single dwell."""
     what = list(dict.fromkeys(place(m) for m in group))
     where = _joined(what, "; " if any("," in w for w in what) else ", ")
     names = _joined(list(dict.fromkeys(name for m in group for name in _varying(m))), ", ")
     strongest = max(m.separation for m in group)
     return (
-        f"no single position tells {names} apart; those that tell most: {where}, each several times in the "
-        f"course of the session (a dwell differs there by {strongest:.1f} standard uncertainties of what "
-        "is left)"
+        f"no single position distinguishes {names}; the best positions are {where}, each several times in "
+        f"the course of the session (a dwell differs there by {strongest:.1f} standard uncertainties of "
+        "the residual)"
     )
 
 
 def _varying(measurement: NextDwell) -> tuple[str, ...]:
-    """Names in which two models differ."""
+    """Names that only one of the two models has."""
     return tuple(sorted(set(measurement.one) ^ set(measurement.other)))
 
 
@@ -150,13 +150,13 @@ def _by_hand(
     *,
     alone: bool,
 ) -> list[str]:
-    """What would part groups that no measurement parts, one line for each thing to do.
+    """Return manual actions for groups that no measurement separates, one line for each action.
 
-    Where no attitude is looked for (`alone`), what confirms a name against forms without one is said too.
+    If no attitude is searched for (`alone`), include actions that confirm a name against unnamed forms.
     """
     to_do: dict[str, list[str]] = {}
     for names in confounded:
-        # The first is what the model has; alone, it stands against nothing that has a name.
+        # The first name is in the model; alone in its group it has no named rival.
         rivals = names[1:] or names
         if alone and not any(name in remedies for name in rivals):
             rivals = names[:1]
@@ -175,7 +175,7 @@ def _by_hand(
 
 
 def _of_cycles(selection: Selection) -> list[str]:
-    """What would tell the cycles a turn that were found from others that look like them."""
+    """Advice to distinguish the found cycles a turn from others with equal columns."""
     return [
         f"to tell {cycles} cycles a turn from {_joined([str(n) for n in others], ', ')}: {BETWEEN}"
         for cycles, others in cycles_alike(selection)
@@ -196,18 +196,18 @@ _FORM_SHOWS = {
     "force": "add poses between those of this session, with each axis along and against gravity",
     "rotation": "turn the part slowly and briskly, to both sides",
 }
-"""What shows the form of a cause without a name, by what it depends on."""
+"""Action that shows the form of an unnamed cause, by its covariate."""
 
 
 def _of_unnamed(model: Sequence[Term]) -> list[str]:
-    """What would show the form of what has no name, one line for each thing to do."""
+    """Advice that would show the form of the unnamed part, one line for each action."""
     covariates = dict.fromkeys(c for term in model if term.name is None for c in term.covariates)
     to_do = dict.fromkeys(_FORM_SHOWS[name] for name in covariates if name in _FORM_SHOWS)
-    return [f"to see the form of what has no name: {what}" for what in to_do]
+    return [f"to see the form of the unnamed part: {what}" for what in to_do]
 
 
 def _not_recorded(data: Readings) -> list[str]:
-    """Conditions that the session lacks altogether."""
+    """Advice to record conditions that the session lacks."""
     c = data.conditions
     lines = []
     if data.planar and c.angle_rad is None:

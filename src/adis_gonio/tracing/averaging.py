@@ -1,10 +1,10 @@
-"""What stands for a cause without a name: formulas and smooth functions, averaged by their evidence.
+"""Average over formulas and smooth functions that may describe the unnamed part of a model.
 
-Which formula is the right one is seldom certain, and where none is, a smooth function is nearer. All
-models that have the same named effects as the chosen one, and Gaussian processes in its nameless terms'
-place, are fitted; the mean of what they add, weighted by their evidence, is what the corrected model adds
-(Hoeting, Madigan, Raftery and Volinsky, Bayesian model averaging, Statistical Science 14, 1999). What is
-*reported* is the formula of the best one.
+It is seldom certain which formula is right, and if none is right a smooth function is closer. Models with
+the named effects of the chosen model are fitted, with formulas or Gaussian processes as their unnamed part.
+The corrected model adds the mean of these unnamed parts, weighted by their evidence (Hoeting, Madigan,
+Raftery and Volinsky, Bayesian model averaging, Statistical Science 14, 1999). The *report* shows the
+formula of the best one.
 """
 
 from __future__ import annotations
@@ -28,43 +28,43 @@ Member = tuple[float, NamelessTerm, Floats]
 
 @dataclass(frozen=True)
 class AveragedTerm(NamelessTerm):
-    """Mean of fitted nameless terms: a fixed function, without a parameter of its own.
+    """Mean of fitted unnamed terms: a fixed function without parameters.
 
     Attributes
     ----------
     members : tuple of (weight, term, values)
-        All of them enter the angle, or none does.
+        Either all members enter the angle, or none.
     """
 
     members: tuple[Member, ...] = ()
 
     @property
     def form(self) -> str:
-        """Form of the member with the largest weight."""
+        """Formula of the member with the largest weight."""
         return max(self.members, key=lambda member: member[0])[1].form
 
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Weighted mean of what the members add."""
+        """Weighted mean of the members' contributions."""
         parts = [weight * term.added(own, ideal, conditions) for weight, term, own in self.members]
         total: Floats = np.sum(parts, axis=0)
         return total
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """No columns."""
+        """Return no columns, since the term has no parameters."""
         n, axes = ideal.shape
         return np.zeros((n, 0) if self.enters_angle else (n, axes, 0))
 
 
 @dataclass(frozen=True)
 class AveragedFit(Fit):
-    """A fit whose uncertainty is that within and between the members of an average.
+    """A fit with the uncertainty within and between the members of an average.
 
     Attributes
     ----------
     mixed_covariance : (p, p) float
-        Of base and named parameters.
+        Covariance of base and named parameters.
     mixed_used : float
-        Degrees of freedom that base, names and members use, weighted.
+        Weighted degrees of freedom used by base, names and members.
     """
 
     mixed_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
@@ -83,19 +83,19 @@ class AveragedFit(Fit):
 
 @dataclass(frozen=True)
 class Averaged:
-    """A model whose nameless part is an average.
+    """A model with an average as its unnamed part.
 
     Attributes
     ----------
     fit : Fit
-        Named terms, then at most one averaged term at the angle and one at the readings; base and named
-        terms are refitted beside it.
+        Named terms, then at most one averaged term at the angle and one at the readings. Base and named
+        terms were refitted with them.
     smooth : NamelessTerm
-        Most probable process.
+        The most probable process.
     weight : float
-        Probability of all processes together.
+        Total probability of the processes.
     candidates : tuple of Process
-        Most promising processes.
+        The most promising processes.
     """
 
     fit: AveragedFit
@@ -105,21 +105,21 @@ class Averaged:
 
     @property
     def named(self) -> tuple[Term, ...]:
-        """Terms that have a name."""
+        """Named terms."""
         return tuple(term for term in self.fit.terms if term.name is not None)
 
 
 def average(selection: Selection, candidates: Sequence[Process] | None = None) -> Averaged | None:
-    """Average over what may stand beside the named effects; None where nothing nameless is called for.
+    """Average over unnamed functions to add to the named effects; None if no unnamed part is needed.
 
-    Where no formula is adequate a process may be: first all are weighed under the measured noise, and only
-    if their average is not adequate either under the noise that the best formula leaves. Under that noise a
-    formula that is wrong by many uncertainties would beat the process that is right.
+    If no formula is adequate, a process may be. All candidates are first weighed with the measured noise.
+    If their average is not adequate either, they are weighed again with the noise that the best formula
+    leaves. With that noise, a formula wrong by many uncertainties may outweigh the right process.
 
     Parameters
     ----------
     candidates : sequence of Process, optional
-        Processes to try; by default all.
+        Processes to try; all by default.
     """
     if selection.data.noise_known and selection.inflation > 1:
         measured = _average(replace(selection, inflation=1.0), candidates)
@@ -134,6 +134,7 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     nameless = len(named) < len(best)
     if not nameless and (selection.adequate or not data.noise_known):
         return None
+    # Evidence of each process for the part of the target that base and named effects do not explain.
     base, _, target = selection.fit.linear()
     fixed = np.concatenate([base, *_named_columns(selection.fit)], axis=1)
     beside = orthonormal(fixed)
@@ -148,23 +149,25 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
         pool += _formulas(selection, named, candidates)
     else:
         pool.append((0.0, ()))
+    # Posterior weights of all members; negligible weights are dropped.
     weights = np.exp(np.array([score for score, _ in pool]) - max(score for score, _ in pool))
     weights = np.where(weights >= limits.counted * weights.sum(), weights, 0.0)
     weights /= weights.sum()
+    # The last member of the pool may be "no unnamed part".
     if weights[-1] > 0.5 and not pool[-1][1]:
         return None
-    members, covariance, used = _fitted(selection, fixed, target, pool, weights)
-    averaged = _terms(members)
+    members, covariance, used = _fit_members(selection, fixed, target, pool, weights)
+    averaged = _averaged_terms(members)
     own = [
         (term, values)
         for term, values in zip(selection.fit.terms, selection.fit.values.terms, strict=True)
         if term.name is not None
     ]
-    fit = selection.fit.having(
+    fit = selection.fit.with_terms(
         [*(term for term, _ in own), *averaged], [*(v for _, v in own), *(np.zeros(0) for _ in averaged)]
     ).refit()
     weight = float(weights[: len(promising)].sum())
-    # A fixed function has no freedom of its own: what its members used is spent all the same.
+    # A fixed function has no parameters, but the degrees of freedom of its members are used.
     spent = AveragedFit(
         fit.data, fit.terms, fit.values, fit.with_prior, mixed_covariance=covariance, mixed_used=used
     )
@@ -180,10 +183,10 @@ def _named_columns(fit: Fit) -> list[Floats]:
     ]
 
 
-def _by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
-    """True for a polynomial that only approximates, where processes of the same place and covariates are.
+def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
+    """Whether a term is a polynomial approximation of a function that a process describes too.
 
-    Both bend as the readings ask, but beyond them a polynomial runs off.
+    Both fit the readings equally well, but outside their range a polynomial diverges.
     """
     return term.basis.approximates and (term.where, term.covariates) in covered
 
@@ -191,7 +194,7 @@ def _by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]])
 def _formulas(
     selection: Selection, named: tuple[int, ...], candidates: Sequence[Process]
 ) -> list[tuple[float, tuple[NamelessTerm, ...]]]:
-    """Nameless parts of the models with these named terms, with their evidence against the named alone."""
+    """Return unnamed parts of models with these named terms, with evidence against the names alone."""
     problem, found = selection.problem, selection.found
 
     def score(model: tuple[int, ...]) -> float:
@@ -204,26 +207,27 @@ def _formulas(
     pool = []
     for model in sorted({*near, tuple(selection.verdict.best)}):
         rest = tuple(problem.terms[k] for k in model if k not in named)
-        if rest and all(isinstance(t, NamelessTerm) and not _by_process(t, covered) for t in rest):
+        if rest and all(isinstance(t, NamelessTerm) and not _covered_by_process(t, covered) for t in rest):
             pool.append((score(model) - alone, tuple(t for t in rest if isinstance(t, NamelessTerm))))
     return pool
 
 
-def _fitted(
+def _fit_members(
     selection: Selection,
     fixed: Floats,
     target: Floats,
     pool: Sequence[tuple[float, tuple[NamelessTerm, ...]]],
     weights: Floats,
 ) -> tuple[list[Member], Floats, float]:
-    """Members with their values; of the fixed parameters the covariance (k, k) within and between members.
+    """Return fitted members, covariance (k, k) of the fixed parameters, and degrees of freedom used.
 
-    The last is the number of degrees of freedom that the members use, weighted.
+    The covariance contains the spread within and between members; degrees of freedom are weighted.
     """
     members: list[Member] = []
     means, within, used = [], np.zeros((fixed.shape[1], fixed.shape[1])), 0.0
     likely = np.flatnonzero(weights).tolist()
-    solutions = {k: _ridge(selection, fixed, target, pool[k][1]) for k in likely}
+    solutions = {k: _solve_ridge(selection, fixed, target, pool[k][1]) for k in likely}
+    # Members that base and names could imitate are dropped, unless all are such.
     seen = {k: solution[3] >= limits.visible for k, solution in solutions.items()}
     if any(seen.values()):
         weights = np.array([weight * seen.get(k, 0) for k, weight in enumerate(weights)])
@@ -236,7 +240,7 @@ def _fitted(
         within += weight * covariance[: fixed.shape[1], : fixed.shape[1]]
         cut = fixed.shape[1]
         for term in terms:
-            width = _width(selection.fit, term)
+            width = term.columns(selection.fit.ideal, selection.fit.data.conditions).shape[-1]
             members.append((float(weight), term, solved[cut : cut + width]))
             cut += width
     mean = np.sum([w * m for w, m in means], axis=0)
@@ -244,17 +248,13 @@ def _fitted(
     return members, within + between / selection.inflation, used
 
 
-def _width(fit: Fit, term: NamelessTerm) -> int:
-    return int(term.columns(fit.ideal, fit.data.conditions).shape[-1])
-
-
-def _ridge(
+def _solve_ridge(
     selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
 ) -> tuple[Floats, Floats, float, float]:
-    """Values of all parameters, their covariance in units of the noise, degrees of freedom, visible part.
+    """Return values of all parameters, covariance in units of the noise, degrees of freedom, visible part.
 
-    The last is the share of what the terms add that the fixed columns could not have added: 1 without terms
-    and for processes, whose priors keep them small.
+    The visible part is the share of the terms' contribution that the fixed columns could not reproduce. It
+    is 1 without terms and for processes, since their priors keep them small.
     """
     fit = selection.fit
     blocks = [fit.white(fit.candidate(term)) for term in terms]
@@ -263,6 +263,7 @@ def _ridge(
     for term, block in zip(terms, blocks, strict=True):
         held = np.sqrt(selection.inflation) / (term.shrinkage or nameless_spread(fit.data.model, term))
         priors.append(np.full(block.shape[1], held))
+    # Least squares with one prior row for each shrunk amplitude, columns scaled to unit length.
     precision = np.concatenate(priors)
     stacked = np.concatenate([columns, np.diag(precision)[precision > 0]])
     size = np.linalg.norm(stacked, axis=0)
@@ -280,8 +281,8 @@ def _ridge(
     return solved, half @ half.T, float(((columns @ half) ** 2).sum()), visible
 
 
-def _terms(members: Sequence[Member]) -> list[AveragedTerm]:
-    """One term for the members at the readings, one for those at the angle."""
+def _averaged_terms(members: Sequence[Member]) -> list[AveragedTerm]:
+    """Return one averaged term for the members at the readings and one for those at the angle."""
     made = []
     for angle in (False, True):
         mine = tuple(member for member in members if member[1].enters_angle == angle)

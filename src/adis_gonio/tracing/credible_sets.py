@@ -1,18 +1,17 @@
-"""Which names of the chosen model stand, and what they are confounded with.
+"""Names that are accepted, credible sets of names for each cause, and names that remain undecided.
 
-Credible sets: for each cause of a model the names that could stand in its place.
+Credible sets
+    Each probable model votes, weighted by its posterior, for its explanation of a cause of the chosen
+    model. If it contains the cause, it votes for the cause. If not, it votes for its additional terms, to
+    the degree that they can reproduce the contribution of the cause, or for no cause. A surface that
+    replaces two names therefore counts against both. Variants of a name (axes, shapes, dwells) add up.
+    The set is the smallest one with 95 % of the votes, as in SuSiE for correlated variables (Wang,
+    Sarkar, Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020). Unnamed functions compete on equal
+    terms.
 
-Every scored model near the best votes with its posterior for what it has in the place of a cause: for the
-cause itself; or, where it lacks that cause, for what it has beyond the chosen model, as far as that can add
-what the cause adds; or for none. So a surface that does the work of two names counts against both. Variants
-of a name (axes, shapes, dwells) add up. The set is the smallest with 95 % of the votes, as SuSiE has it for
-correlated variables (Wang, Sarkar, Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020); functions without
-a name compete on equal terms.
-
-A name beside a function without one of the same kind may be a piece of that unknown cause, and votes for
-it; where that function is an average over processes, by their probability.
-
-Effects that could each explain what an inadequate model leaves: what this session cannot decide.
+    If a model contains a name and an unnamed function of related covariates, the name may be a piece of the
+    unknown cause, so the model votes for the function. If the function is an average over processes, the
+    vote is divided by their probability.
 """
 
 from __future__ import annotations
@@ -35,73 +34,73 @@ from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.thresholds import limits
 
 SLOW = {"time", "order", "temperature", "temperature_rate", "supply", "variance"}
-"""Covariates that move on from dwell to dwell; the others follow the position."""
+"""Covariates that change from dwell to dwell; all others depend on the position."""
 
 
 @dataclass(frozen=True)
 class Names:
-    """Names of the chosen model.
+    """Named effects of the chosen model.
 
     Attributes
     ----------
-    stand : tuple of str
-        Names that are found.
-    open : mapping of str to str
-        Names that are not, with the reason.
+    accepted : tuple of str
+        Names that are accepted.
+    rejected : mapping of str to str
+        Names that are not accepted, with the reason.
     confounded : tuple of tuple of str
     """
 
-    stand: tuple[str, ...]
-    open: dict[str, str]
+    accepted: tuple[str, ...]
+    rejected: dict[str, str]
     confounded: tuple[tuple[str, ...], ...]
 
 
 def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
-    """Names that stand.
+    """Return the accepted and the rejected names.
 
-    A name stands if the models that hold it have most of the posterior (`certain`), and no nameless term of
-    the same kind of covariate (slow or of position) stands in the same model: that name may be a piece of
-    the unknown cause.
+    A name is accepted if the models that contain it have most of the posterior (`certain`), and the model
+    has no unnamed term with covariates of the same kind (slow or position). With such a term the name may
+    be a piece of the unknown cause.
 
     Parameters
     ----------
     averaged : Averaged, optional
-        What stands beside the names of a model without nameless terms.
+        Average that replaces the unnamed part of the model.
     """
     verdict, terms = selection.verdict, selection.problem.terms
     model = [terms[k] for k in verdict.best]
     unknown = unknown_of(selection, averaged)
-    stand: list[str] = []
-    pending: dict[str, str] = {}
+    accepted: list[str] = []
+    rejected: dict[str, str] = {}
     confounded: list[tuple[str, ...]] = []
     for name in dict.fromkeys(term.name for term in model if term.name is not None):
         mine = [term for term in model if term.name == name]
         beside = [u for u in unknown if any(related(term, u) for term in mine)]
         probability = verdict.names.get(name, 0.0)
         if probability < limits.certain:
-            pending[name] = f"models without it have {1 - probability:.0%} of the posterior"
+            rejected[name] = f"models without it have {1 - probability:.0%} of the posterior"
         elif beside:
-            pending[name] = "may be a piece of the same unnamed cause"
+            rejected[name] = "may be a piece of the same unnamed cause"
             confounded.append((name, *(u.shown_as for u in beside)))
         else:
-            stand.append(name)
+            accepted.append(name)
     confounded += _replacements(selection)
-    return Names(tuple(stand), pending, tuple(dict.fromkeys(confounded)))
+    return Names(tuple(accepted), rejected, tuple(dict.fromkeys(confounded)))
 
 
 def unknown_of(selection: Selection, averaged: Averaged | None) -> list[NamelessTerm]:
-    """Functions without a name beside which names are judged: the model's own, else what is averaged."""
+    """Return the unnamed terms that the names are judged against: of the model, else of the average."""
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     own = [term for term in terms if isinstance(term, NamelessTerm)]
     return own if own or averaged is None else [averaged.smooth]
 
 
 def related(term: Term, unknown: Term) -> bool:
-    """True where a named and a nameless term may be pieces of one cause."""
+    """Whether a named and an unnamed term may be pieces of one cause."""
     if not term.covariates:
         return False
     if term.dwell is not None:
-        return True  # one dwell may be a piece of anything
+        return True  # an effect of one dwell may be a piece of any cause
     return bool(_kinds(term.covariates) & _kinds(unknown.covariates))
 
 
@@ -110,7 +109,7 @@ def _kinds(covariates: Sequence[str]) -> set[bool]:
 
 
 def _replacements(selection: Selection) -> list[tuple[str, ...]]:
-    """What takes the place of names in models near the best, and in models that predict the same."""
+    """Return groups of names with their replacements in probable or equivalent models."""
     verdict = selection.verdict
     best = verdict.best
     top = verdict.weights[best]
@@ -135,7 +134,7 @@ def _replacements(selection: Selection) -> list[tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class _Part:
-    """Name of an effect, or a nameless function, whatever its axes."""
+    """Name of an effect, or an unnamed function, regardless of its axes."""
 
     name: str | None
     shown_as: str
@@ -148,20 +147,20 @@ def _parts(selection: Selection, model: Model) -> list[_Part]:
 
 @dataclass(frozen=True)
 class CredibleSet(JsonRecord):
-    """The smallest set of names for one cause that holds 95 % of its probability.
+    """Smallest set of names for one cause that holds 95 % of its probability.
 
     The JSON document is one entry of `sets`.
 
     Attributes
     ----------
     cause : str
-        What the model has: a name, or a function without one by its covariates.
+        Name in the model, or the covariates of an unnamed function.
     names : tuple of str
-        The most probable first; a function without a name by its covariates.
+        The most probable first; an unnamed function by its covariates.
     probability : tuple of float
         Of each name.
     present : float
-        Probability that there is any cause at all in this place.
+        Probability that the cause, or any replacement of it, is present.
     """
 
     cause: str = field(metadata=HIDDEN)
@@ -171,25 +170,25 @@ class CredibleSet(JsonRecord):
 
 
 def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tuple[CredibleSet, ...]:
-    """A set for each cause of the chosen model, in the order of its terms."""
-    causes = dict.fromkeys(map(_word, selection.terms))
+    """Return a set for each cause of the chosen model, in the order of its terms."""
+    causes = dict.fromkeys(map(_cause_name, selection.terms))
     return tuple(set_of(selection, cause, averaged) for cause in causes)
 
 
-def one_a_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
-    """The sets, but one for all causes that are likelier pieces of one function without a name.
+def merge_by_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
+    """Return one set for all causes that are more probably pieces of one unnamed function.
 
     Parameters
     ----------
     likelier : mapping of str to str
-        That function, by the cause in whose place it is likelier.
+        For each such cause, the unnamed function.
     """
     leads = [likelier.get(one.cause, one.cause) for one in sets]
     return tuple(one for k, one in enumerate(sets) if leads[k] not in leads[:k])
 
 
 def set_of(selection: Selection, cause: str, averaged: Averaged | None = None) -> CredibleSet:
-    """The set of one cause of the chosen model: a name, or a function without one by its covariates."""
+    """Return the credible set of one cause: a name, or the covariates of an unnamed function."""
     share, present = votes(selection, cause, averaged)
     names: list[str] = []
     for name in sorted(share, key=lambda name: -share[name]):
@@ -202,12 +201,12 @@ def set_of(selection: Selection, cause: str, averaged: Averaged | None = None) -
 def votes(
     selection: Selection, cause: str, averaged: Averaged | None = None
 ) -> tuple[dict[str, float], float]:
-    """Share of each name in the place of a cause, and the probability that there is any cause.
+    """Return the share of each name in place of a cause, and the probability of any cause.
 
     Parameters
     ----------
     averaged : Averaged, optional
-        What stands beside the names of the chosen model.
+        Average that replaces the unnamed part of the chosen model.
     """
     near = selection.found.near(limits.voting)
     top = max(near.values())
@@ -223,18 +222,18 @@ def votes(
     total = sum(weight.values())
     if not total > 0:
         return {cause: 1.0}, 0.0
-    if averaged is not None and _piece(selection, cause, averaged):
+    if averaged is not None and _may_be_piece(selection, cause, averaged):
         piece = weight[cause] * averaged.weight
         weight[cause] -= piece
-        weight[_word(averaged.smooth)] += piece
+        weight[_cause_name(averaged.smooth)] += piece
     return {word: w / total for word, w in weight.items()}, total / (total + none)
 
 
 @dataclass(frozen=True)
 class _Place:
-    """The place of a cause in the chosen model, which has the words `ours`.
+    """One cause of the chosen model, and the names `ours` of all its causes.
 
-    `added` (rows,) is what the cause adds there, of unit length; zero where that model has no such cause.
+    `added` (rows,) is the contribution of the cause, scaled to unit length; zero if the model lacks it.
     """
 
     problem: LinearProblem
@@ -245,42 +244,45 @@ class _Place:
     @classmethod
     def of(cls, selection: Selection, cause: str) -> _Place:
         problem, best = selection.problem, selection.verdict.best
-        rest = [k for k in best if _word(problem.terms[k]) != cause]
+        rest = [k for k in best if _cause_name(problem.terms[k]) != cause]
+        # The residual without the cause minus the residual with it is its contribution.
         added = span(problem, rest)[1] - span(problem, best)[1]
-        ours = frozenset(_word(problem.terms[k]) for k in best)
+        ours = frozenset(_cause_name(problem.terms[k]) for k in best)
         return cls(problem, cause, ours, added / max(float(np.linalg.norm(added)), 1e-300))
 
     def choice(self, model: Model) -> dict[str, float]:
-        """What a model has in this place, with shares that sum to at most 1; empty where it has nothing.
+        """Return the shares of a model's votes for this cause, which sum to at most 1.
 
-        Where it lacks several causes its others stand in the place of each by as much as they add of it.
+        If a model lacks several causes, its additional terms vote for each in proportion to the part of the
+        cause's contribution that they reproduce.
         """
         terms = [self.problem.terms[k] for k in model]
-        mine = [term for term in terms if _word(term) == self.cause]
+        mine = [term for term in terms if _cause_name(term) == self.cause]
         if mine:
             unknown = [u for u in terms if u.name is None and any(t.name and related(t, u) for t in mine)]
-            words = set(map(_word, unknown)) or {self.cause}
+            words = set(map(_cause_name, unknown)) or {self.cause}
             return dict.fromkeys(words, 1 / len(words))
-        fresh = [k for k in model if _word(self.problem.terms[k]) not in self.ours]
+        fresh = [k for k in model if _cause_name(self.problem.terms[k]) not in self.ours]
         kept = [k for k in model if k not in fresh]
-        words = {_word(self.problem.terms[k]) for k in fresh}
-        lost = self.ours - set(map(_word, terms))
+        words = {_cause_name(self.problem.terms[k]) for k in fresh}
+        lost = self.ours - set(map(_cause_name, terms))
+        # Without several causes at once, the additional terms vote only for the part that they reproduce.
         whole = self._explained(fresh, kept) if fresh and len(lost) > 1 else 1.0
         if len(words) <= 1:
             return dict.fromkeys(words, whole)
         part: dict[str, float] = defaultdict(float)
         for k in fresh:
-            part[_word(self.problem.terms[k])] += self._explained([k], kept) + 1e-12
+            part[_cause_name(self.problem.terms[k])] += self._explained([k], kept) + 1e-12
         return {word: whole * share / sum(part.values()) for word, share in part.items()}
 
     def _explained(self, fresh: Sequence[int], kept: Sequence[int]) -> float:
-        """Share of what the cause adds that some terms can add beside those that stay."""
+        """Return the share of the cause's contribution that the `fresh` terms reproduce."""
         basis, _ = span(self.problem, [*fresh, *kept])
         return float(((basis.T @ self.added) ** 2).sum())
 
 
-def _piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
-    """True where a cause may be a piece of what is averaged; a model's own function votes by itself."""
+def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
+    """Whether a cause may be a piece of the averaged function; a function of the model votes by itself."""
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     return any(
         unknown is averaged.smooth and related(term, unknown)
@@ -290,16 +292,17 @@ def _piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
     )
 
 
-def _word(term: Term) -> str:
+def _cause_name(term: Term) -> str:
     return term.name or f"unnamed: {join_words(term.covariates)}"
 
 
 def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
-    """Names that, added alone, take a significant part of an inadequate model's residual (F-test at 10 %).
+    """Return effects that each explain a significant part of an inadequate model's residual.
 
-    The noise is then the residual itself, since what was measured within the dwells does not explain it.
-    Where one does, others count that are nearly as likely, all variants of a name together and each by its
-    share of the prior. The most likely comes first. None of them is claimed.
+    Each effect is added alone and F-tested at 10 %. The noise is taken from the residual, since the noise
+    measured within the dwells does not explain it. If any effect passes, effects of similar probability
+    are included; the variants of a name are summed, each weighted by its share of the prior. The most
+    probable comes first. None of these names is accepted.
     """
     from scipy import stats
 
@@ -315,9 +318,11 @@ def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
         width = int(problem.width[k])
         if term.name is None or term.name in inside or term.dwell is not None or dof - width < 1:
             continue
+        # F statistic of the added columns; the noise is the remaining residual.
         left = max(chi2 - float(gains[k]), 1e-12 * chi2)
         p = float(stats.f.sf(float(gains[k]) / width / (left / (dof - width)), width, dof - width))
         least_p = min(least_p, p)
+        # Likelihood with the noise fitted, times the prior: (χ² after / χ² before)^(−dof/2) · exp(−price).
         price = float(problem.cost[k] + problem.column_price[k])
         likely[term.name] += math.exp(-0.5 * dof * math.log(left / chi2) - price)
     if least_p >= limits.open_level:

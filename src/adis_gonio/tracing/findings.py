@@ -1,49 +1,45 @@
-"""What is said of a selection: findings with their uncertainty, the rest without a name, rivals, notes.
+"""Findings of a chosen model: parameters with uncertainty, explained shares, unnamed part, rivals, notes.
 
-What each finding explains: the fall of the excess from step to step, as the table of errors has it.
+Share of each finding
+    The excess of a model is its χ² minus its degrees of freedom or, if the noise is unknown, the square of
+    its residual. The share of a step is the fall of the excess at that step, as a fraction of the base
+    model's excess. The shares of all steps add up to the total explained fraction, at most 100 %.
 
-The excess of a model is its χ² beyond its degrees of freedom; where the noise is not known, the square of
-its residual. Shares are of the base model's excess. They follow the steps in their order and add up to what
-all of them explain together, so that they never exceed 100 %.
+Uncertainty over all probable models
+    The covariance of one model assumes that this model is right. In another model of equal probability an
+    effect may act on one axis only (its amplitude on the other axis is then zero) or may share its
+    direction with another effect, and models with equal predictions may differ by a gain. The stated u is
+    chosen so that value ± 1.96 u holds 95 % of the mixture of all probable models, each normal about its
+    own value (Hoeting, Madigan, Raftery and Volinsky, Bayesian model averaging, Statistical Science 14,
+    1999). The degrees of freedom of the noise are stated separately.
 
-Uncertainty of a value over all probable models.
+Values at the middle of the session
+    At the start of a session a bias is strongly correlated with a drift and with the amplitude of a
+    warm-up; only their sum is well determined. At the middle of the session the sum is known as well as
+    the readings.
 
-The covariance of one model takes for granted that it is the right one. In another that is as probable an
-effect may act on one axis only (the amplitude of the other is then zero), or stand beside something that
-shares its direction, and models that predict the same may differ by a gain. A stated u is such that value
-± 1.96 u holds 95 % of the mixture of all of them (Hoeting, Madigan, Raftery and Volinsky, Bayesian model
-averaging, Statistical Science 14, 1999), each normal about its own value; the degrees of freedom that show
-the noise stand apart from it.
-
-What follows the clock of a session, taken at its middle.
-
-At the start a bias trades with a drift and with the amplitude of a warm-up, whose sum the readings show far
-better than either; at the middle their sum is as well known as the readings there.
-
-Cycles a turn of the stage that a session cannot tell from those that were found.
-
-At N equally spaced angles n, N − n, N + n, … cycles are one column: only the fewest is a candidate, and
-the others are named here. At other angles each is a candidate of its own, and the scores tell.
-
-Detectability: the smallest amplitude of every effect that this session would have shown.
+Cycles of the stage that a session cannot distinguish
+    At N equally spaced angles n, N − n, N + n, … cycles a turn have equal columns. Only the smallest number
+    is a candidate; `cycles_alike` lists the others. At other angles each number is a candidate.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import COVERED, NORMAL_95
-from adis_gonio.base.values import Detectable, Value
+from adis_gonio.base.uncertainty import COVERED, NORMAL_95, Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Unit
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
-from adis_gonio.fitting.outputs import outputs_of
+from adis_gonio.fitting.fit_result import outputs_of
 from adis_gonio.model.effects import AXES, Conditions, catalogue, effect
-from adis_gonio.model.effects.stage import StagePeriodic, alike
+from adis_gonio.model.effects.stage_terms import StagePeriodic, alike
 from adis_gonio.tracing.averaging import Averaged, AveragedFit, AveragedTerm
 from adis_gonio.tracing.credible_sets import votes
 from adis_gonio.tracing.linear_problem import LinearProblem, amplitudes, span
@@ -55,7 +51,7 @@ from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Rival, Unname
 
 
 def dof_of(selection: Selection) -> float:
-    """Degrees of freedom that show the noise at which uncertainties are stated; inf where it was stated."""
+    """Degrees of freedom of the noise used for the uncertainties; inf if the noise was stated."""
     data = selection.data
     dof = data.noise_dof if data.noise_known else np.inf
     if not data.noise_known or selection.inflation > 1:
@@ -64,16 +60,16 @@ def dof_of(selection: Selection) -> float:
 
 
 def finding_of(selection: Selection, name: str, averaged: Averaged | None = None) -> Finding:
-    """One name of the chosen model, beside what is averaged, with its parameters and its test."""
+    """Return one effect of the chosen model with its parameters and its test."""
     from scipy import stats
 
     problem = selection.problem
     members = [k for k in selection.verdict.best if problem.terms[k].name == name]
-    gain, width = _gain(selection, members)
+    gain, width = _explained_chi2(selection, members)
     parameters: dict[str, Value] = {}
     axes: list[str] = []
     cause = ""
-    amplitude_of, mixture = effects(selection, name)
+    amplitude_of, mixture = effect_mixture(selection, name)
     voted, present = votes(selection, name, averaged)
     dof = dof_of(selection)
     fit = selection.fit
@@ -86,15 +82,15 @@ def finding_of(selection: Selection, name: str, averaged: Averaged | None = None
             unseen = {k for k, shown in zip(term.amplitudes, seen, strict=True) if not shown}
             for k, parameter in enumerate(term.effect.parameters):
                 u = float(np.sqrt(fit.covariance[at + k, at + k] * selection.inflation))
-                if parameter.name in amplitude_of:  # shapes are fitted: their spread is in the covariance
+                if parameter.name in amplitude_of:  # the covariance contains the spread of fitted shapes
                     u = mixture.u(u, np.array([float(other == parameter.name) for other in amplitude_of]))
                 undetermined = k in unseen
                 value = 0.0 if undetermined else float(values[k])
                 parameters[parameter.name] = Value(value, None if undetermined else u, parameter.unit, dof)
             for choice in (c for c in term.effect.choices() if c not in term.effect.options):
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
-    # The level is spent by the prior: a name has a far greater share of it than one of thousands of
-    # functions without a name (weighted Bonferroni; Genovese, Roeder and Wasserman, Biometrika 93, 2006).
+    # The prior distributes the test level: a name has a far greater share of it than one of thousands
+    # of unnamed functions (weighted Bonferroni; Genovese, Roeder and Wasserman, Biometrika 93, 2006).
     share = float(np.exp(-sum(problem.cost[k] for k in members)))
     p = float(stats.chi2.sf(gain / selection.inflation, width)) / share
     same = [
@@ -107,21 +103,22 @@ def finding_of(selection: Selection, name: str, averaged: Averaged | None = None
         axes=tuple(axes),
         parameters=parameters,
         p_value=min(p, 1.0),
-        explains=0.0,  # a share of the steps, which are not known here: see `shares`
+        explains=0.0,  # set by `with_shares` when the steps are known
         probability=min(voted.get(name, 0.0) * present, 1.0),
         equivalents=tuple(dict.fromkeys(same))[:5],
         cause=cause,
     )
 
 
-def told_from_zero(finding: Finding) -> bool:
-    """True where a value differs from zero by more than its own uncertainty allows."""
-    halves = [(abs(v.value), v.U) for v in finding.parameters.values() if v.u]
-    return not halves or any(size > limits.told * (half or 0.0) / NORMAL_95 for size, half in halves)
+def differs_from_zero(finding: Finding) -> bool:
+    """Whether at least one value differs from zero by more than its uncertainty allows."""
+    least = limits.significance / NORMAL_95
+    halves = [(abs(v.value), v.U or 0.0) for v in finding.parameters.values() if v.u]
+    return not halves or any(size > least * half for size, half in halves)
 
 
 def scatter_finding(scatter: Scatter, explains: float) -> Finding:
-    """Scatter from dwell to dwell as an entry of `found`, with its share of the base model's excess."""
+    """Return dwell-to-dwell scatter as a finding, with its share of the base model's excess."""
     return Finding(
         effect=scatter.kind,
         axes=(),
@@ -133,8 +130,8 @@ def scatter_finding(scatter: Scatter, explains: float) -> Finding:
     )
 
 
-def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
-    """χ² that some terms take beside the others of the model, and their columns."""
+def _explained_chi2(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
+    """Return the χ² that some terms explain in addition to the other terms, and their number of columns."""
     best = selection.verdict.best
     with_all = float((span(selection.problem, best)[1] ** 2).sum())
     others = [k for k in best if k not in members]
@@ -143,14 +140,14 @@ def _gain(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
 
 
 def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | None:
-    """Nameless terms of the model, or what is averaged in their place."""
+    """Return the unnamed part: unnamed terms of the model, or the average that replaces them."""
     from scipy import stats
 
     problem, verdict = selection.problem, selection.verdict
     members = [k for k in verdict.best if isinstance(problem.terms[k], NamelessTerm)]
     if members:
         terms = [problem.terms[k] for k in members]
-        gain, width = _gain(selection, members)
+        gain, width = _explained_chi2(selection, members)
         share = float(np.exp(-sum(problem.cost[k] for k in members)))
         covariates = tuple(dict.fromkeys(c for term in terms for c in term.covariates))
         forms = [term.form for term in terms if isinstance(term, NamelessTerm)]
@@ -174,27 +171,28 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
 
 
 def rivals_of(selection: Selection) -> tuple[Rival, ...]:
-    """Models near the best, the best first."""
+    """Return models of high posterior probability, the most probable first."""
     ranked = sorted(selection.verdict.weights.items(), key=lambda item: -item[1])[:8]
     terms = selection.problem.terms
     return tuple(Rival(tuple(terms[k].label for k in model), weight) for model, weight in ranked)
 
 
 def base_of(selection: Selection) -> dict[str, Value]:
-    """Base parameters as `adis_gonio.fit` states them; in the plane with ΔK.
+    """Return the base parameters as `adis_gonio.fit` states them; in the plane with ΔK.
 
-    Their uncertainty holds what other probable models say of them.
+    Their uncertainty covers the values in other probable models.
     """
     fit = selection.fit
     data = fit.data
-    # What a prior alone holds is at its centre exactly; a start angle, which has none, is where it began.
+    # A parameter determined only by its prior is at the centre of that prior; a start angle has no prior
+    # and keeps its initial value.
     held = ~data.visible & np.isfinite([parameter.spread for parameter in data.model.parameters])
     base = np.where(held, data.model.nominal, fit.values.base)
     p = len(base)
     covariance = fit.covariance[:p, :p] * selection.inflation
     dof = dof_of(selection)
-    mixture = bases(selection)
-    # By the same function as `fit`, so that a name has one unit in both.
+    mixture = base_mixture(selection)
+    # The function that `fit` uses, so that each name has one unit in both results.
     outputs = outputs_of(data, np.concatenate([base, np.zeros(data.axes)]))
     hidden = {q.name for q, seen in zip(data.model.parameters, data.visible, strict=True) if not seen}
     out = {}
@@ -208,10 +206,10 @@ def base_of(selection: Selection) -> dict[str, Value]:
 
 
 def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Value]:
-    """Bias of every axis that no finding states, as `adis_gonio.fit` has it, if the unit is counts.
+    """Return the bias of each axis that no finding states, if the readings are in counts.
 
-    An axis without a bias in the model stands at the rough zero by which the readings came into mg: its
-    bias is fitted with the other parameters of the model. Empty if the zero of the unit is known.
+    An axis without a bias in the model is at the approximate zero that was used to convert the readings
+    to mg. Its bias is fitted together with the other parameters. Empty if the zero of the unit is known.
     """
     data = selection.data
     if data.unit.known:
@@ -221,7 +219,7 @@ def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Va
     biased = {
         letter
         for term in fit.terms
-        if isinstance(term, NamedTerm) and term.name == "bias"
+        if isinstance(term, NamedTerm) and term.constant
         for letter in term.effect.axes
     }
     lacking = tuple(letter for letter in axes if letter not in biased)
@@ -231,7 +229,7 @@ def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Va
         fit = Fit(data, (*fit.terms, zero), values, fit.with_prior).refit()
     stated = {f"bias_{letter}": Value(0.0, None, "mg") for letter in axes}
     for index, term in enumerate(fit.terms):
-        if not isinstance(term, NamedTerm) or term.name != "bias":
+        if not (isinstance(term, NamedTerm) and term.constant):
             continue
         start = fit.slice_of(index).start
         for place, parameter in enumerate(term.effect.parameters, start):
@@ -243,7 +241,7 @@ def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Va
 
 
 def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
-    """A bias as the file's reading at zero where that is not known beforehand (counts), as `fit` has it."""
+    """Convert a bias to the file's reading at zero if the unit has no known zero (counts)."""
     if unit.known or finding.effect != "bias":
         return finding
     stated = {}
@@ -257,7 +255,7 @@ def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
 
 
 def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
-    """What has to be said about the noise."""
+    """Return notes on the noise, and on cycles of the stage that the angles cannot distinguish."""
     data = selection.data
     notes = list(data.notes)
     for cycles, others in cycles_alike(selection):
@@ -267,14 +265,14 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
         )
     if not data.noise_known:
         notes.append(
-            "the noise of a reading is not known; it was estimated from the residual, so that adequacy "
-            "cannot be tested"
+            "the noise of a reading is unknown; it was estimated from the residual, so adequacy cannot be "
+            "tested"
         )
     if scatter is not None:
         what = "stated of the fixture" if scatter.kind == "fixture_scatter" else "shown within the dwells"
         unit = "°" if scatter.unit == "deg" else f" {scatter.unit}"
         notes.append(
-            f"dwells scatter by {scatter.value:.2g}{unit} where {scatter.declared:.2g}{unit} was {what}; "
+            f"dwells scatter by {scatter.value:.2g}{unit}, but {scatter.declared:.2g}{unit} was {what}; "
             "no covariate explains it"
         )
     elif data.noise_known and selection.inflation > 1 and not selection.adequate:
@@ -286,7 +284,7 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
 
 
 def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float]:
-    """Excess of each model over the measured noise."""
+    """Return the excess of each model over the measured noise."""
     if any(figure.chi2_per_dof is None for figure in figures):
         return [figure.residual_rms**2 for figure in figures]
     return [
@@ -296,7 +294,7 @@ def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float
 
 
 def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
-    """Share of each step's name; what rises instead takes nothing away that another had explained."""
+    """Return the explained share of each step; a step that increases the excess has the share 0."""
     found = dict.fromkeys(steps, 0.0)
     least = excess[0]
     for name, left in zip(steps, excess[1:], strict=True):
@@ -307,12 +305,12 @@ def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
 
 
 def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Finding, ...]:
-    """Findings with the shares of their steps."""
+    """Return the findings with the shares of their steps."""
     return tuple(replace(finding, explains=of_step.get(finding.effect, 0.0)) for finding in found)
 
 
 def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
-    """What has no name with the shares of its steps; without any, at most with what the steps leave."""
+    """Return the unnamed part with the share of its steps, or at most the share that no step explains."""
     if unnamed is None:
         return None
     known = catalogue()
@@ -324,13 +322,13 @@ def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Un
 
 @dataclass(frozen=True)
 class Mixture:
-    """Probable models: how far the values (M, p) of each are from the stated ones, and its weight (M,)."""
+    """Probable models: values (M, p) of each minus the stated values, and weights (M,)."""
 
     away: Floats
     weight: Floats
 
     def u(self, within: float, along: Floats) -> float:
-        """Standard uncertainty of `along` (p,) · values; `within` is that of one model."""
+        """Standard uncertainty of `along` (p,) · values; `within` is the uncertainty in one model."""
         from scipy.optimize import brentq
         from scipy.special import ndtr
 
@@ -345,11 +343,11 @@ class Mixture:
         return float(brentq(missing, 0.0, float(np.abs(away).max()) + 3 * within)) / NORMAL_95
 
 
-def bases(selection: Selection) -> Mixture:
-    """Base parameters of the probable models.
+def base_mixture(selection: Selection) -> Mixture:
+    """Return the base parameters of the probable models.
 
-    What stands in the place of nameless functions is an average that holds its own spread: then models with
-    the same names count as the one that is stated.
+    If an average replaces the unnamed functions, its covariance contains their spread. Models with the
+    names of the chosen model then count as the chosen model.
     """
     problem, fit = selection.problem, selection.fit
     each = posterior(selection.found)
@@ -366,23 +364,24 @@ def bases(selection: Selection) -> Mixture:
             if k not in columns:
                 columns[k] = fit.white(fit.candidate(problem.terms[k]))
             added = added + columns[k] @ own
+        # Residual of the linear problem after the terms of this model.
         left[:, row] = target - added
     stated = fit.base_step(fit.residual.reshape(-1, 1))
     return Mixture((fit.base_step(left) - stated).T, np.array(list(each.values())))
 
 
-def effects(selection: Selection, name: str) -> tuple[list[str], Mixture]:
-    """Amplitudes of an effect, by parameter, in the probable models that hold it.
+def effect_mixture(selection: Selection, name: str) -> tuple[list[str], Mixture]:
+    """Return the amplitudes of an effect, by parameter, in the probable models that contain it.
 
-    Models whose shapes or dwells are others are left out: shapes are fitted, and their spread is in the
-    covariance. So are, where the chosen model has a bias, those without one: every sensor has one, and two
-    curvatures that predict the same stand against each other with amplitudes that no part has.
+    Models with other shapes or dwells are excluded: shapes are fitted, and the covariance contains their
+    spread. If the chosen model has a bias, models without a bias are excluded too. Every sensor has a
+    bias, and without it two curvatures can compensate each other with unrealistic amplitudes.
     """
     problem, verdict = selection.problem, selection.verdict
     needed = _names(problem, verdict.best) & {"bias"}
     kind = _kind(problem.terms, verdict.best, name)
     own = _amplitudes_of(problem, verdict.best, name)
-    away, weights = [np.zeros(len(own))], [1e-12]  # where none holds it, the one that is stated
+    away, weights = [np.zeros(len(own))], [1e-12]  # the chosen model, in case no model qualifies
     for model, weight in posterior(selection.found).items():
         if _kind(problem.terms, model, name) == kind and needed <= _names(problem, model):
             values = _amplitudes_of(problem, model, name)
@@ -396,7 +395,7 @@ def _names(problem: LinearProblem, model: Sequence[int]) -> frozenset[str]:
 
 
 def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[object, ...]:
-    """Shapes and choices of an effect in a model; the empty tuple where it is not in it."""
+    """Return shapes and choices of an effect in a model; empty if the model lacks the effect."""
     mine = [terms[k] for k in model if terms[k].name == name]
     return tuple(
         (term.shapes, tuple(getattr(term.effect, choice) for choice in term.effect.choices()))
@@ -406,7 +405,7 @@ def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[objec
 
 
 def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> dict[str, float]:
-    """Amplitudes of an effect in a model of the linear problem, by parameter."""
+    """Return the amplitudes of an effect in a model of the linear problem, by parameter."""
     out: dict[str, float] = {}
     for k, own in zip(model, amplitudes(problem, model), strict=True):
         term = problem.terms[k]
@@ -417,34 +416,34 @@ def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> d
 
 
 def follows_clock(term: Term) -> bool:
-    """True for what follows the time since the session began and nothing else."""
-    if isinstance(term, AveragedTerm):  # its members may follow more than the first of them
+    """Whether a term depends on the time since the start of the session and on nothing else."""
+    if isinstance(term, AveragedTerm):  # it lists only the covariates of its most probable member
         return all(follows_clock(member) for _, member, _ in term.members)
     needs = term.effect.needs if isinstance(term, NamedTerm) else ()
     return term.covariates == ("time",) and not needs
 
 
 def middle_s(fit: Fit) -> float:
-    """Time half-way between the first and the last dwell of a fit, in s since the session began."""
+    """Time halfway between the first and the last dwell of a fit, in s since the start of the session."""
     time_s = fit.data.conditions.time_s
     return float(time_s.min() + time_s.max()) / 2
 
 
 def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[Floats, Floats]:
-    """What follows the clock adds to a reading at the middle of the session.
+    """Return the contribution of all terms in time to a reading at the middle of the session.
 
     Parameters
     ----------
     ideal : (axes,) float
-        What the axes should read.
+        Readings of an ideal sensor.
     turned : bool
-        True for what is added to the angle instead, in rad.
+        If true, return the contribution to the angle instead, in rad.
 
     Returns
     -------
     added : (axes,) or () float
     gradient : (axes, p) or (p,) float
-        By all parameters of the fit.
+        Derivative by all parameters of the fit.
     """
     middle = Conditions(time_s=np.array([middle_s(fit)]))
     added = np.zeros(() if turned else ideal.shape)
@@ -457,7 +456,7 @@ def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[F
 
 
 def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
-    """A bias with its values at the middle of the session, and their u; any other finding as it is."""
+    """Return a bias with values and u at the middle of the session; other findings are unchanged."""
     if finding.effect != "bias":
         return finding
     fit = selection.fit
@@ -466,7 +465,7 @@ def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
         return finding
     stated = dict(finding.parameters)
     for index, term in enumerate(fit.terms):
-        if not isinstance(term, NamedTerm) or term.name != "bias":
+        if not (isinstance(term, NamedTerm) and term.constant):
             continue
         places = range(fit.slice_of(index).start, fit.slice_of(index).stop)
         for place, letter in zip(places, term.effect.axes, strict=True):
@@ -483,7 +482,7 @@ MOST_NAMED = 5
 
 
 def cycles_alike(selection: Selection) -> list[tuple[int, tuple[int, ...]]]:
-    """Cycles of each `stage_periodic` of the model, and the numbers that may as well be, fewest first."""
+    """Return the cycles of each `stage_periodic` of the model with equally plausible numbers of cycles."""
     problem, best = selection.problem, selection.verdict.best
     angle = selection.data.conditions.angle_rad
     periodic = {
@@ -515,52 +514,53 @@ _POWER_90 = 1.2815515655446004
 def detectable(
     found: Search, model: Model, missing: dict[str, str], part: str = "accelerometer"
 ) -> dict[str, Detectable]:
-    """Smallest amplitude with 90 % power at the level of the search, beside the model that was found.
+    """Return the smallest amplitude of each effect that the search would find with 90 % power.
 
-    One column c of an effect, projected off base and model, has score z ~ N(|c| a, 1); it is added where
-    z² > 2 × its price, hence a = (√(2 price) + 1.28)/|c|. Of several axes, the worst; of several shapes or
-    dwells, the median.
+    A column c of an effect, projected off base and model, has a score z ~ N(|c| a, 1). The effect is added
+    if z² > 2 × its price, hence a = (√(2 price) + 1.28)/|c|. The result is the worst of several axes and
+    the median of several shapes or dwells.
     """
     problem = found.problem
-    out = {name: Detectable(None, "", "", reason) for name, reason in missing.items()}
     inside = {problem.terms[k].name for k in model}
-    basis_of: dict[str | None, np.ndarray] = {}
-    figures: dict[str, dict[str, list[float]]] = {}
-    units: dict[str, dict[str, str]] = {}
+
+    @cache
+    def basis_without(name: str | None) -> Floats:
+        """Basis of the model without the terms of an effect."""
+        return span(problem, [m for m in model if name is None or problem.terms[m].name != name])[0]
+
+    figures: dict[tuple[str, str, str], list[float]] = defaultdict(list)
     for k, term in enumerate(problem.terms):
         if not isinstance(term, NamedTerm) or len(term.effect.axes) > 1:
             continue
         name = term.effect.name
-        key = name if name in inside else None
-        if key not in basis_of:
-            others = [m for m in model if key is None or problem.terms[m].name != key]
-            basis_of[key] = span(problem, others)[0]
-        basis = basis_of[key]
-        lengths = _lengths(problem, k, basis)
-        reach = np.sqrt(2 * max(float(found.prices[k]), 0.5) * found.inflation) + _POWER_90 * np.sqrt(
-            found.inflation
-        )
-        parameters = [term.effect.parameters[i] for i in term.amplitudes]
-        for parameter, length in zip(parameters, lengths, strict=True):
-            figure = reach / length if length > 0 else np.inf
-            figures.setdefault(name, {}).setdefault(parameter.name, []).append(float(figure))
-            units.setdefault(name, {})[parameter.name] = parameter.unit
-    for name, by_parameter in figures.items():
-        median = {p: float(np.median(values)) for p, values in by_parameter.items()}
-        worst = max(median, key=lambda p: median[p])
-        if np.isfinite(median[worst]):
-            out[name] = Detectable(median[worst], units[name][worst], worst)
-        else:
-            out[name] = Detectable(None, units[name][worst], worst, "lies in what is fitted already")
+        lengths = _lengths(problem, k, basis_without(name if name in inside else None))
+        # Threshold of the score, plus the quantile for 90 % power.
+        reach = (np.sqrt(2 * max(float(found.prices[k]), 0.5)) + _POWER_90) * np.sqrt(found.inflation)
+        for index, length in zip(term.amplitudes, lengths, strict=True):
+            parameter = term.effect.parameters[index]
+            figures[name, parameter.name, parameter.unit].append(
+                float(reach / length) if length > 0 else np.inf
+            )
+    worst: dict[str, tuple[float, str, str]] = {}
+    for (name, symbol, unit), values in figures.items():
+        median = float(np.median(values))
+        if name not in worst or median > worst[name][0]:
+            worst[name] = median, unit, symbol
+    out = {name: Detectable(None, "", "", reason) for name, reason in missing.items()}
+    for name, (figure, unit, symbol) in worst.items():
+        seen = bool(np.isfinite(figure))
+        reason = "" if seen else "lies in what is fitted already"
+        out[name] = Detectable(figure if seen else None, unit, symbol, reason)
     for name in catalogue(part):
-        if name not in out:
-            out[name] = Detectable(None, "", "", "lies in the base model: this session cannot show it")
+        out.setdefault(
+            name, Detectable(None, "", "", "lies in the base model: this session cannot show it")
+        )
     return out
 
 
 def _lengths(problem: LinearProblem, term: int, basis: np.ndarray) -> list[float]:
-    """Length of each amplitude's own column, whitened and projected off base and model."""
-    # Columns by amplitudes = block · back⁺, with `back` from block coefficients to amplitudes.
+    """Return the length of each amplitude's column, whitened and projected off base and model."""
+    # Columns by amplitude = block · back⁺; `back` maps block coefficients to amplitudes.
     back = problem.back[term]
     columns = problem.block(term) @ (1 / back if back.size == 1 else np.linalg.pinv(back))
     columns = columns - basis @ (basis.T @ columns)

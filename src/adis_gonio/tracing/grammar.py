@@ -1,17 +1,15 @@
-"""The grammar of nameless terms: where a cause enters × what it depends on.
+"""The grammar of unnamed terms: a place where a cause enters × a function of covariates.
 
-Where: a bias of an axis, a gain of an axis, its misalignment against the others, the true angle. What: a
-power, modulus or sign of the reading; a harmonic of the stage; temperature, time, supply, approach, the
-previous position, the temperature's rate, products of two; by a line, a power, a step, a knee, an
-exponential, a lag, an oscillation, a bump; and smooth functions (polynomials of growing degree), which
-stand for everything that no formula names. What takes the place of the reading is a fact of the measurement
-(`Measurement.driven_by`): of a gyro force and rotation.
+Places: the bias of an axis, its gain, its misalignment against the other axes, the true angle. Functions:
+a power, modulus or sign of the reading; a harmonic of the stage; of temperature, time, supply, approach,
+previous position, rate of the temperature, or a product of two, a line, a power, a step, a knee, an
+exponential, a lag, an oscillation or a bump. Smooth functions (polynomials of increasing degree) cover
+dependences without a formula. The measurement decides which covariates replace the reading
+(`Measurement.driven_by`): for a gyro force and rotation.
 
-Covariates are used in normal form: centred on the middle of what the session saw and scaled to ±1, except
-where a zero means something (25 °C, 5 V, the session's start). A function whose zero means nothing also
-stands with a constant beside it, so that its constant is not taken for a bias.
-
-Shapes of the grammar: functions of one covariate in normal form (−1 to 1), made from their places.
+Covariates are normalised: centred on the middle of the session's range and scaled to ±1, unless their zero
+has a meaning (25 °C, 5 V, start of the session). A function with an arbitrary zero is also a candidate with
+an added constant, so that its constant is not mistaken for a bias.
 """
 
 from __future__ import annotations
@@ -27,47 +25,49 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import AXES, Conditions
-from adis_gonio.model.effects.environment import REFERENCE_C, REFERENCE_V
-from adis_gonio.model.effects.lag import lagged
+from adis_gonio.model.effects.base import lagged
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
+from adis_gonio.tracing.named_candidates import choices_of_axes
 from adis_gonio.tracing.thresholds import limits
 
 Shape = Callable[[Floats], Floats]
+"""Function of one covariate in normal form (−1 to 1)."""
+Columns = Callable[[Conditions], Floats]
+"""Function of the conditions of n dwells, (n,) or (n, q)."""
+
+COMMON = ("reading", "force", "rotation", "angle", "time", "temperature")
+"""Covariates of full weight; supply, approach, memory and products are less probable causes."""
+
+EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "misalignment", "angle")
 
 
 def line_shape(u: Floats) -> Floats:
-    """U."""
+    """Identity."""
     return u
 
 
 def power_shape(exponent: int) -> Shape:
-    """Power of u."""
-
-    def raised(u: Floats) -> Floats:
-        out = u.copy()
-        for _ in range(exponent - 1):
-            out = out * u
-        return out
-
-    return raised
+    """Power of u with a whole exponent."""
+    return lambda u: np.asarray(np.prod([u] * exponent, axis=0))
 
 
 def step_shape(place: float) -> Shape:
-    """0 up to a place, 1 beyond."""
+    """Step: 0 up to a place, 1 beyond it."""
     return lambda u: np.where(u > place, 1.0, 0.0)
 
 
 def knee_shape(place: float, sign: float) -> Shape:
-    """0 on one side of a place, a line on the other."""
+    """Knee: 0 on one side of a place, a line on the other."""
     return lambda u: np.maximum(sign * (u - place), 0)
 
 
 def growth_shape(rate: float) -> Shape:
-    """exp(rate u), at most 1 inside."""
+    """exp(rate u), scaled to at most 1."""
     return lambda u: np.exp(rate * u - abs(rate))
 
 
 def approach_shape(time_constant: float, sign: float) -> Shape:
-    """Exponential from (sign −1) or towards (sign 1) an end; in lengths of the session."""
+    """Exponential from (sign −1) or towards (sign 1) an end, with the session's length as unit."""
     return lambda u: np.exp((sign * (u + 1) / 2 - (sign > 0)) / time_constant)
 
 
@@ -77,7 +77,7 @@ def bump_shape(place: float, width: float) -> Shape:
 
 
 def ring_bump(centre_rad: float, width_rad: float) -> Shape:
-    """Bell on the circle."""
+    """Bell on the circle (von Mises)."""
     return lambda t: np.exp((np.cos(t - centre_rad) - 1) / width_rad**2)
 
 
@@ -86,72 +86,53 @@ def multiple(function: Callable[..., Floats], times: int) -> Shape:
     return lambda u: np.asarray(function(times * u))
 
 
-def legendre(degree: int) -> Shape:
-    """Legendre polynomial."""
-    coefficients = np.zeros(degree + 1)
-    coefficients[degree] = 1.0
-    return lambda u: np.asarray(np.polynomial.legendre.legval(u, coefficients))
+def legendre(degrees: Sequence[int]) -> Shape:
+    """Legendre polynomials of these degrees, (n, len(degrees))."""
+    one = np.eye(max(degrees) + 1)
+    return lambda u: np.stack([np.polynomial.legendre.legval(u, one[k]) for k in degrees], axis=1)
 
 
-COMMON = ("reading", "force", "rotation", "angle", "time", "temperature")
-"""Covariates of full weight; supply, approach, memory and products are less likely causes."""
-
-EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "misalignment", "angle")
+def harmonics(orders: Sequence[int]) -> Shape:
+    """Sine and cosine of multiples of an angle, (n, 2 len(orders))."""
+    return lambda t: np.stack([f(k * t) for k in orders for f in (np.sin, np.cos)], axis=1)
 
 
 @dataclass(frozen=True)
 class _Made:
-    """Basis functions with their place in the prior."""
+    """Basis functions of one family of the prior, with the places where they may enter."""
 
     family: str
-    smooth: bool
     basis: Basis
-    places: tuple[Where, ...] = ("bias", "gain", "angle")
+    places: tuple[Where, ...]
 
 
 def nameless_terms(data: Readings) -> list[NamelessTerm]:
-    """All nameless candidates of a session with their price."""
+    """Return all unnamed candidates of a session with their prices."""
     made = list(_bases(data))
-    families = sorted({m.family for m in made})
-    weight = {family: 1.0 if family in COMMON else limits.family_weight for family in families}
-    total = sum(weight.values())
-    placed: dict[tuple[str, bool], list[tuple[_Made, Where, tuple[int, ...]]]] = {}
-    subsets = [
-        subset
-        for size in range(1, data.axes + 1)
-        for subset in itertools.combinations(range(data.axes), size)
-    ]
+    weight = {m.family: 1.0 if m.family in COMMON else limits.family_weight for m in made}
+    total = sum(weight[family] for family in sorted(weight))
+    placed: dict[tuple[str, bool], list[tuple[Basis, Where, tuple[int, ...]]]] = {}
+    subsets = choices_of_axes(range(data.axes))
     for m in made:
+        members = placed.setdefault((m.family, m.basis.approximates), [])
         for where in m.places:
-            if where == "angle":
-                if data.planar and m.basis.common is not None:
-                    placed.setdefault((m.family, m.smooth), []).append((m, where, ()))
-                continue
-            for subset in subsets:
-                placed.setdefault((m.family, m.smooth), []).append((m, where, subset))
+            if where != "angle":
+                members += [(m.basis, where, subset) for subset in subsets]
+            elif data.planar and m.basis.common is not None:
+                members.append((m.basis, where, ()))
     terms = []
-    stimulus = data.model.stimulus
-    marked = {id(m): replace(m.basis, approximates=m.smooth) for m in made}
+    # Families share the prior by weight, then formulas against smooth functions, then evenly.
     for (family, smooth), members in placed.items():
-        both = (family, not smooth) in placed
+        both = placed.get((family, not smooth))
         part = (limits.smooth_weight if smooth else 1 - limits.smooth_weight) if both else 1.0
-        share = limits.nameless_share * weight[family] / total * part / len(members)
-        for m, where, subset in members:
-            if data.model.constant and m.basis.with_constant:
-                continue  # the base model has the constant; the form without it keeps its own share
-            axes = "".join("xyz"[k] for k in subset)
-            label = f"{where}[{axes}]~{m.basis.form}" if axes else f"{where}~{m.basis.form}"
-            terms.append(
-                NamelessTerm(
-                    label,
-                    m.basis.covariates,
-                    -math.log(share),
-                    where,
-                    subset,
-                    marked[id(m)],
-                    stimulus=stimulus,
-                )
-            )
+        for basis, where, subset in members:
+            if data.model.constant and basis.with_constant:
+                continue  # the base model contains the constant; the form without it keeps its share
+            share = limits.nameless_share * weight[family] / total * part / len(members)
+            axes = f"[{''.join(AXES[k] for k in subset)}]" if subset else ""
+            label, cost = f"{where}{axes}~{basis.form}", -math.log(share)
+            term = NamelessTerm(label, basis.covariates, cost, where, subset, basis)
+            terms.append(replace(term, stimulus=data.model.stimulus))
     return terms
 
 
@@ -160,7 +141,7 @@ def _bases(data: Readings) -> Iterator[_Made]:
     for covariate in data.model.driven_by:
         yield from _OF_COVARIATE[covariate](data)
     if conditions.angle_rad is not None:
-        yield from _of_angle(data)
+        yield from _of_angle()
     yield from _of_time(data)
     if conditions.temperature_c is not None and np.ptp(conditions.temperature_c) > 0:
         yield from _of_scalar(
@@ -170,68 +151,78 @@ def _bases(data: Readings) -> Iterator[_Made]:
     if conditions.supply_v is not None and np.ptp(conditions.supply_v) > 0:
         yield from _of_scalar("supply", "V", "5 V", lambda c: c.covariate("supply_v"), REFERENCE_V, data)
     if conditions.approach is not None:
-        yield from _of_approach()
+        yield _formula("approach", "approach", lambda c: c.covariate("approach"), ("gain",))
     if conditions.previous_angle_rad is not None:
         yield from _of_memory(data)
     yield from _products(data)
 
 
-def _column(function: Callable[[Conditions], Floats]) -> Callable[[Conditions], Floats]:
-    return lambda conditions: function(conditions)[:, None]
+def _formula(
+    family: str,
+    form: str,
+    columns: Columns,
+    places: tuple[Where, ...] = ("bias", "gain", "angle"),
+    *,
+    covariates: tuple[str, ...] = (),
+    smooth: bool = False,
+    constant: bool = False,
+) -> _Made:
+    """Make columns of the conditions, preceded by a constant column if `constant`."""
 
-
-def _of_rows(
-    function: Shape, get: Callable[[Conditions], Floats], scale: float
-) -> Callable[[Conditions], Floats]:
-    return lambda conditions: function(get(conditions) / scale)
-
-
-def _with_constant(function: Callable[[Conditions], Floats]) -> Callable[[Conditions], Floats]:
-    def columns(conditions: Conditions) -> Floats:
-        rows = function(conditions)
+    def matrix(conditions: Conditions) -> Floats:
+        rows = columns(conditions)
         rows = rows[:, None] if rows.ndim == 1 else rows
-        return np.hstack([np.ones((len(rows), 1)), rows])
+        return np.hstack([np.ones((len(rows), 1)), rows]) if constant else rows
 
-    return columns
+    form = f"{form} + const" if constant else form
+    return _Made(family, Basis(form, covariates or (family,), matrix, None, smooth, constant), places)
 
 
 def _both(
     family: str,
-    covariates: tuple[str, ...],
     form: str,
-    function: Callable[[Conditions], Floats],
+    columns: Columns,
     named: Sequence[str] = (),
+    *,
+    covariates: tuple[str, ...] = (),
+    smooth: bool = False,
 ) -> Iterator[_Made]:
-    """A formula as it stands, and with a constant beside it where a constant is not in the base model.
+    """Iterate over a formula as it is and, unless it is named somewhere, with a constant on the bias.
 
-    `named` are the places where the catalogue has this formula already.
+    `named` lists the places where the catalogue already contains this formula.
     """
-    basis = Basis(form, covariates, _column(function))
-    if named:
-        places: tuple[Where, ...] = tuple(place for place in EVERYWHERE if place not in named)
-        yield _Made(family, False, basis, places)
-        return
-    yield _Made(family, False, basis, EVERYWHERE)
-    yield _Made(
-        family,
-        False,
-        replace(basis, form=form + " + const", common=_with_constant(function), with_constant=True),
-        ("bias",),
-    )
+    places = tuple(place for place in EVERYWHERE if place not in named)
+    yield _formula(family, form, columns, places, covariates=covariates, smooth=smooth)
+    if not named:
+        yield _formula(
+            family, form, columns, ("bias",), covariates=covariates, smooth=smooth, constant=True
+        )
+
+
+def _of_own(
+    family: str, form: str, function: Shape, *, smooth: bool = False, constant: bool = False
+) -> _Made:
+    """Make a function of the axis's own reading, or of the rate about the axis."""
+
+    def columns(driven: Floats, axis: int) -> Floats:
+        rows = function(driven[:, axis])
+        return rows[:, None] if rows.ndim == 1 else rows
+
+    return _Made(family, Basis(form, (family,), None, columns, smooth, constant), ("bias",))
+
+
+def _of_others(form: str, function: Callable[[Floats, Floats], Floats]) -> _Made:
+    """Make a function of the axis's own reading and each other reading."""
+
+    def columns(ideal: Floats, axis: int) -> Floats:
+        others = [k for k in range(ideal.shape[1]) if k != axis]
+        return np.stack([function(ideal[:, axis], ideal[:, k]) for k in others], axis=1)
+
+    return _Made("reading", Basis(form, ("reading",), by_axis=columns), ("bias",))
 
 
 def _of_reading(data: Readings) -> Iterator[_Made]:
-    def own(function: Callable[[Floats], Floats]) -> Callable[[Floats, int], Floats]:
-        return lambda ideal, axis: function(ideal[:, axis])[:, None]
-
-    def across(function: Callable[[Floats, Floats], Floats]) -> Callable[[Floats, int], Floats]:
-        def columns(ideal: Floats, axis: int) -> Floats:
-            others = [k for k in range(ideal.shape[1]) if k != axis]
-            return np.stack([function(ideal[:, axis], ideal[:, k]) for k in others], axis=1)
-
-        return columns
-
-    single: dict[str, Callable[[Floats], Floats]] = {
+    single: dict[str, Shape] = {
         "a⁴": lambda a: a**4,
         "a⁵": lambda a: a**5,
         "a⁶": lambda a: a**6,
@@ -246,19 +237,9 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
         "max(a, 0)³": lambda a: np.maximum(a, 0) ** 3,
         "min(a, 0)³": lambda a: np.minimum(a, 0) ** 3,
     }
-    for form, function in single.items():
-        yield _Made("reading", False, Basis(form, ("reading",), by_axis=own(function)), ("bias",))
     for knee in (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75):
-        yield _Made(
-            "reading",
-            False,
-            Basis(
-                f"max(a − {knee:g} g, 0)",
-                ("reading",),
-                by_axis=own(knee_shape(knee, 1.0)),
-            ),
-            ("bias",),
-        )
+        single[f"max(a − {knee:g} g, 0)"] = knee_shape(knee, 1.0)
+    yield from (_of_own("reading", form, function) for form, function in single.items())
     cross: dict[str, Callable[[Floats, Floats], Floats]] = {
         "|a_p|": lambda a, p: np.abs(p),
         "a_p³": lambda a, p: p**3,
@@ -273,44 +254,31 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
         "a³ a_p": lambda a, p: a**3 * p,
         "a a_p³": lambda a, p: a * p**3,
     }
-    for form, pair in cross.items():
-        yield _Made("reading", False, Basis(form, ("reading",), by_axis=across(pair)), ("bias",))
-    # Up to the third degree every power has a name.
+    yield from (_of_others(form, pair) for form, pair in cross.items())
+    # All powers up to the third degree are named effects.
     for degree in (4, 5, 6):
-
-        def powers(ideal: Floats, axis: int, degree: int = degree) -> Floats:
-            a = ideal[:, axis]
-            return np.stack([legendre(k)(a) for k in range(2, degree + 1)], axis=1)
-
-        def powers_and_constant(ideal: Floats, axis: int, degree: int = degree) -> Floats:
-            a = ideal[:, axis]
-            return np.stack([legendre(k)(a) for k in [0, *range(2, degree + 1)]], axis=1)
-
         form = f"a smooth function of the reading (degree {degree})"
-        basis = Basis(form, ("reading",), by_axis=powers)
-        yield _Made("reading", True, basis, ("bias",))
-        yield _Made(
-            "reading",
-            True,
-            Basis(form + " + const", ("reading",), by_axis=powers_and_constant, with_constant=True),
-            ("bias",),
-        )
+        yield _of_own("reading", form, legendre(range(2, degree + 1)), smooth=True)
+        with_constant = legendre([0, *range(2, degree + 1)])
+        yield _of_own("reading", f"{form} + const", with_constant, smooth=True, constant=True)
 
 
 def _of_force(data: Readings) -> Iterator[_Made]:
-    """Functions of what the accelerometers read; the components and their squares have names."""
-    force = data.conditions.force_g
-    if force is None:
+    """Functions of the accelerometer readings; components and their squares are named effects."""
+    if data.conditions.force_g is None:
         return
 
-    def of(function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
-        return lambda c: function(c.covariate("force_g"))[:, None]
+    def of(function: Shape) -> Columns:
+        return lambda c: function(c.covariate("force_g"))
 
-    def one(k: int, function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
+    def component(k: int, function: Shape) -> Columns:
         return of(lambda f: function(f[:, k]))
 
-    moving = [k for k in range(3) if np.ptp(force[:, k]) > 0]
-    single: dict[str, Callable[[Floats], Floats]] = {
+    def difference(j: int, k: int) -> Columns:
+        return of(lambda f: (f[:, j] ** 2 - f[:, k] ** 2) / 2)
+
+    moving = np.flatnonzero(np.ptp(data.conditions.force_g, axis=0) > 0).tolist()
+    single: dict[str, Shape] = {
         "f³": lambda f: f**3,
         "|f|": np.abs,
         "f|f|": lambda f: f * np.abs(f),
@@ -320,34 +288,23 @@ def _of_force(data: Readings) -> Iterator[_Made]:
         "min(f, 0)²": lambda f: np.minimum(f, 0) ** 2,
     }
     made = [
-        (form.replace("f", f"f_{AXES[k]}"), one(k, function))
+        (form.replace("f", f"f_{AXES[k]}"), component(k, function))
         for form, function in single.items()
         for k in moving
     ]
     for j, k in itertools.combinations(moving, 2):
         made.append((f"f_{AXES[j]} f_{AXES[k]}", _monomials([(j, k)])))
-        made.append((f"(f_{AXES[j]}² − f_{AXES[k]}²)/2", _difference(j, k)))
-    for form, function in made:
-        yield _Made("force", False, Basis(form, ("force",), function), ("bias", "gain"))
+        made.append((f"(f_{AXES[j]}² − f_{AXES[k]}²)/2", difference(j, k)))
+    yield from (_formula("force", form, columns, ("bias", "gain")) for form, columns in made)
     for degree in (2, 3):
         powers = _powers(moving, degree)
         if len(powers) < len(data):
             form = f"a smooth function of the force (degree {degree})"
-            yield _Made("force", True, Basis(form, ("force",), _monomials(powers)), ("bias",))
-
-
-def _difference(j: int, k: int) -> Callable[[Conditions], Floats]:
-    """Half the difference of the squares of two components."""
-
-    def column(c: Conditions) -> Floats:
-        force = c.covariate("force_g")
-        return (force[:, [j]] ** 2 - force[:, [k]] ** 2) / 2
-
-    return column
+            yield _formula("force", form, _monomials(powers), ("bias",), smooth=True)
 
 
 def _powers(moving: Sequence[int], degree: int) -> list[tuple[int, ...]]:
-    """Products of up to `degree` components; z² is left out where 1 g has it: x² + y² + z²."""
+    """Products of up to `degree` components; without z² if x² + y² + z² = 1 g makes it redundant."""
     made = [
         parts
         for count in range(1, degree + 1)
@@ -356,7 +313,7 @@ def _powers(moving: Sequence[int], degree: int) -> list[tuple[int, ...]]:
     return [parts for parts in made if len(moving) < 3 or parts.count(2) < 2]
 
 
-def _monomials(powers: Sequence[tuple[int, ...]]) -> Callable[[Conditions], Floats]:
+def _monomials(powers: Sequence[tuple[int, ...]]) -> Columns:
     def columns(c: Conditions) -> Floats:
         force = c.covariate("force_g")
         return np.stack([force[:, list(parts)].prod(axis=1) for parts in powers], axis=1)
@@ -365,22 +322,17 @@ def _monomials(powers: Sequence[tuple[int, ...]]) -> Callable[[Conditions], Floa
 
 
 def _of_rotation(data: Readings) -> Iterator[_Made]:
-    """Functions of the rate about the axis itself; the line and the modulus have names."""
+    """Functions of the rate about the axis itself; the line and the modulus are named effects."""
     if data.conditions.rate_dps is None or not np.abs(data.conditions.rate_dps).max() > 0:
         return
-    curves: dict[str, Callable[[Floats], Floats]] = {
+    curves: dict[str, Shape] = {
         "ω²": lambda w: w**2,
         "ω³": lambda w: w**3,
         "ω|ω|": lambda w: w * np.abs(w),
         "sign ω": np.sign,
         "|sign ω|": lambda w: np.abs(np.sign(w)),
     }
-
-    def own(function: Callable[[Floats], Floats]) -> Callable[[Floats, int], Floats]:
-        return lambda rate, axis: function(rate[:, axis])[:, None]
-
-    for form, function in curves.items():
-        yield _Made("rotation", False, Basis(form, ("rotation",), by_axis=own(function)), ("bias",))
+    yield from (_of_own("rotation", form, function) for form, function in curves.items())
 
 
 _OF_COVARIATE: dict[str, Callable[[Readings], Iterator[_Made]]] = {
@@ -388,32 +340,22 @@ _OF_COVARIATE: dict[str, Callable[[Readings], Iterator[_Made]]] = {
     "force": _of_force,
     "rotation": _of_rotation,
 }
-"""Functions of what a measurement is driven by (`Measurement.driven_by`)."""
+"""Functions of the covariates that drive a measurement (`Measurement.driven_by`)."""
 
 
-def _of_angle(data: Readings) -> Iterator[_Made]:
-    def harmonic(orders: tuple[int, ...]) -> Callable[[Conditions], Floats]:
-        def columns(conditions: Conditions) -> Floats:
-            theta = conditions.covariate("angle_rad")
-            return np.stack([f(k * theta) for k in orders for f in (np.sin, np.cos)], axis=1)
+def _of_angle() -> Iterator[_Made]:
+    def of_angle(
+        form: str, function: Shape, places: tuple[Where, ...] = ("bias",), smooth: bool = False
+    ) -> _Made:
+        return _formula("angle", form, lambda c: function(c.covariate("angle_rad")), places, smooth=smooth)
 
-        return columns
-
-    def of_angle(function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
-        return lambda c: function(c.covariate("angle_rad"))[:, None]
-
-    # One cycle of an axis is gain and misalignment; cycles of the angle have names.
+    # One cycle on an axis is gain and misalignment; cycles of the angle are named effects.
     for k in range(2, 7):
-        yield _Made("angle", False, Basis(f"sin {k}θ, cos {k}θ", ("angle",), harmonic((k,))), ("bias",))
-        for word, f in (("sin", np.sin), ("cos", np.cos)):
-            yield _Made(
-                "angle",
-                False,
-                Basis(f"{word} {k}θ", ("angle",), of_angle(multiple(f, k))),
-                ("bias",),
-            )
+        yield of_angle(f"sin {k}θ, cos {k}θ", harmonics((k,)))
+        yield of_angle(f"sin {k}θ", multiple(np.sin, k))
+        yield of_angle(f"cos {k}θ", multiple(np.cos, k))
     turn = 2 * np.pi
-    more: dict[str, Callable[[Floats], Floats]] = {
+    more: dict[str, Shape] = {
         "θ (along all turns)": lambda t: t / turn,
         "θ within a turn (saw-tooth)": lambda t: np.mod(t, turn) / np.pi - 1,
         "number of the turn": lambda t: np.floor(t / turn + 1e-9),
@@ -422,26 +364,15 @@ def _of_angle(data: Readings) -> Iterator[_Made]:
         "|sin θ|": lambda t: np.abs(np.sin(t)),
         "|cos θ|": lambda t: np.abs(np.cos(t)),
     }
-    for form, function in more.items():
-        yield _Made("angle", False, Basis(form, ("angle",), of_angle(function)))
-    for centre in range(0, 360, 15):
-        for width in (8.0, 25.0):
-            form = f"a bump at θ = {centre}° of width {width:g}°"
-            yield _Made(
-                "angle",
-                False,
-                Basis(
-                    form,
-                    ("angle",),
-                    of_angle(ring_bump(float(np.deg2rad(centre)), float(np.deg2rad(width)))),
-                ),
-                ("bias", "angle"),
-            )
-    # Two harmonics have names: of the stage, and as products of readings on an axis.
+    yield from (of_angle(form, function, ("bias", "gain", "angle")) for form, function in more.items())
+    for centre, width in itertools.product(range(0, 360, 15), (8.0, 25.0)):
+        bell = ring_bump(float(np.deg2rad(centre)), float(np.deg2rad(width)))
+        yield of_angle(f"a bump at θ = {centre}° of width {width:g}°", bell, ("bias", "angle"))
+    # Two harmonics are named effects: of the stage, and as products of readings on an axis.
     for top in (3, 4, 5, 6):
         form = f"a smooth function of the angle (harmonics to {top})"
-        yield _Made("angle", True, Basis(form, ("angle",), harmonic(tuple(range(2, top + 1)))), ("bias",))
-        yield _Made("angle", True, Basis(form, ("angle",), harmonic(tuple(range(1, top + 1)))), ("angle",))
+        yield of_angle(form, harmonics(range(2, top + 1)), ("bias",), smooth=True)
+        yield of_angle(form, harmonics(range(1, top + 1)), ("angle",), smooth=True)
 
 
 def _scaled(values: Floats) -> tuple[float, float]:
@@ -450,9 +381,9 @@ def _scaled(values: Floats) -> tuple[float, float]:
 
 
 def _knots(values: Floats, count: int) -> list[float]:
-    """Places between the values seen, at even quantiles, with two dwells on either side.
+    """Places between the observed values, at even quantiles, with at least two dwells on either side.
 
-    What parts off one dwell is an outlier, which has a name.
+    A step that separates a single dwell is an outlier, which is a named effect.
     """
     seen = np.unique(values)
     between = (seen[1:] + seen[:-1]) / 2
@@ -460,172 +391,126 @@ def _knots(values: Floats, count: int) -> list[float]:
     return [float(b) for b in between[pick] if 2 <= np.count_nonzero(values < b) <= len(values) - 2]
 
 
+@dataclass(frozen=True)
+class _Course:
+    """Shapes along one covariate, and the symbols in its formulas."""
+
+    family: str
+    letter: str
+    unit: str
+    sides: tuple[str, str]
+    get: Columns
+    middle: float
+    half: float
+
+    def inside(self, function: Shape) -> Columns:
+        """Apply a function to the covariate in normal form."""
+        return lambda c: function((self.get(c) - self.middle) / self.half)
+
+    def steps_and_knees(self, knots: Sequence[float]) -> Iterator[_Made]:
+        """Steps at the knots, and knees on an even grid."""
+        for knot in knots:
+            form = f"a step at {self.letter} = {knot:.4g}{self.unit}"
+            yield from _both(self.family, form, self.inside(step_shape((knot - self.middle) / self.half)))
+        for knot in np.linspace(self.middle - 0.8 * self.half, self.middle + 0.8 * self.half, 9):
+            for side, sign in zip(self.sides, (1.0, -1.0), strict=True):
+                form = f"a knee at {self.letter} = {knot:.4g}{self.unit} ({side})"
+                shape = knee_shape((knot - self.middle) / self.half, sign)
+                yield from _both(self.family, form, self.inside(shape))
+
+    def bumps(self, widths: Sequence[float], digits: int) -> Iterator[_Made]:
+        """Bells on an even grid."""
+        for knot in np.linspace(self.middle - 0.75 * self.half, self.middle + 0.75 * self.half, 7):
+            for width in widths:
+                size = f"{width * self.half:.{digits}g}{self.unit}"
+                form = f"a bump at {self.letter} = {knot:.4g}{self.unit} of width {size}"
+                shape = bump_shape((knot - self.middle) / self.half, width)
+                yield from _both(self.family, form, self.inside(shape))
+
+    def waves(self, count: int) -> Iterator[_Made]:
+        """Oscillations of geometrically spaced period."""
+        for cycles in np.geomspace(0.5, 0.5 * 2 ** ((count - 1) / 1.5), count).tolist():
+
+            def columns(c: Conditions, cycles: float = cycles) -> Floats:
+                turn = np.pi * cycles * (self.get(c) - self.middle) / self.half
+                return np.stack([np.sin(turn), np.cos(turn)], axis=1)
+
+            form = f"an oscillation of period {2 * self.half / cycles:.3g} in {self.letter}"
+            yield _formula(self.family, form, columns)
+
+    def polynomials(self, levels: int) -> Iterator[_Made]:
+        """Smooth functions of increasing degree, limited by the number of different values."""
+        for degree in (2, 3, 4, 5, 6, 8):
+            if degree < levels:
+                form = f"a smooth function of {self.family} (degree {degree})"
+                # On a bias, powers of the temperature up to the third are named effects.
+                named = ("bias",) if self.family == "temperature" and degree <= 3 else ()
+                columns = self.inside(legendre(range(1, degree + 1)))
+                yield from _both(self.family, form, columns, named, smooth=True)
+
+
 def _of_scalar(
-    family: str,
-    letter: str,
-    zero: str,
-    get: Callable[[Conditions], Floats],
-    reference: float,
-    data: Readings,
+    family: str, letter: str, zero: str, get: Columns, reference: float, data: Readings
 ) -> Iterator[_Made]:
     """Lines, powers, steps, knees, exponentials, bumps and smooth functions of one covariate."""
     values = get(data.conditions)
-    middle, half = _scaled(values)
-    d = f"({letter} − {zero})"
-
-    def about(function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
-        return lambda c: function((get(c) - reference) / half)
-
-    def inside(function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
-        return lambda c: function((get(c) - middle) / half)
-
-    covariates = (family,)
-    named = data.model.named_forms.get(family, ())
-    yield from _both(family, covariates, f"{d}", about(line_shape), named)
+    course = _Course(family, letter, "", ("above", "below"), get, *_scaled(values))
+    half = course.half
     curves: dict[str, Shape] = {
-        f"{d}²": power_shape(2),
-        f"{d}³": power_shape(3),
+        f"({letter} − {zero})": line_shape,
+        f"({letter} − {zero})²": power_shape(2),
+        f"({letter} − {zero})³": power_shape(3),
         f"|{letter} − {zero}|": np.abs,
     }
+    named = data.model.named_forms.get(family, ())
+
+    def about(function: Shape) -> Columns:
+        return lambda c: function((get(c) - reference) / half)
+
     for form, function in curves.items():
-        yield from _both(family, covariates, form, about(function))
-    for knot in _knots(values, 12):
-        place = (knot - middle) / half
-        yield from _both(family, covariates, f"a step at {letter} = {knot:.4g}", inside(step_shape(place)))
-    for knot in np.linspace(middle - 0.8 * half, middle + 0.8 * half, 9):
-        place = (knot - middle) / half
-        for side, sign in (("above", 1.0), ("below", -1.0)):
-            yield from _both(
-                family,
-                covariates,
-                f"a knee at {letter} = {knot:.4g} ({side})",
-                inside(knee_shape(place, sign)),
-            )
+        yield from _both(family, form, about(function), named if function is line_shape else ())
+    yield from course.steps_and_knees(_knots(values, 12))
     for rate in (-3.0, -1.5, 1.5, 3.0):
-        yield from _both(
-            family,
-            covariates,
-            f"exp({rate / half:+.3g} {letter})",
-            inside(growth_shape(rate)),
-        )
-    for knot in np.linspace(middle - 0.75 * half, middle + 0.75 * half, 7):
-        for width in (0.2, 0.45):
-            place = (knot - middle) / half
-            yield from _both(
-                family,
-                covariates,
-                f"a bump at {letter} = {knot:.4g} of width {width * half:.2g}",
-                inside(bump_shape(place, width)),
-            )
-    yield from _waves(family, letter, get, middle, half, 5)
-    yield from _smooth(family, get, middle, half, len(np.unique(values)))
-
-
-def _waves(
-    family: str, letter: str, get: Callable[[Conditions], Floats], middle: float, half: float, count: int
-) -> Iterator[_Made]:
-    for cycles in np.geomspace(0.5, 0.5 * 2 ** ((count - 1) / 1.5), count):
-
-        def columns(c: Conditions, cycles: float = float(cycles)) -> Floats:
-            turn = np.pi * cycles * (get(c) - middle) / half
-            return np.stack([np.sin(turn), np.cos(turn)], axis=1)
-
-        form = f"an oscillation of period {2 * half / cycles:.3g} in {letter}"
-        yield _Made(family, False, Basis(form, (family,), columns))
-
-
-def _smooth(
-    family: str, get: Callable[[Conditions], Floats], middle: float, half: float, levels: int
-) -> Iterator[_Made]:
-    for degree in (2, 3, 4, 5, 6, 8):
-        if degree >= levels:
-            continue
-
-        def columns(c: Conditions, degree: int = degree) -> Floats:
-            u = (get(c) - middle) / half
-            return np.stack([legendre(k)(u) for k in range(1, degree + 1)], axis=1)
-
-        form = f"a smooth function of {family} (degree {degree})"
-        if family == "temperature" and degree <= 3:
-            # On a bias the powers up to the third have a name.
-            yield _Made(family, True, Basis(form, (family,), columns), ("gain", "misalignment", "angle"))
-            continue
-        yield _Made(family, True, Basis(form, (family,), columns), EVERYWHERE)
-        yield _Made(
-            family,
-            True,
-            Basis(form + " + const", (family,), _with_constant(columns), with_constant=True),
-            ("bias",),
-        )
+        yield from _both(family, f"exp({rate / half:+.3g} {letter})", course.inside(growth_shape(rate)))
+    yield from course.bumps((0.2, 0.45), 2)
+    yield from course.waves(5)
+    yield from course.polynomials(len(np.unique(values)))
 
 
 def _of_time(data: Readings) -> Iterator[_Made]:
     time = data.conditions.time_s
-    middle, half = _scaled(time)
-
-    def get(c: Conditions) -> Floats:
-        return c.time_s
-
-    def inside(function: Callable[[Floats], Floats]) -> Callable[[Conditions], Floats]:
-        return lambda c: function((c.time_s - middle) / half)
-
-    covariates = ("time",)
+    course = _Course("time", "t", " s", ("after", "before"), lambda c: c.time_s, *_scaled(time))
+    length = 2 * course.half
     named = data.model.named_forms.get("time", ())
-    yield from _both("time", covariates, "t", lambda c: c.time_s / (2 * half), named)
-    yield from _both("time", covariates, "t²", lambda c: (c.time_s / (2 * half)) ** 2)
-    yield from _both("time", covariates, "t³", lambda c: (c.time_s / (2 * half)) ** 3)
-    yield from _both("time", covariates, "√t", lambda c: np.sqrt(np.maximum(c.time_s, 0) / (2 * half)))
-    for knot in _knots(time, 60):
-        place = (knot - middle) / half
-        yield from _both("time", covariates, f"a step at t = {knot:.4g} s", inside(step_shape(place)))
-    for knot in np.linspace(middle - 0.8 * half, middle + 0.8 * half, 9):
-        place = (knot - middle) / half
-        for side, sign in (("after", 1.0), ("before", -1.0)):
-            yield from _both(
-                "time",
-                covariates,
-                f"a knee at t = {knot:.4g} s ({side})",
-                inside(knee_shape(place, sign)),
-            )
-    for tau in np.geomspace(0.1, 2.0, 6):
-        for word, sign in (("−", -1.0), ("+", 1.0)):
-            yield from _both(
-                "time",
-                covariates,
-                f"exp({word}t/{2 * half * tau:.3g} s)",
-                inside(approach_shape(float(tau), sign)),
-                ("bias",) if sign < 0 else (),
-            )
-    for knot in np.linspace(middle - 0.75 * half, middle + 0.75 * half, 7):
-        for width in (0.15, 0.35):
-            place = (knot - middle) / half
-            yield from _both(
-                "time",
-                covariates,
-                f"a bump at t = {knot:.4g} s of width {width * half:.3g} s",
-                inside(bump_shape(place, width)),
-            )
-    yield from _waves("time", "t", get, middle, half, 7)
-    yield from _smooth("time", get, middle, half, len(time))
+    yield from _both("time", "t", lambda c: c.time_s / length, named)
+    yield from _both("time", "t²", lambda c: (c.time_s / length) ** 2)
+    yield from _both("time", "t³", lambda c: (c.time_s / length) ** 3)
+    yield from _both("time", "√t", lambda c: np.sqrt(np.maximum(c.time_s, 0) / length))
+    yield from course.steps_and_knees(_knots(time, 60))
+    for tau in np.geomspace(0.1, 2.0, 6).tolist():
+        decay, growth = (course.inside(approach_shape(tau, sign)) for sign in (-1.0, 1.0))
+        yield from _both("time", f"exp(−t/{length * tau:.3g} s)", decay, ("bias",))
+        yield from _both("time", f"exp(+t/{length * tau:.3g} s)", growth)
+    yield from course.bumps((0.15, 0.35), 3)
+    yield from course.waves(7)
+    yield from course.polynomials(len(time))
 
 
 def _of_rate(data: Readings) -> Iterator[_Made]:
-    """Rate of the temperature, and temperatures that lag, at the gains and the angle as well."""
+    """Rate of the temperature, and lagging temperatures, also on gains and the angle."""
     history = data.conditions.temperature_history
     if history is None or len(history[0]) < 2:
         return
     length = float(np.ptp(data.conditions.time_s))
     step = length / max(len(data) - 1, 1)
     named = data.model.named_forms.get("temperature_rate", ())
-    for tau in np.geomspace(0.5 * step, max(1.5 * length, step), 7):
+    for tau in np.geomspace(0.5 * step, max(1.5 * length, step), 7).tolist():
 
-        def late(c: Conditions, tau: float = float(tau)) -> Floats:
+        def late(c: Conditions, tau: float = tau) -> Floats:
             assert c.temperature_history is not None
             return lagged(*c.temperature_history, c.time_s, tau)[0] - c.covariate("temperature_c")
 
-        yield from _both(
-            "temperature_rate", ("temperature_rate",), f"T_lag − T with τ = {tau:.3g} s", late, named
-        )
+        yield from _both("temperature_rate", f"T_lag − T with τ = {tau:.3g} s", late, named)
 
     def rate(c: Conditions) -> Floats:
         assert c.temperature_history is not None
@@ -635,92 +520,63 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
         return (ahead - np.interp(c.time_s - reach / 2, times, temperatures)) / reach
 
     middle, half = _scaled(rate(data.conditions))
-    if half > 1e-9:
-        curves: dict[str, Shape] = {
-            "dT/dt": line_shape,
-            "|dT/dt|": np.abs,
-            "sign dT/dt": np.sign,
-            "(dT/dt)²": power_shape(2),
-        }
-        for form, function in curves.items():
-            scale = max(abs(middle) + half, 1e-12)
-            yield from _both(
-                "temperature_rate",
-                ("temperature_rate",),
-                form,
-                _of_rows(function, rate, scale),
-            )
+    scale = max(abs(middle) + half, 1e-12)
+    curves: dict[str, Shape] = {
+        "dT/dt": line_shape,
+        "|dT/dt|": np.abs,
+        "sign dT/dt": np.sign,
+        "(dT/dt)²": power_shape(2),
+    }
 
+    def scaled(function: Shape) -> Columns:
+        return lambda c: function(rate(c) / scale)
 
-def _of_approach() -> Iterator[_Made]:
-    def side(c: Conditions) -> Floats:
-        return c.covariate("approach")
-
-    yield _Made("approach", False, Basis("approach", ("approach",), _column(side)), ("gain",))
+    for form, function in curves.items() if half > 1e-9 else ():
+        yield from _both("temperature_rate", form, scaled(function))
 
 
 def _of_memory(data: Readings) -> Iterator[_Made]:
-    family, covariates = "previous_angle", ("previous_angle",)
+    def previous(form: str, function: Shape, smooth: bool = False) -> _Made:
+        def columns(c: Conditions) -> Floats:
+            return function(c.covariate("previous_angle_rad"))
 
-    def previous(c: Conditions) -> Floats:
-        return c.covariate("previous_angle_rad")
+        return _formula("previous_angle", form, columns, smooth=smooth)
 
     def move(c: Conditions) -> Floats:
-        return c.covariate("angle_rad") - previous(c)
+        return c.covariate("angle_rad") - c.covariate("previous_angle_rad")
 
-    for k in (1, 2, 3):
+    def of_move(function: Shape) -> Columns:
+        return lambda c: function(move(c) / largest)
 
-        def pair(c: Conditions, k: int = k) -> Floats:
-            return np.stack([np.sin(k * previous(c)), np.cos(k * previous(c))], axis=1)
-
-        yield _Made(
-            family, False, Basis(f"sin {k}θ′, cos {k}θ′ of the previous position", covariates, pair)
-        )
-        for word, f in (("sin", np.sin), ("cos", np.cos)):
-            yield _Made(
-                family,
-                False,
-                Basis(
-                    f"{word} {k}θ′ of the previous position",
-                    covariates,
-                    _column(_of_rows(multiple(f, k), previous, 1.0)),
-                ),
-            )
     largest = max(float(np.abs(move(data.conditions)).max()), 1e-9)
+    for k in (1, 2, 3):
+        yield previous(f"sin {k}θ′, cos {k}θ′ of the previous position", harmonics((k,)))
+        yield previous(f"sin {k}θ′ of the previous position", multiple(np.sin, k))
+        yield previous(f"cos {k}θ′ of the previous position", multiple(np.cos, k))
     moves: dict[str, Shape] = {
         "the move θ − θ′": line_shape,
         "|θ − θ′|": np.abs,
         "sign(θ − θ′)": lambda u: np.sign(np.round(u, 9)),
     }
     for form, function in moves.items():
-        yield _Made(
-            family,
-            False,
-            Basis(form, covariates, _column(_of_rows(function, move, largest))),
-        )
+        yield _formula("previous_angle", form, of_move(function))
     for top in (2, 3, 4):
-
-        def columns(c: Conditions, top: int = top) -> Floats:
-            return np.stack(
-                [f(k * previous(c)) for k in range(1, top + 1) for f in (np.sin, np.cos)], axis=1
-            )
-
         form = f"a smooth function of the previous position (harmonics to {top})"
-        yield _Made(family, True, Basis(form, covariates, columns))
+        yield previous(form, harmonics(range(1, top + 1)), smooth=True)
 
 
 @dataclass(frozen=True)
 class _Factor:
-    """A covariate of a product: its name, letter, values and the zero that means something."""
+    """A covariate in a product: its name, symbol, values and meaningful zero."""
 
     name: str
     letter: str
-    get: Callable[[Conditions], Floats]
+    get: Columns
     zero: float = 0.0
 
 
 def _factors(conditions: Conditions) -> Iterator[_Factor]:
-    """Covariates that may stand in a product."""
+    """Covariates that may be part of a product."""
     yield _Factor("time", "t", lambda c: c.time_s)
     if conditions.temperature_c is not None:
         yield _Factor("temperature", "(T − 25 °C)", lambda c: c.covariate("temperature_c"), REFERENCE_C)
@@ -734,7 +590,7 @@ def _factors(conditions: Conditions) -> Iterator[_Factor]:
 
 def _products(data: Readings) -> Iterator[_Made]:
     conditions = data.conditions
-    # One that hardly moves is a constant with noise, and a product with it the other factor.
+    # A covariate that hardly changes is a constant with noise: its product is the other covariate.
     least = {"temperature": limits.least_range_c, "supply": limits.least_range_v}
     moving = [f for f in _factors(conditions) if np.ptp(f.get(conditions)) > least.get(f.name, 0.0)]
     for one, two in itertools.combinations(moving, 2):
@@ -742,7 +598,7 @@ def _products(data: Readings) -> Iterator[_Made]:
 
 
 def _product(one: _Factor, two: _Factor, conditions: Conditions) -> Iterator[_Made]:
-    """Forms of two covariates together: their product, surfaces over both."""
+    """Forms of two covariates together: their product, and surfaces over both."""
     one_middle, one_half = _scaled(one.get(conditions))
     two_middle, two_half = _scaled(two.get(conditions))
     names = (one.name, two.name)
@@ -750,28 +606,20 @@ def _product(one: _Factor, two: _Factor, conditions: Conditions) -> Iterator[_Ma
     def about(c: Conditions) -> Floats:
         return np.asarray((one.get(c) - one.zero) / one_half * (two.get(c) - two.zero) / two_half)
 
-    def scaled(c: Conditions) -> tuple[Floats, Floats]:
-        return (one.get(c) - one_middle) / one_half, (two.get(c) - two_middle) / two_half
-
-    def centred(c: Conditions) -> Floats:
-        u, v = scaled(c)
-        return np.asarray(u * v)
-
-    def surface(c: Conditions) -> Floats:
-        u, v = scaled(c)
-        return np.stack([u, v, u * v], axis=1)
-
-    def curved(c: Conditions) -> Floats:
-        u, v = scaled(c)
-        return np.stack([u, v, u * v, u * u, v * v], axis=1)
+    def of(function: Callable[[Floats, Floats], Floats]) -> Columns:
+        """Apply a function to both covariates in normal form."""
+        return lambda c: function(
+            (one.get(c) - one_middle) / one_half, (two.get(c) - two_middle) / two_half
+        )
 
     letters = f"{one.letter} × {two.letter}"
-    yield from _both("products", names, letters, about)
-    yield from _both("products", names, f"{letters}, centred", centred)
+    yield from _both("products", letters, about, covariates=names)
+    yield from _both("products", f"{letters}, centred", of(np.multiply), covariates=names)
     form = f"a surface over {one.name} and {two.name}"
-    yield _Made("products", True, Basis(form, names, surface))
-    constant = Basis(form + " + const", names, _with_constant(surface), with_constant=True)
-    yield _Made("products", True, constant, ("bias",))
+    surface = of(lambda u, v: np.stack([u, v, u * v], axis=1))
+    yield _formula("products", form, surface, covariates=names, smooth=True)
+    yield _formula("products", form, surface, ("bias",), covariates=names, smooth=True, constant=True)
     if "approach" not in names:
-        bent = Basis("a curved " + form.removeprefix("a "), names, _with_constant(curved))
-        yield _Made("products", True, bent)
+        curved = of(lambda u, v: np.stack([np.ones_like(u), u, v, u * v, u * u, v * v], axis=1))
+        bent = "a curved " + form.removeprefix("a ")
+        yield _formula("products", bent, curved, covariates=names, smooth=True)

@@ -1,13 +1,14 @@
-"""The whitened linear problem in which effects are chosen: one block of orthonormal columns a term.
+"""The whitened linear problem in which effects are chosen, with a block of orthonormal columns per term.
 
-About a state of the model, readings minus prediction and the columns of every term are whitened and
-projected off the base model. Each term's block is then made orthonormal, so that its score statistic is the
-sum of squares of its scores and a search needs nothing but dot products of columns.
+About a state of the model, the readings minus the prediction and the columns of every term are whitened and
+projected off the base model. Each term's block is made orthonormal, so that its score statistic is the sum
+of its squared scores, and a search needs only dot products of columns.
 
-Amplitudes have a normal prior as wide as a part can have them. It acts as rows of its own below each block
-(target 0, a column 1/σ), which no other block shares: they are never written down. A block is orthonormal
-*together with* these rows, its products with others are those of the readings alone. Without them a
-covariate that is constant but for its noise would be a second bias, of an amplitude that no part has.
+Amplitudes have a normal prior with the width of the physical bounds. The prior acts like additional rows
+below each block (target 0, a column 1/σ). Blocks do not share these rows, so they are not stored. A block
+is orthonormal *together with* its prior rows; its products with other blocks contain only the readings.
+Without the prior, a covariate that is constant except for noise would act as a second bias of unphysical
+amplitude.
 """
 
 from __future__ import annotations
@@ -24,35 +25,35 @@ from adis_gonio.fitting.estimation.terms import ROUNDING, Term
 from adis_gonio.tracing.thresholds import limits
 
 _RANK = 1e-7
-"""Least squared length of a column beside the others of its own term."""
+"""Smallest squared length of a column after projection off the other columns of its term."""
 
 
 @dataclass(frozen=True)
 class LinearProblem:
-    """The linear problem.
+    """The linear problem about one state of the model.
 
     Attributes
     ----------
     terms : tuple of Term
-        Candidates that this session can see at all.
+        Candidates that this session can show.
     columns : (rows, P) float
-        Blocks, term after term: QᵀQ + `prior` is the identity of each.
+        Blocks of the terms in order; QᵀQ + `prior` is the identity for each.
     first, width : (M,) int
-        Where the block of each term begins, and its columns; widths increase.
+        First column and number of columns of each term; widths are in ascending order.
     target : (rows,) float
-        Whitened readings, off the base model.
+        Whitened readings minus prediction, projected off the base model.
     dof : int
         Rows minus the rank of the base model.
     back : tuple of (d, width) float
-        Amplitudes of a term from coefficients of its block.
+        Matrices that map the coefficients of a block to the amplitudes of its term.
     cost, column_price : (M,) float
-        −ln of each term's share of the prior, and the price of its columns.
+        −ln of each term's share of the prior; price of its columns.
     hidden : tuple of Term
-        Candidates that the session cannot see: their columns lie in the base model.
+        Candidates that the session cannot show, since their columns lie in the base model.
     prior : tuple of (width, width) float
-        Products of each block's rows of the prior, in units of the noise.
+        Gram matrix of each block's prior rows, in units of the noise.
     inflation : float
-        Factor on the noise variance in `prior`.
+        Factor on the noise variance contained in `prior`.
     """
 
     terms: tuple[Term, ...]
@@ -78,32 +79,33 @@ class LinearProblem:
         return self.columns[:, self.first[term] : self.first[term] + self.width[term]]
 
     def gains(self, basis: Floats, residual: Floats) -> Floats:
-        """χ² that each term (M,) takes from a residual (rows,), beside an orthonormal model (rows, k)."""
-        return self.taken(residual @ self.columns, basis.T @ self.columns)
+        """χ² that each term (M,) explains of a residual (rows,), given an orthonormal model (rows, k)."""
+        return self.gains_from_products(residual @ self.columns, basis.T @ self.columns)
 
-    def taken(self, z: Floats, inside: Floats) -> Floats:
-        """The same from products with the columns: of the residual (P,), of the model's basis (k, P)."""
+    def gains_from_products(self, z: Floats, inside: Floats) -> Floats:
+        """Like `gains`, from the products of the columns with the residual (P,) and the model (k, P)."""
         first, k = self.first, len(inside)
         if not len(first):
             return np.zeros(0)
         square: Floats = np.add.reduceat(z**2, first)
         if not k:
             return square
-        # A ridge takes the place of a rank decision: along a direction inside the model z is zero too. It
-        # costs 1e-4 of the gain, more than any price where a bias of hundreds of uncertainties is gained; a
-        # step of refinement, zᵀ(H + εH²)z, leaves 1e-8 of it. H = ((1 + ε) 1 − AᵀA)⁻¹ is of the size of the
-        # block; by Woodbury's identity it takes no more than (1 + ε) 1 − AAᵀ, of the size of the model.
+        # With A = basisᵀ · block, the gain of a block is zᵀ H z, H = ((1 + ε) 1 − AᵀA)⁻¹. The ridge ε
+        # replaces a rank decision: along a direction inside the model z is zero too. The ridge loses 1e-4
+        # of the gain, more than any price if the gain is a bias of hundreds of uncertainties; the
+        # refinement step zᵀ(H + εH²)z reduces the loss to 1e-8. By Woodbury's identity the inverse needs
+        # only (1 + ε) 1 − AAᵀ, of the size of the model instead of the block.
         along = np.add.reduceat(inside * z, first, axis=1)
         gram = np.add.reduceat((inside[:, None] * inside).reshape(k * k, -1), first, axis=1)
         least = 1 + limits.independent
-        solved = _solved(least * np.eye(k)[:, :, None] - gram.reshape(k, k, -1), along)
+        solved = _solve_small_systems(least * np.eye(k)[:, :, None] - gram.reshape(k, k, -1), along)
         both = square + (along * solved).sum(axis=0)
         twice = (both + least * (solved**2).sum(axis=0)) / least**2
         gain: Floats = both / least + limits.independent * twice
         return gain
 
-    def only(self, chosen: NDArray[np.intp]) -> LinearProblem:
-        """The same problem with some of the terms (increasing numbers)."""
+    def subset(self, chosen: NDArray[np.intp]) -> LinearProblem:
+        """Return the problem with some of the terms (ascending numbers)."""
         index = np.concatenate(
             [np.arange(self.first[k], self.first[k] + self.width[k]) for k in chosen]
         ).astype(np.intp)
@@ -120,19 +122,20 @@ class LinearProblem:
             prior=tuple(self.prior[k] for k in chosen),
         )
 
-    def under(self, inflation: float) -> LinearProblem:
-        """The same where the noise's variance is another, beside which the prior weighs as much more."""
+    def with_inflation(self, inflation: float) -> LinearProblem:
+        """Return the problem for another noise variance, which changes the relative weight of the prior."""
         if inflation == self.inflation:
             return self
         factor = inflation / self.inflation
-        return self._holding([factor * own for own in self.prior], inflation)
+        return self._with_prior([factor * own for own in self.prior], inflation)
 
-    def _holding(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
-        """The same with other products (M,) of the prior's rows, by the blocks as they are."""
+    def _with_prior(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
+        """Return the problem with other Gram matrices (M,) of the prior rows."""
         columns = np.empty_like(self.columns)
         back: list[Floats] = []
         turned: list[Floats] = []
         for members, places, stack in self._by_width():
+            # Orthonormalise each block again, together with its new prior rows.
             held = np.array(prior[members])
             gram = np.eye(stack.shape[2]) - np.array(self.prior[members]) + held
             turn = np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
@@ -142,7 +145,7 @@ class LinearProblem:
         return replace(self, columns=columns, back=tuple(back), prior=tuple(turned), inflation=inflation)
 
     def _by_width(self) -> Iterator[tuple[slice, slice, Floats]]:
-        """Blocks of one width, which stand together: numbers, places, and columns (m, rows, width)."""
+        """Iterate over blocks of equal width: term numbers, column range, columns (m, rows, width)."""
         begin = 0
         for size, count in zip(*np.unique(self.width, return_counts=True), strict=True):
             members = slice(begin, begin + int(count))
@@ -151,18 +154,19 @@ class LinearProblem:
             begin = members.stop
 
     def gain(self, model: Sequence[int]) -> float:
-        """χ² that a model takes from the target, less what its amplitudes cost by the prior."""
+        """χ² that a model explains of the target, minus the cost of its amplitudes under the prior."""
         if not len(model):
             return 0.0
-        columns, gram = self.together(model)
-        along = self.target @ columns @ _half(gram)
+        columns, gram = self.columns_and_gram(model)
+        along = self.target @ columns @ _orthonormal_combinations(gram)
         return float(along @ along)
 
-    def together(self, model: Sequence[int]) -> tuple[Floats, Floats]:
-        """Columns (rows, p) of a model's blocks, and their products (p, p) with the rows of the prior."""
+    def columns_and_gram(self, model: Sequence[int]) -> tuple[Floats, Floats]:
+        """Return the columns (rows, p) of a model and their Gram matrix (p, p), prior rows included."""
         columns = np.concatenate([self.block(k) for k in model], axis=1)
         gram = columns.T @ columns
         start = 0
+        # Each block is orthonormal together with its prior rows, so its own part is the identity.
         for k in model:
             own = slice(start, start + int(self.width[k]))
             gram[own, own] = np.eye(int(self.width[k]))
@@ -170,10 +174,10 @@ class LinearProblem:
         return columns, gram
 
 
-def _solved(gram: Floats, right: Floats) -> Floats:
-    """Solutions (k, M) of M small systems: gram (k, k, M) positive definite, right (k, M). By elimination.
+def _solve_small_systems(gram: Floats, right: Floats) -> Floats:
+    """Solve M small systems by elimination: gram (k, k, M) positive definite, right (k, M) → (k, M).
 
-    Each step is one for all of them: a factorization of each alone would take far longer.
+    Each elimination step is vectorised over all systems; factorising each system alone would be slower.
     """
     gram, solved = gram.copy(), right.copy()
     k = len(right)
@@ -187,9 +191,9 @@ def _solved(gram: Floats, right: Floats) -> Floats:
 
 
 class Products:
-    """Products of a problem's blocks with the columns that may join them, each made once.
+    """Products of the blocks of a problem with the columns of candidate terms, each computed once.
 
-    A model beside others then costs no pass over the rows.
+    Scoring an extension of a model then needs no pass over the rows.
     """
 
     def __init__(self, problem: LinearProblem, joining: LinearProblem) -> None:
@@ -197,8 +201,8 @@ class Products:
         self._target = problem.target @ joining.columns
         self._of: dict[int, Floats] = {}
 
-    def beside(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
-        """χ² of what a model leaves, and products (P,), (k, P) of that and of an orthonormal basis."""
+    def of_model(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
+        """Return the residual's χ², and products (P,), (k, P) of the columns with residual and basis."""
         problem = self._problem
         if not len(model):
             return problem.chi2, self._target, np.zeros((0, len(self._target)))
@@ -206,9 +210,9 @@ class Products:
             if k not in self._of:
                 self._of[k] = problem.block(k).T @ self._joining.columns
         inside = np.concatenate([self._of[k] for k in model])
-        if len(model) > 1:  # one block is orthonormal by itself
-            columns, gram = problem.together(model)
-            half = _half(gram)
+        if len(model) > 1:  # a single block is already orthonormal
+            columns, gram = problem.columns_and_gram(model)
+            half = _orthonormal_combinations(gram)
             along, inside = problem.target @ columns @ half, half.T @ inside
         else:
             along = problem.target @ problem.block(model[0])
@@ -216,8 +220,9 @@ class Products:
 
 
 def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
-    """Linear problem about a fit whose model may hold some of the terms."""
-    left = fit.left
+    """Build the linear problem about a fit; its model may contain some of the terms."""
+    # The target contains the contributions of the fit's own terms, which are candidates like all others.
+    left = fit.declared_misfit
     for k in range(len(fit.terms)):
         left = left + fit.added(k)
     y = fit.white(left[:, :, None])[:, 0]
@@ -226,7 +231,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     y = y - base @ (base.T @ y)
 
     raw, widths = fit.candidates(terms)
-    columns, length = _beside(base, fit.white(raw), widths)
+    columns, length = _project_off_base(base, fit.white(raw), widths)
     spread = amplitude_spreads(fit.data.model, terms, widths)
     chosen, width, together, back, prior = _orthonormal_blocks(columns, length, spread, widths)
     first = (np.cumsum(width) - width).astype(np.intp)
@@ -244,17 +249,18 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         column_price=_column_prices(together, first),
         prior=tuple(np.zeros((size, size)) for size in width.tolist()),
     )
-    return free._holding(prior, 1.0)
+    return free._with_prior(prior, 1.0)
 
 
-def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Columns projected off the base model, of length 1, and their length before; unseen ones are zero."""
+def _project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Project columns off the base model; return them with unit length, and their original lengths."""
     before = np.linalg.norm(columns, axis=0)
-    # The sixth harmonic's sine on a grid of 30° is rounding, not a direction.
+    # A column of rounding errors (the sixth harmonic's sine on a grid of 30°) is set to zero.
     starts = np.cumsum(widths) - widths
     longest = np.repeat(np.maximum.reduceat(before, starts), widths) if len(before) else before
     before = np.where(before > ROUNDING * longest, before, 0.0)
     columns = columns * np.where(before > 0, 1 / np.where(before > 0, before, 1.0), 0.0)
+    # Unit length before the projection, so that the length after it is the part outside the base model.
     columns = columns - base @ (base.T @ columns)
     after = np.linalg.norm(columns, axis=0)
     seen = after**2 > limits.independent
@@ -265,11 +271,11 @@ def _beside(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Fl
 def _orthonormal_blocks(
     columns: Floats, length: Floats, spread: Floats, widths: NDArray[np.intp]
 ) -> tuple[list[int], NDArray[np.intp], Floats, tuple[Floats, ...], tuple[Floats, ...]]:
-    """Terms that the session can see, their widths (M,), orthonormal blocks (rows, P), ways back, priors.
+    """Return visible terms, widths (M,), orthonormal blocks (rows, P), back maps and prior Gram matrices.
 
-    Blocks of one width stand together and are made at once; a way back leads from the coefficients of a
-    block to amplitudes, and a prior is the products (width, width) of its rows where the amplitude of each
-    column has a standard deviation of `spread` (P,).
+    Blocks of equal width are adjacent and computed at once. A back map converts the coefficients of a block
+    to amplitudes. A prior Gram matrix (width, width) follows from the prior standard deviation `spread`
+    (P,) of each column's amplitude.
     """
     starts = np.cumsum(widths) - widths
     found: dict[int, list[tuple[int, Floats, Floats, Floats]]] = {}
@@ -277,18 +283,23 @@ def _orthonormal_blocks(
         members = np.flatnonzero(widths == size)
         index = starts[members, None] + np.arange(size)
         stack = columns[:, index].transpose(1, 0, 2)
+        # Cholesky for blocks of full rank; eigenvectors for the others, without the missing directions.
         gram = stack.transpose(0, 2, 1) @ stack
         root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
         whole = np.all(np.diagonal(root, axis1=1, axis2=2) ** 2 > _RANK, axis=1)
         halves = np.linalg.inv(root[whole]).transpose(0, 2, 1)
-        own = members[whole].tolist(), stack[whole] @ halves, *_back(halves, index[whole], length, spread)
+        own = (
+            members[whole].tolist(),
+            stack[whole] @ halves,
+            *_back_maps(halves, index[whole], length, spread),
+        )
         found.setdefault(size, []).extend(zip(*own, strict=True))
         for k in np.flatnonzero(~whole).tolist():
             values, vectors = np.linalg.eigh(gram[k])
             seen = values > _RANK
             if seen.any():
                 half = vectors[:, seen] / np.sqrt(values[seen])
-                rest = int(members[k]), stack[k] @ half, *_back(half, index[k], length, spread)
+                rest = int(members[k]), stack[k] @ half, *_back_maps(half, index[k], length, spread)
                 found.setdefault(half.shape[1], []).append(rest)
     blocks = [block for size in sorted(found) for block in sorted(found[size], key=lambda own: own[0])]
     return (
@@ -300,15 +311,17 @@ def _orthonormal_blocks(
     )
 
 
-def _back(half: Floats, index: NDArray[np.intp], length: Floats, spread: Floats) -> tuple[Floats, Floats]:
-    """Ways back (…, d, width) of combinations of the columns `index` (…, d), and products of the prior."""
+def _back_maps(
+    half: Floats, index: NDArray[np.intp], length: Floats, spread: Floats
+) -> tuple[Floats, Floats]:
+    """Return back maps (…, d, width) for combinations of the columns `index` (…, d), and prior Grams."""
     back = half / length[index][..., None]
     away = back / spread[index][..., None]
     return back, away.swapaxes(-1, -2) @ away
 
 
 def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
-    """½ Σ ln(1 + s² n) over the columns of each block, a column being spread over n = 1/Σ u⁴ rows."""
+    """½ Σ ln(1 + s² n) over the columns of each block; a column is spread over n = 1/Σ u⁴ rows."""
     if not len(first):
         return np.zeros(0)
     price = 0.5 * np.log1p(limits.prior_snr**2 / np.maximum(((columns**2) ** 2).sum(axis=0), 1e-300))
@@ -317,7 +330,7 @@ def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
 
 
 def orthonormal(columns: Floats) -> Floats:
-    """Orthonormal basis (rows, k) of columns, whatever their sizes; those of rounding are left out."""
+    """Orthonormal basis (rows, k) of columns of any size; directions of rounding errors are dropped."""
     u, s, _ = np.linalg.svd(
         columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False
     )
@@ -325,9 +338,9 @@ def orthonormal(columns: Floats) -> Floats:
 
 
 def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
-    """Orthonormal basis (rows, k) of a model's columns, and what is left of the target beside it.
+    """Return an orthonormal basis (rows, k) of a model's columns, and the residual of the target.
 
-    What the readings alone could say: amplitudes are free here.
+    Amplitudes are free: the prior is not applied.
     """
     if not len(model):
         return np.zeros((len(problem.target), 0)), problem.target
@@ -336,8 +349,8 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
     return basis, problem.target - basis @ (basis.T @ problem.target)
 
 
-def _half(gram: Floats) -> Floats:
-    """Combinations (p, k) that make columns orthonormal of which these are the products."""
+def _orthonormal_combinations(gram: Floats) -> Floats:
+    """Return combinations (p, k) that make columns with this Gram matrix orthonormal."""
     values, vectors = np.linalg.eigh(gram)
     seen = values > limits.independent
     half: Floats = vectors[:, seen] / np.sqrt(values[seen])
@@ -345,12 +358,12 @@ def _half(gram: Floats) -> Floats:
 
 
 def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
-    """Most probable amplitudes of each term of a model: linear least squares with the prior."""
+    """Return the most probable amplitudes of each term by linear least squares with the prior."""
     if not len(model):
         return []
     if len(model) == 1:
         return [problem.back[model[0]] @ (problem.target @ problem.block(model[0]))]
-    columns, gram = problem.together(model)
+    columns, gram = problem.columns_and_gram(model)
     solved = np.linalg.lstsq(gram, columns.T @ problem.target, rcond=1e-12)[0]
     cuts = np.cumsum([0] + [int(problem.width[k]) for k in model])
     return [problem.back[k] @ solved[cuts[i] : cuts[i + 1]] for i, k in enumerate(model)]

@@ -1,23 +1,23 @@
-"""Search over models: all terms, then pairs, then wider, by a beam with exchange moves.
+"""Search over models by a beam with exchange moves, and the posterior of the scored models.
 
-A model's score is ½ (χ² that it explains) − price of its columns − price of its terms. With the price of a
-column ½ ln(1 + s² n), n the rows over which it is spread, and that of a term −ln of its share of the prior,
-exp(score) is the Bayes factor of the model against the base model under a Gaussian prior of s standard
-uncertainties on each amplitude, times its prior. A sum of such factors over all candidates has
-expectation 1 where there is no effect, so that it exceeds 100 in at most 1 % of sessions whatever the
-candidates are (Markov). That bound is far from sharp, since candidates are many and alike: over sessions
-of 12 to 48 readings the best score of pure noise is above 0 in 0.45 %, and its 99 % quantile is −0.7 (−1.4
-to −0.2 a session; scripts/trace_level.py), so that this prior holds the family-wise error rate at 1 %.
+Score of a model
+    The score is ½ (explained χ²) − price of its columns − price of its terms. The price of a column is
+    ½ ln(1 + s² n), with n the number of rows over which the column is spread; the price of a term is −ln of
+    its share of the prior. exp(score) is then the Bayes factor against the base model, under a Gaussian
+    prior of s standard uncertainties on each amplitude, times the model's prior. The sum of these factors
+    over all candidates has expectation 1 if there is no effect, so it exceeds 100 in at most 1 % of
+    sessions for any set of candidates (Markov). The bound is far from sharp, since candidates are many
+    and similar: over sessions of 12 to 48 readings the best score of pure noise exceeds 0 in 0.45 % of
+    cases, and its 99 % quantile is −0.7 (−1.4 to −0.2 by session; scripts/trace_level.py). The prior thus
+    keeps the family-wise error rate at 1 %.
 
-Models are sets and every set is scored once, so that the search cannot go round in circles.
+    Models are sets of terms and each set is scored once, so the search cannot cycle.
 
-From scored models to names: what stands, what cannot be told apart, what has no name.
-
-Scores are log evidences, so that models near the best have posterior odds. Models that predict the same in
-*this* session are one model: the representative is the simplest (fewest nameless terms, fewest columns,
-then the more common cause), the others are its equivalents and are reported beside it. A name stands
-where the models that hold it have most of the posterior; else it is confounded with whatever takes
-its place.
+Posterior
+    Scores are log evidences, so models near the best have posterior odds. Models with equal predictions in
+    *this* session count as one model. Its representative is the simplest (fewest unnamed terms, fewest
+    columns, then the more common cause); the others are reported as its equivalents. A name is accepted if
+    the models that contain it have most of the posterior. Otherwise it is confounded with its replacements.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ class Search:
     prices : (M,) float
         Price of each term.
     inflation : float
-        Factor on the noise variance (greater than 1 where no model is adequate).
+        Factor on the noise variance (greater than 1 if no model is adequate).
     scores : dict of model to float
-        Scores against the base model, which has 0; models are sorted tuples of term numbers.
+        Scores against the base model, whose score is 0; a model is a sorted tuple of term numbers.
     opened : dict of model to float
-        χ² of models whose extensions by one term have been scored.
+        χ² of models whose extensions by one term were scored.
     promise : (M,) float
-        Best score that each term added to any model that was opened with all terms.
+        Best score of any model that adds this term to a fully opened model.
     """
 
     problem: LinearProblem
@@ -72,22 +72,22 @@ class Search:
         return max(self.scores, key=self.scores.__getitem__)
 
     def near(self, within: float) -> dict[Model, float]:
-        """Scores of all models within so many nats of the best."""
+        """Return the scores of all models at most `within` nats below the best."""
         top = max(self.scores.values())
         return {m: s for m, s in self.scores.items() if s >= top - within}
 
     def explained(self, model: Model) -> float:
-        """χ² over 2 that a scored model explains."""
+        """Half of the χ² that a scored model explains."""
         return self.scores[model] + float(sum(self.prices[k] for k in model))
 
     def hope(self, model: Model) -> float:
-        """The most that further terms could add: half of χ² beyond its degrees of freedom."""
+        """Upper limit of the gain by further terms: half of the χ² in excess of its degrees of freedom."""
         left = self.problem.chi2 / self.inflation - 2 * self.explained(model)
         return 0.5 * max(left - self.problem.dof, 0.0)
 
 
 def price(problem: LinearProblem) -> Floats:
-    """Price of each term (M,) in nats: its columns and its share of the prior."""
+    """Return the price of each term (M,) in nats: price of its columns and of its share of the prior."""
     priced: Floats = problem.column_price + problem.cost
     return priced
 
@@ -99,26 +99,26 @@ def search(
     beam: int = limits.beam,
     spare: int | None = None,
 ) -> Search:
-    """Models of up to `max_terms` terms that explain the target.
+    """Search for models of up to `max_terms` terms that explain the target.
 
-    The best models of each size are extended by every term, the others of the beam by the terms that showed
-    promise there and by all names.
+    The best models of each size are extended by every term. The other models of the beam are extended by
+    all names and by the unnamed terms that were promising so far.
 
     Parameters
     ----------
     inflation : float
-        Factor on the noise variance (greater than 1 where no model is adequate).
+        Factor on the noise variance (greater than 1 if no model is adequate).
     beam : int
-        Models that are opened at each size; pairs are opened from twice as many terms.
+        Number of models opened at each size; pairs are opened from twice as many single terms.
     spare : int
-        Degrees of freedom that a model has to leave; by default half of those beside the base model,
-        since a model with more columns than checks could not fail. One effect of the catalogue alone, of
-        no more columns than a bias, may use them all: six faces of a cube show a bias (or what imitates it)
-        and no more.
+        Degrees of freedom that must remain; by default half of the base model's degrees of freedom, since a
+        model with more columns than remaining readings could not fail. A single named effect with at most
+        as many columns as a bias may use all of them: the six faces of a cube show a bias, or an effect
+        that looks like one, and nothing else.
     """
     if spare is None:
         spare = max(problem.dof // 2, 1)
-    problem = problem.under(inflation)
+    problem = problem.with_inflation(inflation)
     found = Search(problem, price(problem), inflation)
     found.scores[()] = 0.0
     found.promise = np.full(len(problem.terms), -np.inf)
@@ -129,7 +129,7 @@ def search(
 
 @dataclass(frozen=True)
 class _Joining:
-    """Terms that models are extended by: their problem, their numbers in the whole one, products."""
+    """Terms that extend models: their linear problem, their numbers in the whole problem, products."""
 
     problem: LinearProblem
     number: NDArray[np.intp]
@@ -137,7 +137,7 @@ class _Joining:
 
 
 class _Beam:
-    """A search on its way."""
+    """State of a search."""
 
     def __init__(self, found: Search, spare: int, max_terms: int, width: int) -> None:
         problem = found.problem
@@ -145,12 +145,12 @@ class _Beam:
         self.every = _Joining(problem, np.arange(len(problem.terms)), Products(problem, problem))
         self.named = np.array([term.name is not None for term in problem.terms])
         self.nameless = frozenset(np.flatnonzero(~self.named).tolist())
-        biases = (int(w) for w, t in zip(problem.width, problem.terms, strict=True) if t.name == "bias")
+        biases = (int(w) for w, t in zip(problem.width, problem.terms, strict=True) if t.constant)
         self.bias_width = max(biases, default=0)
         self.top = 0.0
 
     def run(self) -> None:
-        """Open level after level, then the neighbours of the best."""
+        """Open models of each size, then the neighbours of the best models."""
         level: list[Model] = [()]
         for size in range(1, self.max_terms + 1):
             if size > 1 and spent():
@@ -170,14 +170,14 @@ class _Beam:
         self._exchange()
 
     def open(self, model: Model, joining: _Joining) -> dict[Model, float]:
-        """Score every model that has one term more."""
+        """Score every extension of a model by one term."""
         found, problem = self.found, self.found.problem
         if model in found.opened:
             return {}
-        chi2, z, inside = joining.products.beside(model)
+        chi2, z, inside = joining.products.of_model(model)
         found.opened[model] = chi2
         number, width = joining.number, joining.problem.width
-        gains = joining.problem.taken(z, inside)
+        gains = joining.problem.gains_from_products(z, inside)
         gained = 0.5 * gains / found.inflation - found.prices[number]
         here = 0.5 * (problem.chi2 - chi2) / found.inflation - sum(float(found.prices[k]) for k in model)
         room = problem.dof - len(inside) - width >= self.spare
@@ -195,7 +195,7 @@ class _Beam:
         )
         wanted = gained >= floor
         if not model:
-            # Alone a named term may be far behind many nameless ones that do the work of two named ones.
+            # A single name may score far below many unnamed terms that replace two names at once.
             wanted |= self.named
         kept = np.flatnonzero(wanted & np.isfinite(gained))
         wider = np.empty((len(kept), len(model) + 1), dtype=np.intp)
@@ -209,25 +209,25 @@ class _Beam:
         return fresh
 
     def _next_level(self, fresh: dict[Model, float], size: int) -> list[Model]:
-        """Models of a size that are opened: the best of those that may still come near the best of all."""
+        """Return the best models of this size that may still approach the best score."""
         if not fresh:
             return []
         wide = self._widest(fresh, 2 * self.width if size == 1 else self.width)
         level = [m for m in wide if fresh[m] + self.found.hope(m) > self.top - limits.behind]
         if size > 2 and max(fresh.values()) < self.top - limits.behind:
-            # One nameless surface may be ahead of two names that want a third beside them.
+            # One unnamed surface may score above two names that need a third one.
             level = [m for m in level if self._all_named(m)]
         return level
 
     def _active(self) -> _Joining:
-        """The terms that all models of the beam are extended by."""
+        """Return the terms that extend all models of the beam."""
         found = self.found
         number = np.union1d(np.flatnonzero(self.named), np.argsort(-found.promise)[: limits.active])
-        problem = found.problem.only(number)
+        problem = found.problem.subset(number)
         return _Joining(problem, number, Products(found.problem, problem))
 
     def _widest(self, fresh: dict[Model, float], count: int) -> list[Model]:
-        """Best models, and the best of each name on each choice of axes, in order of score."""
+        """Return the best models, and the best of each name on each choice of axes, in order of score."""
         terms = self.found.problem.terms
         ranked = sorted(fresh, key=fresh.__getitem__, reverse=True)
         kept, rest = ranked[:count], ranked[count:]
@@ -246,7 +246,7 @@ class _Beam:
         return self.nameless.isdisjoint(model)
 
     def _exchange(self) -> None:
-        """Open the neighbours of the best models (one term less) until none is better."""
+        """Open the neighbours of the best models (with one term less) until the best model is final."""
         for _ in range(limits.exchanges):
             best = self.found.best
             for model in _different(self.found, limits.exchanged):
@@ -261,12 +261,12 @@ class _Beam:
 
 
 def _face(term: Term) -> tuple[str, tuple[str, ...]] | None:
-    """Name and axes; None for a nameless term."""
+    """Name and axes of a term; None for an unnamed term."""
     return (term.effect.name, term.effect.axes) if isinstance(term, NamedTerm) else None
 
 
 def _different(found: Search, count: int) -> list[Model]:
-    """Best models near the best, no two of the same names and covariates."""
+    """Return the best models near the best, no two with equal names and covariates."""
     seen = set()
     kept: list[Model] = []
     for model in sorted(found.near(limits.voting), key=lambda m: -found.scores[m]):
@@ -285,20 +285,20 @@ Skeleton = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
 
 @dataclass(frozen=True)
 class ModelPosterior:
-    """What the scored models say.
+    """Posterior probabilities of the scored models.
 
     Attributes
     ----------
     best : tuple of int
-        The model to go on with: the most probable one.
+        The most probable model.
     weights : dict of model to float
         Posterior of each class of models that span the same space, by its representative; sums to 1.
     same : dict of model to list of models
-        Other models of each class.
+        The other models of each class.
     names : dict of str to float
         Posterior that an effect is present.
     covariates : dict of tuple of str to float
-        Posterior that a nameless term of these covariates is present.
+        Posterior that an unnamed term with these covariates is present.
     """
 
     best: Model
@@ -309,9 +309,9 @@ class ModelPosterior:
 
 
 def posterior(found: Search) -> dict[Model, float]:
-    """Posterior of each model near the best by itself, however alike two of them are; sums to 1.
+    """Return the posterior of each model near the best, the most probable first; sums to 1.
 
-    The most probable first.
+    Similar models are counted separately.
     """
     near = found.near(limits.weighed)
     ranked = sorted(near, key=lambda m: -near[m])[: limits.compared]
@@ -321,13 +321,13 @@ def posterior(found: Search) -> dict[Model, float]:
 
 
 def weigh(found: Search) -> ModelPosterior:
-    """Posterior of models, names and covariates."""
+    """Return the posterior of models, names and covariates."""
     terms = found.problem.terms
     each = posterior(found)
     same = _classes(found, list(each))
     weights = {m: sum(each[k] for k in (m, *others)) for m, others in same.items()}
     names, covariates = _present(terms, weights)
-    # What is reported is names and covariates: the best of these first, then the best model that has them.
+    # The result reports names and covariates: choose the best set of these, then its best model.
     skeletons: dict[Skeleton, float] = defaultdict(float)
     for model, weight in weights.items():
         skeletons[skeleton(found, model)] += weight
@@ -339,7 +339,7 @@ def weigh(found: Search) -> ModelPosterior:
 def _present(
     terms: Sequence[Term], weights: Mapping[Model, float]
 ) -> tuple[dict[str, float], dict[tuple[str, ...], float]]:
-    """Probability that each name, and a nameless term of each choice of covariates, is there."""
+    """Return the probability of each name, and of an unnamed term for each set of covariates."""
     names: dict[str, float] = defaultdict(float)
     covariates: dict[tuple[str, ...], float] = defaultdict(float)
     for model, weight in weights.items():
@@ -348,7 +348,7 @@ def _present(
                 names[name] += weight
         for which in {terms[k].covariates for k in model if terms[k].name is None}:
             covariates[which] += weight
-    # A sum of weights may end above 1 by rounding.
+    # A sum of weights may exceed 1 by rounding.
     return (
         {name: min(weight, 1.0) for name, weight in names.items()},
         {which: min(weight, 1.0) for which, weight in covariates.items()},
@@ -356,7 +356,7 @@ def _present(
 
 
 def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
-    """Models by what they predict: those whose predictions hardly differ are one."""
+    """Group models whose predictions hardly differ."""
     problem, terms = found.problem, found.problem.terms
     left = np.array([span(problem, m)[1] for m in models])
     norm = (left**2).sum(axis=1)
@@ -364,7 +364,7 @@ def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
     taken = np.zeros(len(models), dtype=bool)
     classes: dict[Model, list[Model]] = {}
     width = [int(sum(problem.width[k] for k in m)) for m in models]
-    # The simplest first: least nameless, least columns, then the most probable.
+    # The simplest first: fewest unnamed terms, fewest columns, then the most probable.
     order = sorted(
         range(len(models)),
         key=lambda i: (sum(terms[k].name is None for k in models[i]), width[i], -found.scores[models[i]]),
@@ -378,7 +378,7 @@ def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
 
 
 def skeleton(found: Search, model: Model) -> Skeleton:
-    """Names and covariates of a model, without axes, shapes and forms."""
+    """Return names and covariates of a model, without axes, shapes and forms."""
     terms = [found.problem.terms[k] for k in model]
     return (
         tuple(sorted({term.name for term in terms if term.name is not None})),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,16 +14,21 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Effect, Enters, catalogue
 from adis_gonio.model.effects.base import Parameter
-from adis_gonio.model.effects.stage import LEAST_CYCLES, of_one_phase
+from adis_gonio.model.effects.stage_terms import LEAST_CYCLES, of_one_phase
 from adis_gonio.tracing.thresholds import limits
 
 
-def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
-    """Candidates, and the reason for every effect that cannot be one.
+def choices_of_axes(axes: Sequence[Any], most: int | None = None) -> list[tuple[Any, ...]]:
+    """Return subsets of up to `most` axes (by default any number), the smallest first."""
+    sizes = range(1, (len(axes) if most is None else most) + 1)
+    return [chosen for size in sizes for chosen in itertools.combinations(axes, size)]
 
-    Each effect has its share of the prior, whatever else the session can show; its variants (axes, dwell,
-    degree, shape) divide it evenly, its numbers of cycles by 1/n: in every octave of them there is one as
-    likely.
+
+def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
+    """Return the candidates, and the reason for each effect that cannot be a candidate.
+
+    Each effect has a fixed share of the prior. Its variants (axes, dwell, degree, shape) divide it evenly;
+    its numbers of cycles n divide it as 1/n, so that every octave has the same probability.
     """
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
@@ -60,11 +66,7 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
     letters = AXES[: data.axes]
     subsets: list[tuple[str, ...]] = [()]
     if kind.by_axis:
-        subsets = [
-            subset
-            for size in range(1, (1 if kind.one_axis else len(letters)) + 1)
-            for subset in itertools.combinations(letters, size)
-        ]
+        subsets = choices_of_axes(letters, most=1 if kind.one_axis else None)
     choices = kind.choices()
     if (
         "dwell" in choices
@@ -72,8 +74,8 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
         and data.model.freedom == 2
         and data.conditions.order is not None
     ):
-        # Of one reading with a free attitude only the norm is seen: one number, which the axis nearest to
-        # gravity gets.
+        # A single reading with free attitude determines only the norm. The amplitude is assigned to the
+        # axis nearest to gravity.
         nearest = np.abs(data.mean).argmax(axis=1)
         for k in np.flatnonzero(~data.check):
             choice = {"dwell": int(data.conditions.order[k])}
@@ -89,12 +91,12 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
 
 
 def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
-    """What the choices of an effect can be in this session."""
+    """Return the possible choices of an effect in this session."""
     choices = kind.choices()
     options: list[dict[str, int]] = [{}]
     if "dwell" in choices and data.conditions.order is not None:
-        # Never a dwell for checking: its column would be empty.
-        order = data.conditions.order[~data.check]  # a turn stands half-way between two dwells
+        # No check dwells: their columns would be empty.
+        order = data.conditions.order[~data.check]  # a turn is numbered halfway between two dwells
         options = [{"dwell": int(k)} for k in order if float(k).is_integer()]
     elif "degree" in choices:
         levels = len(np.unique(np.round(data.conditions.covariate("temperature_c"), 1)))
@@ -107,7 +109,7 @@ def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
 
 
 def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
-    """Numbers of cycles a turn that these angles tell from a constant and from fewer cycles (`alike`)."""
+    """Return numbers of cycles a turn that these angles distinguish from a constant and fewer cycles."""
     most = limits.most_cycles if most is None else most
     one = of_one_phase(np.arange(2 * most + 1), angle_rad)
     shown = np.arange(LEAST_CYCLES)
@@ -118,7 +120,7 @@ def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
 
 
 def _grid(parameter: Parameter, data: Readings) -> list[float]:
-    """Values of a shape: time constants from the distance of two dwells to the session's length."""
+    """Return grid values of a shape: time constants from the dwell spacing to the session's length."""
     if parameter.unit != "s":
         return [parameter.typical]
     time = data.conditions.time_s

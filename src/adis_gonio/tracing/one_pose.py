@@ -1,18 +1,18 @@
-"""One dwell in one pose, sample by sample: what the zero follows while the part stands still.
+"""Trace one dwell in one pose, sample by sample: dependence of the zero on conditions at rest.
 
-A pose cannot show gains, angles or a bias, so the base model is a constant an axis and the effects are
-those that move in time: temperature (to the third power), its lag, warm-up, drift, supply. Each axis
+A single pose does not show gains, angles or a bias. The base model is therefore one constant per axis, and
+the candidates vary in time: temperature (up to the third power), its lag, warm-up, drift, supply. Each axis
 has its own degree and time constant.
 
-Neighbouring samples are no independent witnesses, so that nothing here rests on their noise. An effect is
-added where it lowers the error in blocks of time that took no part, neither in its fit nor in what is known
-of its degree and time constant, and where its gain recurs from block to block (t-test over blocks,
-family-wise 1 %). Inside a fold, degrees and time constants are not chosen but averaged: each variant
-predicts with the weight of its likelihood, of which a recording has as many independent values as blocks.
-A choice would rest on little more than the last plateau of the temperature.
+Neighbouring samples are correlated, so no test uses their noise. An effect is added if it reduces the error
+in held-out blocks of time and if its gain recurs from block to block (t-test over blocks, family-wise 1 %).
+Held-out blocks are used neither for the fit nor for the choice of degree and time constant. Inside a fold,
+degrees and time constants are averaged instead of chosen: each variant predicts with the weight of its
+likelihood, and a recording has as many independent values as blocks. A choice would depend mostly on the
+last plateau of the temperature.
 
-All candidate columns stand in one design whose normal equations are summed block by block once, so that
-leaving blocks out is a subtraction and a variant a choice of rows and columns.
+All candidate columns form one design, and its normal equations are summed once for each block. Leaving out
+blocks is then a subtraction, and a variant is a choice of rows and columns.
 """
 
 from __future__ import annotations
@@ -24,51 +24,45 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import attempt, check
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.levels import FOUND_IN_ONE_POSE
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Detectable, Value
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.base.uncertainty import FOUND_IN_ONE_POSE, Detectable, Value
+from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
+from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Step, TraceResult
 
 BLOCKS = 10
 LEAST_ROWS = 200
 LEAST_GAIN = 0.02
-"""Least relative fall of the held-out error for another effect."""
+"""Smallest relative fall of the held-out error for a further effect."""
 DEGREES = (1, 2, 3)
 ONE_WAY = 0.98
-"""Rank correlation from which temperature and time are one covariate."""
+"""Rank correlation above which temperature and time count as one covariate."""
 ALIKE = 1.05
-"""Held-out errors that differ by less do not tell two effects apart."""
+"""Ratio of held-out errors below which two effects are not distinguished."""
 TAUS = 14
 _POLYNOMIAL = ("bias_temperature", "thermal_lag")
 _RIDGE = 1e-12
-"""Share of the largest diagonal entry that keeps normal equations of alike columns solvable."""
+"""Ridge relative to the largest diagonal entry, so that equal columns do not make the system singular."""
 
 
 @dataclass(frozen=True)
 class _Variant:
-    """One degree and time constant of an effect: which columns of the design it takes.
+    """One degree and time constant of an effect.
 
     Attributes
     ----------
     columns : tuple of int
         Numbers of its columns in the design.
-    names, units : tuple of str
-        Of its amplitudes, without the axis.
     shape : float or None
         Time constant in s.
     """
 
     columns: tuple[int, ...]
-    names: tuple[str, ...]
-    units: tuple[str, ...]
     shape: float | None = None
 
 
@@ -82,27 +76,24 @@ class _Candidate:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Samples and every column that any variant of any effect may take.
+    """Samples, and the columns of all variants of all effects.
 
     Attributes
     ----------
     readings : (n, axes) float
         In mg.
     design : (n, P) float
-        Constant first; each column divided by `size`, its largest modulus.
+        Constant first; each column is divided by its largest modulus `size`.
     size : (P,) float
-    blocks : (n,) int
-        Block of time of each sample.
     gram : (BLOCKS, P, P) float
     cross : (BLOCKS, P, axes) float
     square : (BLOCKS, axes) float
-        Sums of squares of the readings, their means taken off.
+        Sums of squares of the readings after subtraction of their means.
     """
 
     readings: Floats
     design: Floats
     size: Floats
-    blocks: NDArray[np.intp]
     gram: Floats
     cross: Floats
     square: Floats
@@ -117,7 +108,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     Raises
     ------
     FitError
-        Too few samples, or nothing recorded beside them that they could follow.
+        Too few samples, or no recorded condition that they could depend on.
     """
     dwell = next(dwell for dwell in session.dwells if len(dwell))
     where = f"{session.source}: " if session.source else ""
@@ -129,10 +120,10 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     if dwell.temperature_c is None:
         raise FitError(
             f"{where}one position only and no temperature: nothing that the readings could follow; record"
-            " the temperature beside the samples (temp_c), or measure at least two positions"
+            " the temperature with the samples (temp_c), or measure at least two positions"
         )
     conditions = series_conditions(dwell)
-    problem, candidates = _problem(dwell.accel * mg_per_unit(session, dwell), conditions)
+    problem, candidates = _problem(series_readings(session, dwell), conditions)
     model: Model = ()
     losses = _held_out(problem, model)
     squares = [float(losses.sum())]
@@ -185,17 +176,16 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     )
 
 
-def mg_per_unit(session: Session, dwell: Dwell) -> float:
-    """Milli-g per unit of the file; of counts by the mean's length, as if their zero were at zero."""
-    if session.accel_unit == "lsb":
-        return VARIANTS[session.sensor].accel_mg_per_lsb
+def series_readings(session: Session, dwell: Dwell) -> Floats:
+    """Samples (n, axes) of a dwell in mg; for counts the length of their mean counts as gravity."""
+    scale = mg_per_unit(session)
     if session.accel_unit == "counts":
-        return session.gravity_mg / max(float(np.linalg.norm(dwell.accel.mean(axis=0))), 1e-12)
-    return {"mg": 1.0, "g": 1000.0, "mps2": 1000.0 / STANDARD_GRAVITY_MPS2}[session.accel_unit]
+        scale = session.gravity_mg / max(float(np.linalg.norm(dwell.accel.mean(axis=0))), 1e-12)
+    return np.asarray(dwell.accel * scale)
 
 
 def series_conditions(dwell: Dwell) -> Conditions:
-    """What surrounded each sample of a dwell."""
+    """Conditions of each sample of a dwell."""
     time = dwell.time_s - dwell.time_s[0]
     assert dwell.temperature_c is not None
     return Conditions(
@@ -207,7 +197,7 @@ def series_conditions(dwell: Dwell) -> Conditions:
 
 
 def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[_Candidate, ...]]:
-    """Design of all variants, and the candidates that move at all in this recording."""
+    """Return the design of all variants, and the candidates that vary in this recording."""
     n, axes = readings.shape
     letters = AXES[:axes]
     columns: list[Floats] = [np.ones(n)]
@@ -221,8 +211,7 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
             if (np.ptp(block, axis=0) > 0).all():
                 first = len(columns)
                 columns.extend(block.T)
-                numbers = tuple(range(first, first + block.shape[1]))
-                kept.append(_Variant(numbers, *_labels(made, block.shape[1]), shape))
+                kept.append(_Variant(tuple(range(first, len(columns))), shape))
         if kept:
             candidates.append(_Candidate(made, tuple(kept)))
 
@@ -246,6 +235,7 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
     design = np.column_stack(columns)
     size = np.maximum(np.abs(design).max(axis=0), 1e-300)
     design = design / size
+    # Blocks of equal length in time.
     blocks = np.arange(n) * BLOCKS // n
     centred = readings - readings.mean(axis=0)
     parts = [(design[blocks == b], centred[blocks == b]) for b in range(BLOCKS)]
@@ -253,7 +243,6 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
         readings=centred,
         design=design,
         size=size,
-        blocks=blocks,
         gram=np.array([x.T @ x for x, _ in parts]),
         cross=np.array([x.T @ y for x, y in parts]),
         square=np.array([(y**2).sum(axis=0) for _, y in parts]),
@@ -262,7 +251,7 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
 
 
 def _course(name: str, tau_s: float, conditions: Conditions) -> Floats:
-    """Course (n,) of an effect with one time constant, as the catalogue has it."""
+    """Course (n,) of an effect with one time constant, from the catalogue."""
     made = effect(name, ("x",))
     ones = np.ones((len(conditions), 1))
     course: Floats = made.derivative(np.array([0.0, tau_s]), ones, conditions)[:, 0, 0]
@@ -270,7 +259,7 @@ def _course(name: str, tau_s: float, conditions: Conditions) -> Floats:
 
 
 def _temperature_powers(conditions: Conditions) -> Floats:
-    """(T − 25 °C)^k, (n, 3), as the catalogue has them."""
+    """(T − 25 °C)^k, (n, 3), from the catalogue."""
     made = effect("bias_temperature", ("x",), degree=DEGREES[-1])
     ones = np.ones((len(conditions), 1))
     powers: Floats = made.derivative(np.zeros(DEGREES[-1]), ones, conditions)[:, 0]
@@ -278,7 +267,7 @@ def _temperature_powers(conditions: Conditions) -> Floats:
 
 
 def _lag_powers(lag_c: Floats, above_c: Floats) -> Floats:
-    """(T_lag − 25 °C)^k − (T − 25 °C)^k, (n, 3), from T_lag − T (n,): a polynomial of the late element."""
+    """(T_lag − 25 °C)^k − (T − 25 °C)^k, (n, 3), for the lagging element, from T_lag − T (n,)."""
     late = above_c + lag_c
     return np.column_stack([late**k - above_c**k for k in DEGREES])
 
@@ -292,9 +281,9 @@ def _labels(made: Effect, count: int) -> tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def _choices(model: Model) -> list[tuple[int, ...]]:
-    """Choices of a variant of each effect; of several long lists, every third time constant of each.
+    """Return combinations of variants, with every third time constant if several effects have one.
 
-    A late element has the polynomial of the temperature, so that these have one degree.
+    A lagging element has a polynomial of its temperature, so both effects use the same degree.
     """
     lists = []
     several = sum(len(candidate.variants) > len(DEGREES) for candidate in model) > 1
@@ -317,8 +306,8 @@ def _columns(model: Model, choice: tuple[int, ...]) -> list[int]:
     return [0, *(c for one, k in zip(model, choice, strict=True) for c in one.variants[k].columns)]
 
 
-def _solved(gram: Floats, cross: Floats) -> Floats:
-    """Solutions (…, p, axes) of normal equations, with a ridge that only decides between alike columns."""
+def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
+    """Solve normal equations (…, p, axes) with a ridge that matters only for equal columns."""
     p = gram.shape[-1]
     ridge = _RIDGE * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] * np.eye(p)
     solution: Floats = np.linalg.solve(gram + ridge, cross)
@@ -326,14 +315,14 @@ def _solved(gram: Floats, cross: Floats) -> Floats:
 
 
 def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Floats, Floats]:
-    """Every choice of variants, fitted to all blocks but one.
+    """Fit every combination of variants to all blocks but one.
 
     Returns
     -------
     choices : list of tuple of int
     coefficients : (choices, BLOCKS, P, axes) float
     inside : (choices, BLOCKS, axes) float
-        Sum of squares of the blocks that were fitted.
+        Sums of squares of the residual in the fitted blocks.
     """
     choices = _choices(model)
     total, total_cross = problem.gram.sum(axis=0), problem.cross.sum(axis=0)
@@ -342,24 +331,27 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
     inside = np.zeros((len(choices), *problem.square.shape))
     for j, choice in enumerate(choices):
         columns = _columns(model, choice)
+        # Normal equations of all blocks but one, restricted to the columns of this choice.
         gram = (total - problem.gram)[:, columns][:, :, columns]
         cross = (total_cross - problem.cross)[:, columns]
-        solution = _solved(gram, cross)
+        solution = _solve_with_ridge(gram, cross)
         coefficients[j][:, columns] = solution
         inside[j] = _squares(square, cross, gram, solution)
     return choices, coefficients, inside
 
 
 def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> Floats:
-    """Sums of squares (BLOCKS, axes) that a solution (BLOCKS, p, axes) leaves of each block."""
+    """Return the residual's sums of squares (BLOCKS, axes) for a solution (BLOCKS, p, axes)."""
+    # |y − Xb|² = yᵀy − 2 bᵀXᵀy + bᵀXᵀX b, from the sums of each block.
     quadratic = np.einsum("bia,bij,bja->ba", solution, gram, solution)
     left: Floats = np.maximum(square - 2 * (cross * solution).sum(axis=1) + quadratic, 0.0)
     return left
 
 
 def _held_out(problem: _Problem, model: Model) -> Floats:
-    """Held-out sums of squares (BLOCKS, axes), variants averaged axis by axis."""
+    """Return held-out sums of squares (BLOCKS, axes), with variants averaged for each axis."""
     _, coefficients, inside = _fits(problem, model)
+    # The noise is fitted: −n/2 ln(sum of squares), with one independent value per block.
     likelihood = -BLOCKS / 2 * np.log(np.maximum(inside, 1e-300))
     weight = np.exp(likelihood - likelihood.max(axis=0))
     weight /= weight.sum(axis=0)
@@ -367,20 +359,20 @@ def _held_out(problem: _Problem, model: Model) -> Floats:
     return _squares(problem.square, problem.cross, problem.gram, mean)
 
 
-def _picked(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
-    """Variants of each axis: the most likely ones."""
+def _best_variants(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
+    """Return the most likely variants of each axis."""
     choices, _, inside = _fits(problem, model)
     return [choices[k] for k in inside.sum(axis=1).argmin(axis=0)]
 
 
 def _gain(before: Floats, after: Floats) -> tuple[float, float]:
-    """Relative fall of the held-out error, and the p-value of the mean logarithmic gain over blocks."""
+    """Return the relative fall of the held-out error, and the p-value of the mean log gain over blocks."""
     from scipy import stats
 
     scale = np.maximum(before.sum(axis=0), 1e-300)
     relative = 1 - float(np.sqrt((after.sum(axis=0) / scale).mean()))
-    # Blocks in which the temperature stands still have little to gain and little to lose; a floor of a
-    # thousandth of the mean block keeps them from ruling the mean of the logarithms.
+    # Blocks of constant temperature have little to gain or lose. A floor of a thousandth of the mean
+    # block keeps them from dominating the mean of the logarithms.
     floor = 1e-3 * scale / BLOCKS
     gains = np.log((before + floor) / (after + floor)).mean(axis=1)
     p = float(stats.ttest_1samp(gains, 0.0, alternative="greater").pvalue) if np.ptp(gains) > 0 else 1.0
@@ -390,7 +382,7 @@ def _gain(before: Floats, after: Floats) -> tuple[float, float]:
 def _best_addition(
     problem: _Problem, model: Model, candidates: tuple[_Candidate, ...], losses: Floats
 ) -> tuple[_Candidate | None, Floats]:
-    """Effect whose addition lowers the held-out error most, if the gain is real."""
+    """Return the effect that lowers the held-out error most, if its gain is significant."""
     best: tuple[float, _Candidate | None, Floats] = (LEAST_GAIN, None, losses)
     for candidate in candidates:
         if candidate in model:
@@ -404,7 +396,7 @@ def _best_addition(
 
 
 def _one_way(conditions: Conditions) -> bool:
-    """True where the temperature rises or falls with time, but for noise."""
+    """Whether the temperature rises or falls monotonically with time, except for noise."""
     from scipy import stats
 
     temperature = conditions.covariate("temperature_c")
@@ -416,9 +408,9 @@ def _one_way(conditions: Conditions) -> bool:
 def _confounded(
     problem: _Problem, model: Model, candidates: tuple[_Candidate, ...], losses: Floats, one_way: bool
 ) -> tuple[tuple[str, ...], ...]:
-    """Each effect found with those that would do as well in its place.
+    """Return each effect found, with the effects that would do as well in its place.
 
-    Where the temperature went one way, a polynomial of it is one of time, whatever the degrees at hand.
+    If the temperature only rose or fell, a polynomial of temperature is confounded with one of time.
     """
     groups = []
     for which, one in enumerate(model):
@@ -439,7 +431,7 @@ def _confounded(
 
 def _figures(problem: _Problem, model: Model) -> ErrorFigures:
     left = np.empty_like(problem.readings)
-    for axis, choice in enumerate(_picked(problem, model)):
+    for axis, choice in enumerate(_best_variants(problem, model)):
         coefficients = _coefficients(problem, _columns(model, choice), axis)
         left[:, axis] = problem.readings[:, axis] - problem.design @ coefficients
     by_axis = np.sqrt(_held_out(problem, model).sum(axis=0) / len(left))
@@ -453,23 +445,24 @@ def _figures(problem: _Problem, model: Model) -> ErrorFigures:
 
 
 def _coefficients(problem: _Problem, columns: list[int], axis: int, without: int | None = None) -> Floats:
-    """Coefficients (P,) of one axis, zero beside `columns`; of all blocks, or of all but one."""
+    """Coefficients (P,) of one axis, zero for columns not listed; from all blocks or all but one."""
     kept = np.arange(BLOCKS) != (-1 if without is None else without)
     gram = problem.gram[kept].sum(axis=0)[np.ix_(columns, columns)]
     out = np.zeros(problem.design.shape[1])
-    out[columns] = _solved(gram, problem.cross[kept].sum(axis=0)[columns, axis : axis + 1])[:, 0]
+    out[columns] = _solve_with_ridge(gram, problem.cross[kept].sum(axis=0)[columns, axis : axis + 1])[:, 0]
     return out
 
 
 def _finding(problem: _Problem, model: Model, which: int, tried: int, explains: float) -> Finding:
     made = model[which].effect
     parameters: dict[str, Value] = {}
-    for axis, choice in enumerate(_picked(problem, model)):
+    for axis, choice in enumerate(_best_variants(problem, model)):
         variant = model[which].variants[choice[which]]
         columns = _columns(model, choice)
         values = _coefficients(problem, columns, axis) / problem.size
         spread = _spread(problem, columns, axis)
-        for k, name, unit in zip(variant.columns, variant.names, variant.units, strict=True):
+        names, units = _labels(made, len(variant.columns))
+        for k, name, unit in zip(variant.columns, names, units, strict=True):
             parameters[f"{name}_{AXES[axis]}"] = Value(float(values[k]), float(spread[k]), unit)
         if variant.shape is not None:
             parameters[f"tau_{AXES[axis]}"] = Value(variant.shape, None, "s")
@@ -488,18 +481,19 @@ def _finding(problem: _Problem, model: Model, which: int, tried: int, explains: 
 
 
 def _spread(problem: _Problem, columns: list[int], axis: int) -> Floats:
-    """Standard uncertainties (P,) by leaving out a block at a time (jackknife)."""
+    """Standard uncertainties (P,) by the jackknife over blocks."""
+    # Estimates without each block in turn.
     values = np.array([_coefficients(problem, columns, axis, b) for b in range(BLOCKS)])
     spread: Floats = np.sqrt((BLOCKS - 1) * values.var(axis=0)) / problem.size
     return spread
 
 
 def _detectable(problem: _Problem, model: Model) -> dict[str, Detectable]:
-    """Of the effects found: amplitude at 1 % and 90 % power by the jackknife's uncertainties."""
+    """Return for each effect found the amplitude at 1 % level and 90 % power, by the jackknife."""
     out = {}
     for which, candidate in enumerate(model):
         worst = 0.0
-        for axis, choice in enumerate(_picked(problem, model)):
+        for axis, choice in enumerate(_best_variants(problem, model)):
             first = candidate.variants[choice[which]].columns[0]
             worst = max(worst, float(_spread(problem, _columns(model, choice), axis)[first]))
         parameter = candidate.effect.parameters[0]
@@ -508,7 +502,7 @@ def _detectable(problem: _Problem, model: Model) -> dict[str, Detectable]:
 
 
 def series_columns(finding: Finding, conditions: Conditions, axes: int) -> list[Floats]:
-    """Columns (n, d) of a finding's amplitudes for each axis, its degrees and time constants as found."""
+    """Columns (n, d) of a finding's amplitudes for each axis, with its degrees and time constants."""
     out = []
     one = np.ones((len(conditions), 1))
     for axis in AXES[:axes]:

@@ -1,16 +1,16 @@
-"""Which measurements would tell apart what is still possible: a sequential design by information.
+"""Choice of further measurements that distinguish the remaining hypotheses, by expected information.
 
-Each hypothesis is a model with a Gaussian posterior of its parameters (those of the fit, under a prior as
-wide as twice what a bench sees of each effect, so that a parameter that the session does not determine is
-uncertain, not absurd). About the fit it predicts the whitened readings of an imagined dwell as
-N(μ, 1 + R Rᵀ). What a set of dwells tells about which hypothesis is true, the expected information gain, is
-taken by its lower bound from pairwise Bhattacharyya distances B (Kolchinsky and Tracey, Entropy 19:361,
-2017), −Σᵢ wᵢ ln Σⱼ wⱼ exp(−Bᵢⱼ) in nats: exact where hypotheses predict the same or nothing alike, and
-never more than there is to learn, whatever an extrapolation promises. Dwells are added one by one, each
-given those before it, by information per effort.
+Each hypothesis is a model with a Gaussian posterior of its parameters. Its prior is twice as wide as the
+effects that benches show, so a parameter that the session does not determine is uncertain, but not absurd.
+About the fit it predicts the whitened readings of an imagined dwell as N(μ, 1 + R Rᵀ). The expected
+information of a set of dwells about the true hypothesis is estimated by its lower bound from pairwise
+Bhattacharyya distances B (Kolchinsky and Tracey, Entropy 19:361, 2017), −Σᵢ wᵢ ln Σⱼ wⱼ exp(−Bᵢⱼ) in nats.
+The bound is exact if predictions are either equal or do not overlap, and it never exceeds the information
+to be gained, even if an extrapolation is wild. Dwells are added one by one, each given the dwells before
+it, by information per effort.
 
-Two questions are asked: which of the models near the best is true (`decide`), and whether an effect is
-there that this session could not have shown (`cover`).
+The design answers two questions: which of the probable models is true (`decide`), and whether an effect is
+present that this session could not have shown (`cover`).
 """
 
 from __future__ import annotations
@@ -34,35 +34,35 @@ from adis_gonio.tracing.trace_result import NextDwell, Purpose
 
 MOST_RIVALS = 10
 COVERED = 0.9
-"""Share of the posterior that the rivals have together."""
+"""Share of the posterior that the rival models have together."""
 WORTH_CONDITIONS = 0.2
-"""Share of the best hypothesis' posterior from which it is worth while to heat or to change the supply."""
+"""Share of the best hypothesis' posterior that justifies heating or a change of the supply."""
 UNSEEN = 0.03
 """Prior probability of an effect that the session could not have shown."""
 LEAST_SEPARATION = 3.0
-"""Standard uncertainties by which a measurement has to be expected to part two hypotheses."""
+"""Expected separation of two hypotheses, in standard uncertainties, that a measurement must reach."""
 FAINT_SEPARATION = 0.1
-"""The same where nothing better is to be had of a session whose model is not adequate: to be repeated."""
+"""Separation that is accepted instead if the model is not adequate and no measurement reaches more."""
 LEAST_INFORMATION: dict[Purpose, float] = {"decide": 0.05, "cover": 0.02}
-"""Least expected information in nats. Of 0.7 nats in two equally likely models; an effect that the session
-could not have shown has 0.1."""
+"""Least expected information in nats. Two equally probable models have 0.7 nats; an effect that the session
+could not have shown has 0.1 nats."""
 TYPICALS = 2.0
-"""Prior standard deviation of an effect in units of what a bench sees."""
+"""Prior standard deviation of an effect in units of its typical size on benches."""
 START_RAD, SENSOR = 0.3, 0.03
-"""Prior standard deviations of the start angle, and of gains (1 is perfect) and skews (rad), about the fit:
-what a session has not turned to is not therefore unknown by more than sensors differ."""
+"""Prior standard deviations of the start angle, and of gains (1 is perfect) and skews (rad), about the fit.
+Without a measurement these are known as well as sensors are alike."""
 FAR = 1e6
-"""Whitened predictions are cut here: an extrapolation may overflow."""
+"""Limit of whitened predictions, which may overflow in an extrapolation."""
 
 _SUPPLY_V = (4.80, 5.20)
-"""Within the specified supply (4.75 to 5.25 V) with some room."""
+"""Inside the specified supply range (4.75 to 5.25 V) with a margin."""
 _WARMER_C = 10.0
 _WARMING_S = 600.0
-"""Time that a part takes to another temperature."""
+"""Time in which a part reaches another temperature."""
 _EFFORT_TEMPERATURE = 4.0
 _EFFORT_SUPPLY = 1.0
 _EFFORT_WAIT_S = 300.0
-"""Efforts in units of one more position."""
+"""Efforts in units of one additional position."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,9 @@ class ImaginedDwell:
     direction : tuple of float or None
     approach : int
     wait_s : float
-        Beside the usual time between two dwells.
+        In addition to the usual time between two dwells.
     temperature_c, supply_v : float or None
-        Where another one is wanted than in the session.
+        Required temperature and supply if they differ from the session's.
     """
 
     angle_deg: float | None
@@ -89,7 +89,7 @@ class ImaginedDwell:
 
     @property
     def effort(self) -> float:
-        """In units of one more position."""
+        """Effort in units of one additional position."""
         return (
             1.0
             + self.wait_s / _EFFORT_WAIT_S
@@ -99,7 +99,7 @@ class ImaginedDwell:
 
     @property
     def conditions(self) -> bool:
-        """True where more than a position is wanted."""
+        """Whether the dwell requires another temperature or supply."""
         return self.temperature_c is not None or self.supply_v is not None
 
 
@@ -110,14 +110,14 @@ class Hypothesis:
     Attributes
     ----------
     labels : tuple of str
-        Its effects, and what its nameless terms follow.
+        Its effects, and descriptions of its unnamed terms.
     weight : float
         Probability among the hypotheses.
     fit : Fit
     shift, root : (p,), (p, p) float
-        Posterior mean less the fitted parameters, and a root of the posterior covariance.
+        Posterior mean minus the fitted parameters, and a root of the posterior covariance.
     chi2 : float
-        What it leaves, its departure from the prior included.
+        χ² of the residual plus χ² of the departure from the prior.
     """
 
     labels: tuple[str, ...]
@@ -134,32 +134,32 @@ def propose(
     terms: Sequence[Term],
     most: int = 4,
 ) -> tuple[NextDwell, ...]:
-    """Measurements that are worth while, the most informative first.
+    """Propose measurements, the most informative first.
 
     Parameters
     ----------
     data : Readings
         All dwells.
     selection : Selection
-        Of those that were fitted.
+        Selection made from the fitted dwells.
     terms : sequence of Term
         All candidates of the session.
     most : int
-        Most measurements for each of the two questions.
+        Largest number of measurements for each of the two questions.
     """
     turned = data.model.freedom > 0 or data.conditions.force_g is not None
     if not turned or (data.planar and data.conditions.angle_rad is None):
-        return ()  # nothing to turn, or nobody knows how far
+        return ()  # no attitude to choose, or unknown angles
     inflation = selection.inflation
     if selection.adequate:
         rivals = _rivals(selection)
     else:
         inflation, rivals = _explanations(selection, terms)
-    # An adequate model is not heated to be tested: that brings in what the session was free of.
+    # A test of an adequate model does not use heating, which would introduce thermal effects.
     heating = not selection.adequate
     chosen, decided = _greedy(data, inflation, rivals, most, "decide", [], heating=heating)
     if not decided and not selection.adequate:
-        # Where the noise is what no model explains, little parts much; what parts most is still to be said.
+        # With noise that no model explains, measurements separate little; report the best of them anyway.
         chosen, decided = _greedy(data, inflation, rivals, most, "decide", [], FAINT_SEPARATION)
         everything = {name for h in rivals for name in h.labels}
         decided = [replace(m, other=tuple(sorted(everything - set(m.one)))) for m in decided]
@@ -173,7 +173,7 @@ def propose(
 
 
 def label(term: Term) -> str:
-    """Name; of a nameless term what it changes, and with what."""
+    """Return the name of a term, or a description of an unnamed term."""
     if term.name is not None:
         return term.name
     where = {"bias": "zero", "gain": "gain", "angle": "true angle", "misalignment": "misalignment"}
@@ -199,9 +199,9 @@ def _labels(model: Sequence[Term]) -> tuple[str, ...]:
 
 
 def _rivals(selection: Selection) -> list[Hypothesis]:
-    """The chosen model and the best one of each other set of names, until they have most of the posterior.
+    """Return the chosen model and the best model of each other set of names, up to most of the posterior.
 
-    A model that holds the chosen one and more counts for it: the chosen one is adequate without the rest.
+    A model that contains the chosen one counts for the chosen one, which is adequate without the rest.
     """
     found, problem = selection.found, selection.problem
     near = found.near(7.0)
@@ -227,11 +227,11 @@ def _rivals(selection: Selection) -> list[Hypothesis]:
 
 
 def _explanations(selection: Selection, terms: Sequence[Term]) -> tuple[float, list[Hypothesis]]:
-    """What could explain the rest of a model that is not adequate: each effect more, and what to judge by.
+    """Return hypotheses for the residual of an inadequate model, each with one more effect.
 
-    Judged against the measured noise, or against the least that one effect more leaves. Where names stand
-    out that this session cannot decide between, these are what to decide: that nothing is there is no
-    rival of a model that is not adequate.
+    They are judged against the measured noise or, if larger, the smallest residual of any hypothesis. If
+    several names are undecided, only these are compared. "No further effect" is not a hypothesis, because
+    the model is not adequate.
     """
     extended = _extended(selection, terms, 1.0, set())
     freedom = max(selection.fit.dof - 1, 1)
@@ -252,7 +252,7 @@ def _extended(
     inflation: float,
     known: set[str],
 ) -> list[Hypothesis]:
-    """The chosen model, and the same with each effect more, weighed by the evidence of the session."""
+    """Return the chosen model, and it with each further effect, weighted by the session's evidence."""
     base, evidence = _hypothesis(selection.fit, 1.0, inflation)
     pairs = [(base, evidence)]
     chosen = selection.fit
@@ -261,14 +261,14 @@ def _extended(
         if name in known or name in inside:
             continue
         absent = term.start(np.zeros(len(term.amplitudes)))
-        fit = chosen.having((*chosen.terms, term), (*chosen.values.terms, absent))
+        fit = chosen.with_terms((*chosen.terms, term), (*chosen.values.terms, absent))
         pairs.append(_hypothesis(fit, UNSEEN, inflation))
     top = max(found for _, found in pairs)
     return [replace(h, weight=h.weight * float(np.exp(found - top))) for h, found in pairs]
 
 
 def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
-    """One candidate for each name: on all axes, its shape in the middle of the grid; no single dwells."""
+    """Return one candidate of each name: on all axes, with a middle shape; no effects of single dwells."""
     variants: dict[str, list[NamedTerm]] = {}
     for term in terms:
         if isinstance(term, NamedTerm) and "dwell" not in term.effect.choices():
@@ -284,7 +284,7 @@ def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
 
 
 def _hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypothesis, float]:
-    """Posterior of a model's parameters under physical priors, and its log evidence."""
+    """Return a model with the posterior of its parameters under physical priors, and its log evidence."""
     columns = _columns(fit, fit.whitener / np.sqrt(inflation))
     flat = columns.reshape(-1, columns.shape[2])
     left = fit.residual.ravel() / np.sqrt(inflation)
@@ -293,7 +293,7 @@ def _hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypothesis, 
     # In units of the prior's standard deviations, so that the matrix is well scaled.
     unit = 1 / np.sqrt(precision)
     scaled = flat * unit
-    # The information is RᵀR; formed as XᵀX + 1 it may have lost the 1 to rounding.
+    # The information matrix is RᵀR; computed as XᵀX + 1 it might lose the 1 by rounding.
     q, triangle = np.linalg.qr(np.concatenate([scaled, np.eye(len(unit))]))
     pull = scaled.T @ left + away / unit
     inverse = np.linalg.inv(triangle)
@@ -305,7 +305,7 @@ def _hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypothesis, 
 
 
 def _prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
-    """Mean and precision of the parameters: base wide, effects as a bench sees them."""
+    """Return mean and precision of the parameters' prior: wide for the base, physical for effects."""
     means = [fit.values.base]
     spreads = [START_RAD if np.isinf(p.spread) else SENSOR for p in fit.data.model.parameters]
     sigmas = [np.array(spreads)]
@@ -316,7 +316,7 @@ def _prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
                 if parameter.shape:
                     mean[k], sigma[k] = values[k], 0.5 * max(abs(values[k]), 1e-6)
                 else:
-                    # What was found larger than usual is not thereby wrong.
+                    # An effect larger than usual is not therefore wrong.
                     sigma[k] = max(TYPICALS * abs(parameter.typical), abs(values[k]))
         else:
             mean = np.zeros(len(values))
@@ -328,7 +328,7 @@ def _prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
 
 
 def _columns(fit: Fit, whiten: Floats) -> Floats:
-    """Whitened derivative (n, rows, p) of the readings by base parameters and values of the terms."""
+    """Return the whitened derivative (n, rows, p) of the readings by all parameters."""
     columns = whiten @ fit.columns
     return np.clip(np.nan_to_num(columns, posinf=FAR, neginf=-FAR), -FAR, FAR)
 
@@ -352,7 +352,7 @@ class _Predicted:
         return _Predicted([m[k : k + 1] for m in self.mean], [r[k : k + 1] for r in self.root])
 
     def after(self, other: _Predicted) -> _Predicted:
-        """The dwells of `other` and then these."""
+        """Return the dwells of `other` followed by these."""
         return _Predicted(
             [np.concatenate(pair) for pair in zip(other.mean, self.mean, strict=True)],
             [np.concatenate(pair) for pair in zip(other.root, self.root, strict=True)],
@@ -369,13 +369,14 @@ def _greedy(
     least: float = LEAST_SEPARATION,
     heating: bool = True,
 ) -> tuple[list[ImaginedDwell], list[NextDwell]]:
-    """Dwells one by one, each the most informative for its effort given those before it."""
+    """Choose dwells one by one, each the most informative per effort given the dwells before it."""
     places = list(before)
     out: list[NextDwell] = []
     if len(hypotheses) < 2:
         return places, out
     weights = np.array([h.weight for h in hypotheses])
-    set_of = _nothing(data, hypotheses)
+    sizes, rows = [len(h.shift) for h in hypotheses], data.equations_each
+    set_of = _Predicted([np.zeros((0, rows)) for _ in sizes], [np.zeros((0, rows, p)) for p in sizes])
     for count, place in enumerate(before):
         there = _predict(data, inflation, hypotheses, [place], before[:count])
         set_of = there.after(set_of)
@@ -386,18 +387,18 @@ def _greedy(
         predicted = _predict(data, inflation, hypotheses, options, places)
         gain = _information(weights, set_of, predicted) - known
         effort = np.array([place.effort for place in options])
-        # Another temperature or supply brings its own effects in: only where no position decides.
+        # Another temperature or supply adds its own effects: use it only if no position decides.
         conditions = np.array([place.conditions for place in options])
         ranked = np.argsort(-gain / effort)
-        apart_before = _apart(set_of)
+        apart_before = _separations(set_of)
         places_first = ranked[~conditions[ranked]][:20].tolist()
         for k in (*places_first, *(ranked[conditions[ranked]][:20].tolist() if heating else ())):
-            # The order of the grid would decide between equals; so does what was rounded.
+            # Skip gains near zero, whose ranking depends on the grid's order and on rounding.
             if gain[k] < LEAST_INFORMATION[purpose] * min(least / LEAST_SEPARATION, 1.0) ** 2:
                 continue
             with_it = predicted.of(k).after(set_of)
-            apart = _apart(with_it) - apart_before
-            worth = _worth(weights, apart, options[k].conditions, least)
+            apart = _separations(with_it) - apart_before
+            worth = _separated_pair(weights, apart, options[k].conditions, least)
             if worth is not None:
                 break
         else:
@@ -415,8 +416,10 @@ def _greedy(
     return places, out
 
 
-def _worth(weights: Floats, apart: Floats, conditions: bool, least: float) -> tuple[int, int] | None:
-    """The pair that a dwell parts, the more probable one first; None where it parts none enough."""
+def _separated_pair(
+    weights: Floats, apart: Floats, conditions: bool, least: float
+) -> tuple[int, int] | None:
+    """Return the pair of hypotheses that a dwell separates, the more probable first; None without any."""
     both = np.maximum(apart, apart.T)
     likely = np.sqrt(np.outer(weights, weights)) * (both >= least**2)
     if conditions:
@@ -424,7 +427,7 @@ def _worth(weights: Floats, apart: Floats, conditions: bool, least: float) -> tu
         likely = likely * (np.minimum.outer(weights, weights) >= low)
     np.fill_diagonal(likely, 0.0)
     if likely[0].max() > 0:
-        # What is asked first is whether the chosen model is right.
+        # The first question is whether the chosen model is right.
         likely[1:, 1:] = 0.0
     if likely.max() <= 0:
         return None
@@ -432,14 +435,8 @@ def _worth(weights: Floats, apart: Floats, conditions: bool, least: float) -> tu
     return (int(one), int(two)) if weights[one] >= weights[two] else (int(two), int(one))
 
 
-def _nothing(data: Readings, hypotheses: list[Hypothesis]) -> _Predicted:
-    rows = data.equations_each
-    sizes = [len(h.shift) for h in hypotheses]
-    return _Predicted([np.zeros((0, rows)) for _ in sizes], [np.zeros((0, rows, p)) for p in sizes])
-
-
 def _information(weights: Floats, given: _Predicted, options: _Predicted | None) -> Floats:
-    """Expected information (n,) in nats of the dwells `given` with each of the options; (1,) without."""
+    """Return the information (n,) in nats of the dwells `given` with each option; (1,) without options."""
     count = 1 if options is None else len(options.mean[0])
     means, covariances = [], []
     for k in range(len(weights)):
@@ -458,14 +455,15 @@ def _information(weights: Floats, given: _Predicted, options: _Predicted | None)
         middle = (covariances[i] + covariances[j]) / 2
         difference = means[i] - means[j]
         solved = np.linalg.solve(middle, difference[:, :, None])[:, :, 0]
+        # Bhattacharyya distance: ⅛ Δᵀ M⁻¹ Δ + ½ ln |M| − ¼ ln |Cᵢ| |Cⱼ|, M the mean covariance.
         d = (difference * solved).sum(axis=1) / 8 + 0.5 * (np.linalg.slogdet(middle)[1] - half[i] - half[j])
         distance[i, j] = distance[j, i] = np.maximum(d, 0.0)
     mixed = np.einsum("j,ijn->in", weights, np.exp(-distance))
     return np.asarray(-(weights[:, None] * np.log(np.maximum(mixed, 1e-300))).sum(axis=0))
 
 
-def _apart(dwells: _Predicted) -> Floats:
-    """Expected excess of χ² (K, K) of hypothesis j where i is true."""
+def _separations(dwells: _Predicted) -> Floats:
+    """Return the expected excess of χ² (K, K) of hypothesis j if i is true."""
     count = len(dwells.mean)
     out = np.zeros((count, count))
     if not dwells.mean[0].size:
@@ -476,8 +474,9 @@ def _apart(dwells: _Predicted) -> Floats:
     for j in range(count):
         inverse = np.linalg.inv(covariance[j])
         difference = mean - mean[j]
+        # Expectation of χ² under j if i is true: trace(Cⱼ⁻¹ Cᵢ) + Δᵀ Cⱼ⁻¹ Δ, minus its own n.
         out[:, j] = ((difference @ inverse) * difference).sum(axis=1) - mean.shape[1]
-        out[:, j] += [(inverse * own).sum() for own in covariance]  # the trace of their product
+        out[:, j] += [(inverse * own).sum() for own in covariance]  # trace of the product
     np.fill_diagonal(out, 0.0)
     return out
 
@@ -495,12 +494,7 @@ def _measurement(
     second = set(hypotheses[parted[0]].labels)
     others = [name for k in parted for name in hypotheses[k].labels if name not in first]
     return NextDwell(
-        angle_deg=place.angle_deg,
-        direction=place.direction,
-        approach=place.approach,
-        wait_s=place.wait_s,
-        temperature_c=place.temperature_c,
-        supply_v=place.supply_v,
+        **vars(place),
         separation=separation,
         information=information,
         purpose=purpose,
@@ -513,7 +507,7 @@ def _measurement(
 
 
 def _options(data: Readings) -> list[ImaginedDwell]:
-    """Every position as it is; a coarser choice of them with one other condition."""
+    """Return every position as it is, and a coarser choice of positions with one changed condition."""
     c = data.conditions
     if data.planar:
         sides = (1, -1) if c.approach is not None else (0,)
@@ -547,10 +541,11 @@ def _predict(
     options: list[ImaginedDwell],
     before: list[ImaginedDwell],
 ) -> _Predicted:
-    """Whitened predictions of each option as the dwell after `before`."""
+    """Return whitened predictions of each option as the dwell after `before`."""
     groups: dict[float | None, list[int]] = {}
     for k, place in enumerate(options):
         groups.setdefault(place.temperature_c, []).append(k)
+    # Options of one temperature are predicted together; `back` restores their order.
     order = np.concatenate([np.array(members, dtype=np.intp) for members in groups.values()])
     back = np.argsort(order)
     pieces = []
@@ -576,7 +571,7 @@ def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothe
 
 
 def _imagining(fit: Fit, imagined: Readings) -> Fit:
-    """The same values at the attitudes that imagined dwells are asked for."""
+    """Return the fit's values at the attitudes of imagined dwells."""
     declared = np.isfinite(imagined.angle_rad)
     _, attitude = imagined.model.begin(imagined.mean, imagined.turn_rad, declared, imagined.conditions)
     return Fit(imagined, fit.terms, Values(fit.values.base, attitude, fit.values.terms), fit.with_prior)
@@ -585,7 +580,7 @@ def _imagining(fit: Fit, imagined: Readings) -> Fit:
 def _imagined(
     data: Readings, options: list[ImaginedDwell], before: list[ImaginedDwell], temperature_c: float | None
 ) -> Readings:
-    """Readings of the options, all at one temperature, after the session and the dwells `before`."""
+    """Return readings of the options at one temperature, after the session and the dwells `before`."""
     c, n = data.conditions, len(options)
     end = float(c.time_s.max())
     step = float(np.median(np.diff(np.sort(c.time_s)))) if len(data) > 1 else 30.0
@@ -642,7 +637,7 @@ def _imagined(
 
 
 def _warmed(c: Conditions, n: int, wanted: float | None) -> Floats | None:
-    """Temperatures (n, 3) of the dies where all of them go where their mean goes."""
+    """Return temperatures (n, 3) of the dies, each shifted by the change of their mean."""
     if c.temperatures_c is None or c.temperature_c is None or wanted is None:
         return None
     return np.tile(c.temperatures_c[-1] + wanted - c.temperature_c[-1], (n, 1))

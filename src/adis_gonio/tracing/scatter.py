@@ -1,16 +1,17 @@
-"""Scatter from dwell to dwell as a hypothesis: more noise than the samples within the dwells show.
+"""Dwell-to-dwell scatter as a hypothesis: more noise than the samples within the dwells show.
 
-The seat of the part, a fixture whose uncertainty is understated, telegraph or heavy-tailed noise scatter
-readings without following anything. A variance component competes with every function: its size is that of
-greatest restricted likelihood beside the base model and what was chosen, and the whole session is traced
-again under it. Of the two accounts the one of higher log evidence stands:
+A loose seat of the part, an understated fixture uncertainty, or telegraph and heavy-tailed noise scatter
+the readings without following a covariate. A variance component competes with every function. Its size
+has the greatest restricted likelihood given the base model and the chosen terms, and the whole session is
+traced again with it. The account with the higher log evidence is used:
 
-* functions under the measured noise: L(0) of the best model less the price of its terms, or of its names
-  beside the best smooth function;
-* functions under the noise with the component: the same under s, less the price of s,
+* functions with the measured noise: L(0) of the best model minus the price of its terms, or of its names
+and
+  the best smooth function;
+* functions with the additional component: the same quantity at size s, minus the price of s.
 
-L the log likelihood of the refitted model, restricted for its base parameters (Harville, J. Am. Stat.
-Assoc. 72, 1977). Noise that no covariate explains costs one parameter; functions that imitate it cost many.
+L is the log likelihood of the refitted model, restricted for its base parameters (Harville, J. Am. Stat.
+Assoc. 72, 1977). Noise that follows no covariate costs one parameter; functions that imitate it cost many.
 """
 
 from __future__ import annotations
@@ -45,11 +46,11 @@ class Scatter:
         Standard deviation of a reading on each axis in its unit, or of an angle in degrees, and its
         standard uncertainty.
     declared : float
-        What was measured within the dwells, or stated of the fixture, in the same unit.
+        Uncertainty measured within the dwells, or stated for the fixture, in the same unit.
     log_odds : float
-        Log evidence for it against functions under the measured noise.
+        Log evidence for the component, against functions with the measured noise.
     p_value : float
-        Of the ratio of restricted likelihoods beside the same model, over the prior of such a component.
+        Of the restricted likelihood ratio for one model, divided by the prior of a component.
     """
 
     kind: Kind
@@ -61,21 +62,21 @@ class Scatter:
     unit: str = "mg"
 
     def applied(self, data: Readings) -> Readings:
-        """Readings with the component in their noise."""
+        """Add the component to the noise of readings."""
         own = self.kind == "reading_scatter"
-        return _with(data, self.kind, self.value if own else math.radians(self.value))
+        return _add_component(data, self.kind, self.value if own else math.radians(self.value))
 
 
 def with_scatter(
     selection: Selection, terms: Sequence[Term], max_effects: int
 ) -> tuple[Selection, Scatter | None]:
-    """The selection, or one under the noise with a variance component where that is the better account.
+    """Return the selection, or a selection with a variance component if its evidence is higher.
 
-    Components are weighed with the candidates that showed promise; under the one that is, all compete.
+    Components are compared using the promising candidates; with the chosen component, all compete.
     """
     data = selection.data
     promising = selection.promising(terms)
-    plain = {term.name for term in selection.terms} <= {"bias"}
+    plain = all(term.constant for term in selection.terms)
     checks = selection.base.dof - data.axes
     untouched = plain and selection.adequate
     if not max_effects or not data.noise_known or checks < limits.scatter_checks or untouched:
@@ -83,7 +84,7 @@ def with_scatter(
     at_most = _evidence(selection)
     best: tuple[float, Selection, Kind, float] | None = None
     for kind in _kinds(data):
-        size, again = _settled(data, kind, selection, promising, max_effects)
+        size, again = _fit_component(data, kind, selection, promising, max_effects)
         if again is None:
             continue
         score = _evidence(again) - _price(data)
@@ -94,8 +95,8 @@ def with_scatter(
     if best is None or best[0] <= at_most:
         return selection, None
     score, _, kind, size = best
-    chosen = _under(data, kind, size, terms, max_effects)
-    return chosen, _stated(data, kind, size, chosen, score - at_most)
+    chosen = _select_with(data, kind, size, terms, max_effects)
+    return chosen, _make_scatter(data, kind, size, chosen, score - at_most)
 
 
 def _kinds(data: Readings) -> Iterator[Kind]:
@@ -105,29 +106,30 @@ def _kinds(data: Readings) -> Iterator[Kind]:
 
 
 def _price(data: Readings) -> float:
-    """Of one parameter that is set at its best, and of having thought of it, as of any effect."""
+    """Price of one fitted parameter plus the price of a hypothesis, as for any effect."""
     return -math.log(limits.effect_share) + 0.5 * math.log(max(data.mean.size, 2))
 
 
 def _evidence(selection: Selection) -> float:
-    """Log evidence of the chosen model, but for constants."""
+    """Log evidence of the chosen model, up to constants."""
     prices = sum(float(selection.found.prices[k]) for k in selection.verdict.best)
     return _restricted(selection.fit, base_only=True) - prices
 
 
 def _evidence_of_processes(selection: Selection) -> float:
-    """The same of the best smooth function, where no formula need be right, beside names of the model.
+    """Log evidence of the best smooth function, without any formula, with names of the model.
 
-    Beside all of them, or none but a bias: names may have done a part of its work.
+    It is tried with all names, with the bias only and without names, since names may have explained a
+    part of it.
     """
     candidates = processes(selection.data)
     if not candidates:
         return -math.inf
     named = tuple(term for term in selection.terms if term.name is not None)
-    plain = tuple(term for term in named if term.name == "bias")
+    plain = tuple(term for term in named if term.constant)
     best = -math.inf
     for kept in dict.fromkeys((named, plain, ())):
-        fit = selection.fit.having(kept, [selection.fit.value_of(term) for term in kept]).refit()
+        fit = selection.fit.with_terms(kept, [selection.fit.value_of(term) for term in kept]).refit()
         beside = orthonormal(fit.jacobian)
         left = fit.residual.ravel()
         gained = evidence(fit, beside, left - beside @ (beside.T @ left), candidates)
@@ -140,107 +142,112 @@ def _evidence_of_processes(selection: Selection) -> float:
     return best
 
 
-def _settled(
+def _fit_component(
     data: Readings, kind: Kind, selection: Selection, terms: Sequence[Term], max_effects: int
 ) -> tuple[float, Selection | None]:
-    """Size of a component and the selection under it, each given the other."""
-    bias = [term for term in selection.terms if term.name == "bias"]
-    kept = selection.fit.having(bias, [selection.fit.value_of(term) for term in bias])
+    """Return the size of a component and the selection with it, found by turns."""
+    bias = [term for term in selection.terms if term.constant]
+    kept = selection.fit.with_terms(bias, [selection.fit.value_of(term) for term in bias])
     size = 0.0
     again: Selection | None = None
     for _ in range(2):
         check()
-        fresh = _most_likely(kept, data, kind)
-        if fresh <= limits.scatter_ratio * _measured(data, kind):
+        fresh = _likeliest_size(kept, data, kind)
+        if fresh <= limits.scatter_ratio * _measured_u(data, kind):
             return 0.0, None
         if again is not None and abs(math.log(fresh / size)) < 0.1:
             break
         size = fresh
-        again = _under(data, kind, size, terms, max_effects)
+        again = _select_with(data, kind, size, terms, max_effects)
         kept = again.fit
     return size, again
 
 
-def _under(data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int) -> Selection:
-    """The selection under a component of this size."""
+def _select_with(
+    data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int
+) -> Selection:
+    """Return the selection with a component of this size."""
     beam, rounds = limits.scatter_beam, limits.fold_rounds
-    found = select(_with(data, kind, size), terms, max_effects, beam=beam, rounds=rounds)
+    found = select(_add_component(data, kind, size), terms, max_effects, beam=beam, rounds=rounds)
     check()
     return found
 
 
-def _most_likely(fit: Fit, data: Readings, kind: Kind) -> float:
-    """Size of greatest restricted likelihood beside a model, in unit of readings or rad; 0 for none."""
+def _likeliest_size(fit: Fit, data: Readings, kind: Kind) -> float:
+    """Return the size of greatest restricted likelihood for a model, in units of readings or rad, or 0."""
     from scipy.optimize import minimize_scalar
 
-    scale = _measured(data, kind)
+    scale = _measured_u(data, kind)
 
     def loss(log_size: float) -> float:
-        return -_restricted(_fit_under(fit, _with(data, kind, scale * math.exp(log_size))))
+        return -_restricted(_fit_with(fit, _add_component(data, kind, scale * math.exp(log_size))))
 
     found = minimize_scalar(loss, bounds=(-2.0, 7.0), method="bounded", options={"xatol": 0.05})
     return scale * math.exp(float(found.x)) if float(found.fun) < loss(-6.0) else 0.0
 
 
-def _fit_under(fit: Fit, data: Readings) -> Fit:
-    """The same model under other noise: one step, as it was at its best and moves by parts of its u."""
+def _fit_with(fit: Fit, data: Readings) -> Fit:
+    """Refit the model with other noise by one step, which is enough near the best values."""
     return replace(fit, data=data).refit(1)
 
 
-def _measured(data: Readings, kind: Kind) -> float:
-    """Uncertainty of a reading, or of what a reading says of its angle with the fixture's (rad)."""
+def _measured_u(data: Readings, kind: Kind) -> float:
+    """Uncertainty of a reading or, with the fixture's, of the angle by a reading (rad)."""
     reading = float(np.sqrt(np.median(data.variance_of_mean)))
     if kind == "reading_scatter":
         return reading
     return math.hypot(reading / data.model.size, data.fixture_rad)
 
 
-def _with(data: Readings, kind: Kind, size: float) -> Readings:
+def _add_component(data: Readings, kind: Kind, size: float) -> Readings:
     if kind == "reading_scatter":
         return replace(data, own_covariance=data.own_covariance + size**2 * np.eye(data.axes))
     return replace(data, fixture_rad=math.hypot(data.fixture_rad, size))
 
 
 def _restricted(fit: Fit, *, base_only: bool = False) -> float:
-    """Restricted log likelihood of a fit, but for constants; restricted for its base alone where asked.
+    """Restricted log likelihood up to constants; `base_only` restricts it for the base parameters only.
 
-    The price of a term holds what its amplitudes cost.
+    The amplitudes of the terms are then paid for by the prices of the terms.
     """
     data = fit.data
     covariance = data.own_covariance
     if fit.data.planar and not data.free:
         tangent = fit.tangent
         fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
+        # The fixture moves a reading along its tangent.
         covariance = covariance + (fixture**2)[:, None, None] * (tangent @ tangent.transpose(0, 2, 1))
     if data.free:
-        # One direction is left: the variance of the whitened row.
+        # Only one direction remains: use the variance of the whitened row.
         spread = 1 / np.maximum((fit.whitener**2).sum(axis=2), 1e-300)
         size = float(np.log(spread).sum())
     else:
         size = float(np.linalg.slogdet(covariance)[1].sum())
     rows = fit.jacobian[:, : len(fit.values.base)] if base_only else fit.jacobian
+    # ½ ln |XᵀX| from the singular values, without columns that are zero.
     rows = rows[:, np.abs(rows).max(axis=0) > 0]
     scaled = np.linalg.svd(rows, compute_uv=False)
     freedom = 2 * float(np.log(np.maximum(scaled, 1e-12)).sum())
     return -0.5 * (fit.loss + size + freedom)
 
 
-def _stated(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds: float) -> Scatter:
-    """The component with its uncertainty, by the curvature of the restricted likelihood."""
+def _make_scatter(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds: float) -> Scatter:
+    """Return the component with its uncertainty from the curvature of the restricted likelihood."""
     from scipy.stats import chi2
 
     step = 0.1
 
     def height(log_size: float) -> float:
-        return _restricted(_fit_under(chosen.fit, _with(data, kind, size * math.exp(log_size))))
+        return _restricted(_fit_with(chosen.fit, _add_component(data, kind, size * math.exp(log_size))))
 
-    none = _restricted(_fit_under(chosen.fit, data))
+    none = _restricted(_fit_with(chosen.fit, data))
     ratio = 2 * max(height(0.0) - none, 0.0)
-    # At the edge of what a variance can be, half of the distribution is zero.
+    # A variance is at the edge of its range under the null hypothesis: half of the distribution is zero.
     p_value = min(1.0, 0.5 * float(chi2.sf(ratio, 1)) / limits.effect_share)
+    # Second derivative of the restricted likelihood by the logarithm of the size.
     curvature = -(height(step) - 2 * height(0.0) + height(-step)) / step**2
     relative = 1 / math.sqrt(curvature) if curvature > 0 else 1.0
     factor: Callable[[float], float] = math.degrees if kind == "fixture_scatter" else float
-    declared = data.fixture_rad if kind == "fixture_scatter" else _measured(data, kind)
+    declared = data.fixture_rad if kind == "fixture_scatter" else _measured_u(data, kind)
     unit = "deg" if kind == "fixture_scatter" else data.model.unit
     return Scatter(kind, factor(size), factor(size) * relative, factor(declared), log_odds, p_value, unit)

@@ -1,4 +1,4 @@
-"""The loop: choose effects in the linear problem, refit in full, choose again about the new state."""
+"""Selection of effects: choose in the linear problem, refit in full, choose again about the new state."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from adis_gonio.tracing.thresholds import limits
 
 @dataclass(frozen=True)
 class Selection:
-    """What was chosen and how well it does.
+    """A chosen model and its quality.
 
     Attributes
     ----------
     problem : LinearProblem
-        About the final state.
+        Linear problem about the final state.
     found : Search
     verdict : ModelPosterior
     base, fit : Fit
         Base model and chosen model, refitted in full.
     inflation : float
-        Factor on the noise variance under which effects were chosen: 1 where the model is adequate.
+        Factor on the noise variance under which effects were chosen; 1 if the model is adequate.
     adequate : bool
     """
 
@@ -43,7 +43,7 @@ class Selection:
 
     @property
     def data(self) -> Readings:
-        """The readings that were fitted."""
+        """Fitted readings."""
         return self.fit.data
 
     @property
@@ -52,7 +52,7 @@ class Selection:
         return self.fit.terms
 
     def promising(self, terms: Sequence[Term]) -> list[Term]:
-        """Those of the candidates that showed promise anywhere, and the best of each name and axes."""
+        """Return the candidates that were promising in the search, and the best of each name and axes."""
         candidates = self.problem.terms
         ranked = [candidates[k] for k in np.argsort(-self.found.promise)]
         active = {term.label for term in ranked[: limits.fold_active]}
@@ -65,7 +65,7 @@ class Selection:
         return [term for term in terms if term.label in active]
 
     def without_functions(self, refuted: Sequence[Term]) -> Selection:
-        """The best of the models that have no function without a name of these covariates."""
+        """Return the best model without unnamed functions of the refuted covariates."""
         gone = {term.covariates for term in refuted}
         terms = self.problem.terms
         scores = {
@@ -78,7 +78,7 @@ class Selection:
         return replace(self, found=found, verdict=verdict).with_model(verdict.best)
 
     def with_model(self, chosen: Sequence[int]) -> Selection:
-        """The same with another model of the linear problem, refitted in full."""
+        """Return the selection with another model of the linear problem, refitted in full."""
         model = tuple(chosen)
         return replace(
             self.with_fit(fit_model(self.problem, model, self.base)),
@@ -86,7 +86,7 @@ class Selection:
         )
 
     def with_fit(self, fit: Fit) -> Selection:
-        """The same with another fit in the place of the chosen one."""
+        """Return the selection with another fit."""
         known = fit.data.noise_known
         adequate = adequacy(fit.chi2, fit.dof, fit.data.noise_dof) >= limits.adequate if known else True
         inflation = 1.0 if known and adequate else self.inflation
@@ -94,10 +94,10 @@ class Selection:
 
 
 def fit_model(problem: LinearProblem, chosen: Sequence[int], about: Fit) -> Fit:
-    """Full refit of a model of the linear problem, from the amplitudes that it has there."""
+    """Refit a model of the linear problem in full, starting at its amplitudes there."""
     terms = [problem.terms[k] for k in chosen]
     values = [term.start(a) for term, a in zip(terms, amplitudes(problem, chosen), strict=True)]
-    return about.having(terms, values).refit()
+    return about.with_terms(terms, values).refit()
 
 
 def select(
@@ -107,25 +107,26 @@ def select(
     beam: int = limits.beam,
     rounds: int = limits.rounds,
 ) -> Selection:
-    """Choose terms for these readings (all of them: `check` dwells are the caller's business)."""
+    """Choose terms for these readings, which must not contain `check` dwells."""
     base = Fit.begin(data).refit()
-    about = _begun(base, terms) if max_terms else base
+    about = _start_with_slips(base, terms) if max_terms else base
     inflation = 1.0 if data.noise_known else max(base.chi2 / max(base.dof, 1), 1e-12)
     before: tuple[str, ...] | None = None
     for _ in range(rounds):
         problem = linearise(about, terms)
-        apart = _bias_apart(problem, base, about)
+        apart = _separate_bias(problem, base, about)
         if apart is not None:
-            # A constant that is far larger than what is left beside it is no part of a function's form.
-            terms = [term for term in terms if not _with_constant(term)]
+            # A constant far larger than the rest of the residual must not become part of a function's form.
+            terms = [t for t in terms if not (isinstance(t, NamelessTerm) and t.basis.with_constant)]
             if not about.terms and max_terms:
-                # Its square, b²/2G, may be many times the noise: candidates are judged about the fit
-                # that has it, or they would be chosen for what the linear problem leaves of it.
+                # The square of a large bias, b²/2G, may be many times the noise. Candidates are therefore
+                # judged about a fit with the bias; otherwise they would be chosen to explain the
+                # linearisation error.
                 about = apart()
             problem = linearise(about, terms)
-        found, inflation = _inflated(data, problem, max_terms, beam, inflation)
+        found, inflation = _search_with_noise(data, problem, max_terms, beam, inflation)
         problem = found.problem
-        verdict, fit = _fitted(problem, weigh(found), about, base.chi2)
+        verdict, fit = _refit_best(problem, weigh(found), about, base.chi2)
         labels = tuple(sorted(term.label for term in fit.terms))
         linear = problem.chi2 - 2 * inflation * found.explained(verdict.best)
         settled = abs(linear - fit.chi2) < 1.0 * inflation or labels == before
@@ -135,25 +136,21 @@ def select(
             and inflation > 1
             and adequacy(fit.chi2, fit.dof, data.noise_dof) >= limits.adequate
         ):
-            # What asked for more noise was the linear problem's error, not the model's.
+            # The additional noise was an error of the linear problem, not of the model.
             inflation, settled = 1.0, False
         if settled or spent():
             break
     p = adequacy(fit.chi2, fit.dof, data.noise_dof) if data.noise_known else 1.0
     if p < limits.adequate:
-        inflation = max(inflation, fit.chi2 / fit.dof)  # uncertainties by what the final model leaves
+        inflation = max(inflation, fit.chi2 / fit.dof)  # state uncertainties by the final residual
     return Selection(problem, found, verdict, base, fit, inflation, p >= limits.adequate)
 
 
-def _with_constant(term: Term) -> bool:
-    return isinstance(term, NamelessTerm) and term.basis.with_constant
+def _start_with_slips(base: Fit, terms: Sequence[Term]) -> Fit:
+    """Refit the base model with roughly known slips and a bias; without such slips return `base`.
 
-
-def _begun(base: Fit, terms: Sequence[Term]) -> Fit:
-    """The base model with slips that are known roughly and a bias, refitted; the same without such slips.
-
-    Where a slip is out of the linear problem's reach, only an outlier of both axes would explain it there.
-    About a state that has the slip, and the bias that the others show, it is exact.
+    A slip beyond the reach of the linear problem would appear there as an outlier of both axes. About a
+    state with the slip, and the bias that the other dwells show, the linear problem is exact.
     """
     orders = base.data.conditions.order
     here = set() if orders is None else set(np.round(orders).tolist())
@@ -161,21 +158,21 @@ def _begun(base: Fit, terms: Sequence[Term]) -> Fit:
     slips = [term for term in named if term.begins and term.dwell in here]
     if not slips:
         return base
-    biases = [term for term in named if term.name == "bias"]
+    biases = [term for term in named if term.constant]
     widest = max(biases, key=lambda term: len(term.effect.axes), default=None)
     model = slips if widest is None else [*slips, widest]
-    return base.having(
+    return base.with_terms(
         model, [term.start(np.full(len(term.amplitudes), term.begins)) for term in model]
     ).refit()
 
 
-def _fitted(
+def _refit_best(
     problem: LinearProblem, verdict: ModelPosterior, about: Fit, most: float
 ) -> tuple[ModelPosterior, Fit]:
-    """Full refit of the best model, or of the next one if it ends above the χ² of the base model.
+    """Refit the best model; if its χ² exceeds the base model's, try the next best models.
 
-    A model that holds the base model cannot be worse, so that such a refit has run away from amplitudes
-    that only the linear problem allows.
+    A model that contains the base model cannot have a larger χ². Such a refit has diverged from
+    amplitudes that are possible only in the linear problem.
     """
     ranked = sorted(verdict.weights, key=lambda m: -verdict.weights[m])
     for chosen in dict.fromkeys([verdict.best, *ranked[:4]]):
@@ -185,13 +182,13 @@ def _fitted(
     return verdict, fit_model(problem, verdict.best, about)
 
 
-def _inflated(
+def _search_with_noise(
     data: Readings, problem: LinearProblem, max_terms: int, beam: int, inflation: float
 ) -> tuple[Search, float]:
-    """Search, and again with more noise where not even the best model is adequate.
+    """Search; if even the best model is not adequate, search again with more noise.
 
-    What no model explains is then treated as noise of unknown origin (Birge's ratio), so that names have to
-    stand out of it.
+    The unexplained part is then treated as noise of unknown origin (Birge's ratio), so that a name must be
+    significant against it.
     """
     found = search(problem, max_terms, inflation, beam)
     for _ in range(4):
@@ -212,8 +209,8 @@ def _inflated(
     return found, inflation
 
 
-def _bias_apart(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
-    """The fit with a bias, to be made where it is wanted; None where none explains nearly all."""
+def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
+    """Return a function that makes a fit with a bias, or None if no bias explains nearly all."""
     constants = _mostly_bias(problem)
     if constants is not None:
         return lambda: fit_model(problem, [constants], about)
@@ -222,7 +219,7 @@ def _bias_apart(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], F
 
 
 def _mostly_bias(problem: LinearProblem) -> int | None:
-    """Number of the bias on most axes, where it alone explains nearly all of the base model's excess."""
+    """Return the number of the widest bias if it alone explains nearly all of the base model's excess."""
     widest = _widest_bias(problem)
     if widest is None:
         return None
@@ -232,7 +229,7 @@ def _mostly_bias(problem: LinearProblem) -> int | None:
 
 
 def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> Fit | None:
-    """The same by a full refit, which a bias may need that is far from what the base model took it for."""
+    """Like `_mostly_bias`, but by a full refit, for a bias too large for the linear problem."""
     widest = _widest_bias(problem)
     if widest is None or problem.dof <= int(problem.width[widest]):
         return None
@@ -244,6 +241,6 @@ def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> Fit | None:
 
 
 def _widest_bias(problem: LinearProblem) -> int | None:
-    """Number of the bias on most axes."""
-    constants = [k for k, term in enumerate(problem.terms) if term.name == "bias"]
+    """Number of the bias on the most axes; None without any."""
+    constants = [k for k, term in enumerate(problem.terms) if term.constant]
     return max(constants, key=lambda k: problem.width[k]) if constants else None

@@ -1,10 +1,10 @@
-"""Smooth remainders: Gaussian processes in a covariate, where no formula of the grammar need be right.
+"""Smooth candidates: Gaussian processes in a covariate, for a residual that follows no formula.
 
-A Gaussian process of kernel k is a linear term with as many columns as its kernel has features,
-φ(u)·φ(u′) = k(u, u′), and a normal prior on their amplitudes (Rasmussen and Williams, Gaussian Processes
-for Machine Learning, 2006, sections 2.1 and 5.4). Its length and its amplitude are chosen by the evidence,
-so that it bends no more than the readings ask for, and away from them it returns to the line of the others
-instead of running off as a polynomial does.
+A Gaussian process with kernel k is a linear term with one column for each feature of its kernel,
+φ(u)·φ(u′) = k(u, u′), and a normal prior on the amplitudes (Rasmussen and Williams, Gaussian Processes for
+Machine Learning, 2006, sections 2.1 and 5.4). Evidence chooses its length and amplitude, so it bends only
+as much as the readings require. Outside their range it returns to a straight line, while a polynomial
+diverges.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import AXES, Conditions
+from adis_gonio.tracing.named_candidates import choices_of_axes
 from adis_gonio.tracing.thresholds import limits
 
 LENGTHS = (0.1, 0.18, 0.32, 0.56, 1.0)
@@ -34,19 +35,19 @@ AMPLITUDES = (2.0, 4.0, 8.0, 16.0)
 
 _HARMONICS = 16
 _BEYOND = 0.1
-"""Part of its range by which a covariate may go beyond what was fitted."""
+"""Part of its range by which a covariate may leave the fitted range."""
 
 Get = Callable[[Conditions], Floats]
 
 
 @dataclass(frozen=True)
 class Process:
-    """A Gaussian process that a session may hold.
+    """A Gaussian process as a candidate.
 
     Attributes
     ----------
     term : NamelessTerm
-        Features of the kernel; its shrinkage is the process's amplitude.
+        Features of the kernel; its shrinkage is the amplitude of the process.
     price : float
         −ln of its share of the prior.
     """
@@ -56,11 +57,9 @@ class Process:
 
 
 def processes(data: Readings) -> list[Process]:
-    """All processes of a session: where they enter × covariate × length × amplitude."""
-    reading_u = _reading_u(data)
-    subsets = [
-        s for size in range(1, data.axes + 1) for s in itertools.combinations(range(data.axes), size)
-    ]
+    """Return all processes of a session: place × covariate × length × amplitude."""
+    reading_u = float(np.sqrt(data.variance_of_mean.mean()))
+    subsets = choices_of_axes(range(data.axes))
     made: list[NamelessTerm] = []
     for basis, placed in _bases(data):
         for where in placed:
@@ -94,16 +93,16 @@ def evidence(
     candidates: Sequence[Process],
     inflation: float = 1.0,
 ) -> Floats:
-    """Log evidence of each process against none, less its price, (len(candidates),) in nats.
+    """Return the log evidence of each process minus its price, (len(candidates),) in nats.
 
     Parameters
     ----------
     fit : Fit
-        About which processes are linear.
+        Fit about which the processes are linear.
     beside : (rows, k) float
-        Orthonormal whitened columns of what stands beside it, whose amplitudes have flat priors.
+        Orthonormal whitened columns of the other terms; their amplitudes have flat priors.
     target : (rows,) float
-        Whitened readings less the part of `beside`.
+        Whitened readings minus their projection on `beside`.
     inflation : float
         Factor on the noise variance.
     """
@@ -113,24 +112,22 @@ def evidence(
         term = process.term
         key = (id(term.basis), term.where, term.axes)
         if key not in spectra:
+            # Processes that differ in amplitude only share the spectrum of their whitened features.
             white = fit.white(fit.candidate(term))
             white = white - beside @ (beside.T @ white)
             values, vectors = np.linalg.eigh(white.T @ white)
             spectra[key] = np.maximum(values, 0.0), (vectors.T @ (white.T @ target)) ** 2
         values, scores2 = spectra[key]
         assert term.shrinkage is not None
+        # ½ Σ (s²/(1 + s²λ) · score² − ln(1 + s²λ)) over the eigenvalues λ.
         prior = term.shrinkage**2 / inflation
         grown = 1 + prior * values
         scores[k] = 0.5 * float((prior * scores2 / inflation / grown - np.log(grown)).sum()) - process.price
     return scores
 
 
-def _reading_u(data: Readings) -> float:
-    return float(np.sqrt(data.variance_of_mean.mean()))
-
-
 def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
-    """Features of every kernel, with the places where it may enter."""
+    """Iterate over the features of every kernel, with the places where it may enter."""
     c = data.conditions
     scalars, rings = _lines_and_rings(c, data.model.driven_by)
     for name, get in scalars.items():
@@ -153,7 +150,7 @@ def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
 
 
 def _lines_and_rings(c: Conditions, driven_by: Sequence[str]) -> tuple[dict[str, Get], dict[str, Get]]:
-    """Covariates that move along a line, and those that go round."""
+    """Return the covariates along a line and the covariates on a circle."""
     lines: dict[str, Get] = {"time": lambda k: k.time_s}
     if "force" in driven_by and c.force_g is not None:
         lines |= {f"force_{letter}": _component(axis) for axis, letter in enumerate(AXES)}
@@ -174,18 +171,19 @@ def _component(axis: int) -> Get:
 
 
 def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floats]:
-    """Features of exp(−½ Δ²/ℓ²) between two places, from points 0.6 ℓ apart (Nyström's method)."""
+    """Features of exp(−½ Δ²/ℓ²) on an interval, from points 0.6 ℓ apart (Nyström's method)."""
     points = np.linspace(low, high, max(int(np.ceil((high - low) / (0.6 * length))) + 1, 4))
 
     def kernel(u: Floats) -> Floats:
         return np.asarray(np.exp(-0.5 * ((u[:, None] - points) / length) ** 2))
 
+    # Features K(u, points) L⁻ᵀ with K(points, points) = L Lᵀ reproduce the kernel.
     root = np.linalg.cholesky(kernel(points) + 1e-6 * np.eye(len(points)))
     return lambda u: np.asarray(np.linalg.solve(root, kernel(u).T).T)
 
 
 def _line(get: Get, seen: Floats, length: float) -> Get:
-    """Features of 1 + u² + exp(−½ Δ²/ℓ²), u the covariate over its range; held fast beyond the range."""
+    """Features of 1 + u² + exp(−½ Δ²/ℓ²) of the scaled covariate u, which is clipped near its range."""
     low, size = float(seen.min()), float(np.ptp(seen))
     curve = _inducing(-_BEYOND, 1 + _BEYOND, length)
 
@@ -220,7 +218,7 @@ def _ring(get: Get, width: float) -> Get:
 
 
 def _of_reading(length: float) -> Callable[[Floats, int], Floats]:
-    """Features of 1 + exp(−½ Δ²/ℓ²) of an axis's own reading in g, the range being 2 g."""
+    """Features of 1 + exp(−½ Δ²/ℓ²) of an axis's reading in g, with a range of 2 g."""
     curve = _inducing(-1.1, 1.1, 2 * length)
 
     def features(ideal: Floats, axis: int) -> Floats:

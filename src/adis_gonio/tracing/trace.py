@@ -1,15 +1,15 @@
-"""`trace`: residual → missing effect → corrected model → error before and after.
+"""Trace a session: residual → missing effect → corrected model → error before and after.
 
-Session ─ readings ─▶ candidates ─▶ selection ─▶ validation ─▶ outcome
-└─ unnamed ─┘
+The stages of the trace and their modules::
 
-A trace and what declared, gravity's and the gyro's angles say of the positions: one story.
+    session → readings → candidates → selection → validation → findings → advice
+                  named_candidates, grammar ┘           └ averaging (unnamed part)
 
-An effect of one dwell (`position_slip`, `outlier_dwell`) that the three angles rule out is no candidate. A
-`position_slip` that they show, and that no linear problem reaches, begins at its size. A part that slipped
-for all that followed has no name among the effects. A slip that is gross is taken out before the search,
-and the trace says so; a smaller one competes as a step of the true angle with whatever else may have turned
-the part by and by.
+The declared angle, gravity and the gyros give three estimates of each position. An effect of a single dwell
+(`position_slip`, `outlier_dwell`) that these angles rule out is not a candidate. If they show a
+`position_slip` that is too large for the linear problem, its candidate starts at that size. A large slip
+that lasts for all following dwells is corrected before the search, and the result reports it. A smaller
+lasting slip competes, as a step of the true angle, with other causes that turn the part.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base.arrays import solvable
 from adis_gonio.base.budget import attempt, current, spent, within
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Detectable
-from adis_gonio.fitting.estimation.parts import ACCELEROMETER, known_part, readings_of_part
-from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.base.uncertainty import Detectable
+from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
-from adis_gonio.fitting.noise import state_noise
+from adis_gonio.fitting.noise_estimation import state_noise
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
-from adis_gonio.fitting.slips.session_positions import in_context, positions_of
-from adis_gonio.fitting.solvable import solvable
+from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.averaging import average
-from adis_gonio.tracing.credible_sets import CredibleSet, credible_sets, judge, one_a_function, undecided
+from adis_gonio.tracing.credible_sets import CredibleSet, credible_sets, judge, merge_by_function, undecided
 from adis_gonio.tracing.findings import (
     base_of,
     bias_at_middle,
     detectable,
+    differs_from_zero,
     excesses,
     finding_of,
     in_units_of_file,
@@ -47,7 +47,6 @@ from adis_gonio.tracing.findings import (
     rivals_of,
     scatter_finding,
     shares,
-    told_from_zero,
     unnamed_of,
     unnamed_with_share,
     with_shares,
@@ -61,21 +60,21 @@ from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, NextDwell, Step, Stopped, TraceResult
 from adis_gonio.tracing.validation import (
     Fold,
-    checkable,
+    disagreement_p_value,
     error_figures,
-    guarding,
-    in_order,
+    guard_errors,
+    nest_fits,
     never_worse,
-    refuted,
-    unexpected,
-    without,
+    refuted_functions,
+    reject_names,
+    reject_unchecked,
     without_folds,
 )
 
 UNCHECKED = "the time limit ended the trace before this was checked"
-"""Reason of whatever is in a model that was not validated."""
+"""Reason given for each term of a model that was not validated."""
 ZERO_OF_COUNTS = Detectable(None, "", "", "lies in the base model: counts have no zero of their own")
-"""Of a bias in counts, which stands among the base parameters where it is not found beside them."""
+"""Detectability of a bias in counts if it is not a finding but one of the base parameters."""
 
 
 @solvable
@@ -90,13 +89,13 @@ def trace(
     Parameters
     ----------
     session : Session
-        Planar (declared angles) or in space (`plane` none); one dwell with temperature is traced sample by
-        sample (`adis_gonio.tracing.one_pose`).
+        Planar (declared angles) or in space (`plane` none); a session of one dwell with temperature is
+        traced sample by sample (`adis_gonio.tracing.one_pose`).
     max_effects : int
-        Most terms that the model may take on.
+        Largest number of terms added to the base model.
     time_limit : float, optional
-        Seconds after which the trace ends at the next safe point with the best model so far
-        (`TraceResult.stopped`); by default none, so that the answer does not depend on the machine.
+        Seconds after which the trace ends at the next safe point with the best model found by then
+        (`TraceResult.stopped`). By default there is no limit, so the result does not depend on the machine.
     part : {"accelerometer", "gyro"}
         Part of the sensor whose readings are traced.
 
@@ -127,7 +126,7 @@ def trace(
 
 
 def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
-    own = part == ACCELEROMETER  # samples within dwells are looked at for these alone
+    own = part == ACCELEROMETER  # only accelerometer samples are searched inside the dwells
     if own and len([dwell for dwell in session.dwells if len(dwell)]) == 1:
         from adis_gonio.tracing.one_pose import trace_series
 
@@ -135,12 +134,12 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
     from adis_gonio.tracing.within.second_pass import with_second_pass
 
     positions = positions_of(session) if own else Diagnosis()
-    data = as_the_part_stood(readings_of_part(session, part), positions)
+    data = correct_slips(readings_of_part(session, part), positions)
     try:
         data = state_noise(data) if own else data
         result = trace_readings(data, max_effects, positions)
     except FitError as error:
-        raise FitError(in_context(session, error)) from error
+        raise FitError(failure_message(session, error)) from error
     result = with_positions(result, data, positions)
     checked = result.stopped is None or result.stopped.checked
     if own:
@@ -151,7 +150,7 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
 
 
 def with_time_left_out(result: TraceResult, *, checked: bool) -> TraceResult:
-    """The result with what the time limit left out."""
+    """Record in the result which stages the time limit cut off."""
     budget = current()
     return replace(result, stopped=Stopped.of(budget, checked=checked)) if budget.left_out else result
 
@@ -162,7 +161,7 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
     Parameters
     ----------
     positions : Diagnosis, optional
-        What is known of the positions before: effects of one dwell that cannot be, sizes of gross slips.
+        Earlier diagnosis of the positions: effects of single dwells to exclude, sizes of large slips.
     """
     run = TraceRun(data, max_effects, positions)
     run.search()
@@ -182,21 +181,20 @@ class TraceRun:
     Attributes
     ----------
     data, measured : Readings
-        All readings, with the scatter that was found in their noise; those that are fitted, with the noise
-        that was measured.
+        All readings, with any extra scatter in their noise; the fitted readings with the measured noise.
     terms, missing : list of Term, mapping of str to str
-        Candidates, and why other effects are none.
+        Candidates; for each effect that is not a candidate, the reason.
     selection, scatter : Selection, Scatter or None
-        The chosen model, and the noise from dwell to dwell under which it was chosen.
+        The chosen model; the dwell-to-dwell scatter under which it was chosen.
     averaged : Averaged or None
-        The average over functions without a name in place of the chosen one.
+        Average over unnamed functions, used instead of the chosen unnamed function.
     fits, steps, errors, figures
-        Nested models from the base model on, the words for each step, and their errors on left-out dwells:
-        those by which the longest model is chosen, and those that are reported.
+        Nested fits from the base model to the chosen model; the name of the term added at each step; the
+        held-out errors that choose the longest acceptable model; the error figures of the result.
     names : Names
     findings : list of Finding
     reasons : mapping of str to str
-        Why names do not stand.
+        For each rejected name, the reason.
     """
 
     def __init__(self, data: Readings, max_effects: int, positions: Diagnosis | None) -> None:
@@ -204,48 +202,48 @@ class TraceRun:
         refuse_too_few(self.measured)
         named, self.missing = named_terms(self.measured)
         if positions is not None:
-            named = as_the_angles_leave(named, self.measured, positions)
+            named = restrict_candidates(named, self.measured, positions)
         self.terms: list[Term] = [*named, *nameless_terms(self.measured)]
 
     @property
     def final(self) -> Selection:
-        """The chosen model, or the average in its place."""
+        """The selection with the chosen model, or with the average that replaces it."""
         return self.selection if self.averaged is None else self.selection.with_fit(self.averaged.fit)
 
     def search(self) -> None:
-        """Choose a model, under more noise if that is the better account."""
+        """Choose a model; add dwell-to-dwell scatter if that explains the readings better."""
         self.selection, self.scatter = search_model(self.measured, self.terms, self.max_effects)
         if self.scatter is not None:
             self.data = self.scatter.applied(self.data)
         self.checking = self.data.checking
 
     def drop_refuted_functions(self) -> None:
-        """Choose again without the functions without a name that left-out dwells refute.
+        """Remove the unnamed functions that held-out dwells refute, and choose again.
 
-        A function that these refute leaves the posterior: names that it stood before are judged then.
+        A refuted function leaves the posterior, so the names that it competed with are judged again.
         """
         self.nest(self.selection)
-        while gone := refuted(self.selection, self.fits, self.errors):
+        while gone := refuted_functions(self.selection, self.fits, self.errors):
             if current().left_out:
                 break
             self.nest(self.selection.without_functions(gone))
 
     def nest(self, selection: Selection) -> None:
-        """Take a model, with its nested models and their held-out errors."""
+        """Adopt a selection, and compute its nested models and their held-out errors."""
         self.selection = selection
         self.averaged = attempt("the average of functions without a name", lambda: average(selection), None)
         self.fold = Fold.of(selection, self.terms, self.averaged, self.max_effects)
-        self.fits, self.steps = in_order(selection, self.averaged)
+        self.fits, self.steps = nest_fits(selection, self.averaged)
         unguarded: list[float | None] = [None for _ in self.fits]
         self.errors = attempt(
             "the choice of the longest model that is never worse",
-            lambda: guarding(selection, self.fits, self.fold),
+            lambda: guard_errors(selection, self.fits, self.fold),
             unguarded,
         )
 
     def judge_names(self) -> None:
-        """Judge the names of the model by evidence, and name what could explain the rest."""
-        self.names = checkable(judge(self.selection, self.averaged), self.selection)
+        """Judge each name of the model by evidence; list the names that could explain the rest."""
+        self.names = reject_unchecked(judge(self.selection, self.averaged), self.selection)
         if self.scatter is not None or not self.selection.adequate:
             could = undecided(self.selection)
             if len(could) > 1:
@@ -254,7 +252,7 @@ class TraceRun:
     def measure_errors(self) -> None:
         """Measure the errors of the nested models, with effects chosen in each fold."""
         self.figures, self.design = attempt(
-            "the error on left-out dwells, effects chosen anew",
+            "the error on held-out dwells, effects chosen again",
             lambda: error_figures(self.selection, self.measured, self.checking, self.fits, self.fold),
             without_folds(self.fits, self.measured, self.checking),
         )
@@ -265,7 +263,7 @@ class TraceRun:
         unit = self.measured.model.unit
         count, self.names, cut = never_worse(self.names, self.steps, self.errors, reported, unit)
         if count < len(self.steps):
-            # Longer models have their figures already; those of the shorter one hold for it as they are.
+            # All nested models already have their figures, so the longer ones are only dropped.
             self.fits, self.figures = self.fits[: count + 1], self.figures[: count + 1]
             self.steps = self.steps[:count]
             terms, inside = self.selection.problem.terms, self.fits[-1].terms
@@ -276,16 +274,16 @@ class TraceRun:
         self.reasons = cut
 
     def judge_findings(self) -> None:
-        """Take away names that are weak, and test the model on check dwells."""
+        """Reject weak names, and test the model on the check dwells."""
         final, noise_known = self.final, self.measured.noise_known
-        findings = [finding_of(final, name, self.averaged) for name in self.names.stand]
+        findings = [finding_of(final, name, self.averaged) for name in self.names.accepted]
         places = credible_sets(self.selection, self.averaged)
         self.sets = tuple(one for one in places if one.present >= limits.certain)
         self.likelier = likelier_functions(self.sets, self.terms)
         at_middle = [bias_at_middle(final, finding) for finding in findings]
         weak = weak_names(at_middle, self.figures[-1], self.likelier, places)
-        self.names = without(replace(self.names, open={**self.names.open, **weak}), weak)
-        self.reasons = {**self.names.open, **self.reasons}
+        self.names = reject_names(replace(self.names, rejected={**self.names.rejected, **weak}), weak)
+        self.reasons = {**self.names.rejected, **self.reasons}
         self.findings = [finding for finding in findings if finding.effect not in weak]
         self.notes = list(notes_of(self.selection, self.scatter))
         self.adequate = final.adequate and self.scatter is None and (final.fit.dof > 0 or not noise_known)
@@ -295,7 +293,7 @@ class TraceRun:
             self.adequate = not disagreement
 
     def finished(self) -> TraceResult:
-        """The result, with advice."""
+        """Build the result of a completed trace, with advice."""
         from adis_gonio.tracing.advice import advise
 
         selection, final = self.selection, self.final
@@ -313,7 +311,7 @@ class TraceRun:
         return self._result(
             adequate=self.adequate and self.measured.noise_known,
             found=seen,
-            sets=one_a_function(self.sets, self.likelier),
+            sets=merge_by_function(self.sets, self.likelier),
             confounded=self.names.confounded,
             unnamed=unnamed_with_share(unnamed_of(selection, self.averaged), of_step),
             detectable={
@@ -328,7 +326,7 @@ class TraceRun:
         )
 
     def unfinished(self) -> TraceResult:
-        """The best model so far of a trace that was not validated: its figures, and nothing found."""
+        """Build the result of a trace that was not validated: the best model's errors and no findings."""
         open_ = [*self.steps, *([] if self.scatter is None else [self.scatter.kind])]
         return self._result(
             adequate=False,
@@ -359,7 +357,7 @@ class TraceRun:
 def shown_findings(
     findings: Sequence[Finding], data: Readings, scatter: Scatter | None, of_step: dict[str, float]
 ) -> tuple[Finding, ...]:
-    """Findings in the file's units with their shares, and the scatter that takes what they leave."""
+    """Return the findings in the file's units with their shares, followed by any scatter."""
     seen = with_shares([in_units_of_file(finding, data.unit) for finding in findings], of_step)
     if scatter is None:
         return seen
@@ -369,7 +367,7 @@ def shown_findings(
 def search_model(
     training: Readings, terms: Sequence[Term], max_effects: int
 ) -> tuple[Selection, Scatter | None]:
-    """The chosen model, under more noise where that is the better account."""
+    """Return the chosen model and, if it explains the readings better, dwell-to-dwell scatter."""
     current().tell("the search for effects")
     first = select(training, terms, max_effects)
     if spent():
@@ -382,13 +380,13 @@ def search_model(
 
 
 def reported_errors(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:
-    """Held-out errors that stand in the result for the base model and the final one."""
+    """Return the reported held-out errors of the base model and the final model."""
     first, last = figures[0].heldout_rms, figures[-1].heldout_rms
     return None if first is None or last is None else (first, last)
 
 
 def likelier_functions(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> dict[str, str]:
-    """What is likelier in the place of a name, where that is a function without one."""
+    """Map each named cause to the unnamed function that is more probable in its place, if any."""
     names = {term.name for term in terms}
     return {one.cause: one.names[0] for one in sets if one.names[0] not in names and one.cause in names}
 
@@ -399,35 +397,36 @@ def weak_names(
     likelier: Mapping[str, str],
     places: Sequence[CredibleSet],
 ) -> dict[str, str]:
-    """Names that do not stand after all, with the reason."""
+    """Return the names to reject, with the reason for each."""
     weak = {}
     empty = {one.cause: 1 - one.present for one in places if one.present < limits.certain}
     for finding in findings:
         if finding.effect in likelier:
-            weak[finding.effect] = f"in its place is likelier: {likelier[finding.effect]}"
+            weak[finding.effect] = f"more probable in its place: {likelier[finding.effect]}"
         elif finding.effect in empty:
-            # Models that predict the same are one model; one that does so without it has nothing there.
+            # Models with equal predictions count as one model. If that model lacks the cause, the cause
+            # is absent.
             weak[finding.effect] = f"models with nothing in its place have {empty[finding.effect]:.0%}"
         elif final.heldout_rms is None and finding.effect != "bias":
-            weak[finding.effect] = "no dwell could be left out to check it by"
-        elif not told_from_zero(finding):
+            weak[finding.effect] = "no dwell could be held out to check it"
+        elif not differs_from_zero(finding):
             weak[finding.effect] = "its values are no larger than their own uncertainty"
     return weak
 
 
 def disagreement_of(final: Selection, checking: Readings) -> list[str]:
-    """What is to be said where dwells that took no part do not agree with the model of the others."""
-    p = unexpected(final.fit, checking, final.inflation)
+    """Return a note if the check dwells contradict the model fitted to the other dwells."""
+    p = disagreement_p_value(final.fit, checking, final.inflation)
     if p >= limits.adequate:
         return []
     return [
         f"the {len(checking)} check dwells do not agree with the model that explains the others "
-        f"(p = {p:.2g}): something is in them that the others do not show"
+        f"(p = {p:.2g}): they show an effect that the others do not"
     ]
 
 
 def refuse_too_few(data: Readings) -> None:
-    """Refuse fewer equations than base parameters: `FitError`."""
+    """Raise `FitError` if there are fewer equations than base parameters."""
     base = len(data.model.parameters)
     rows = len(data) * data.equations_each
     if rows < base:
@@ -442,86 +441,85 @@ def refuse_too_few(data: Readings) -> None:
 _MOVED = frozenset({"mistyped", "misset", "swapped"})
 
 
-def as_the_part_stood(data: Readings, positions: Diagnosis) -> Readings:
-    """The readings with gross slips that last taken out; the same where there is none.
+def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
+    """Return readings with large lasting slips corrected, or the same readings if there are none.
 
-    The stage's dial, and with it its errors, stays where it was: `Conditions.angle_rad` is not moved.
+    The stage's dial and its errors are unaffected by a slip, so `Conditions.angle_rad` does not change.
     """
     moved_deg = np.zeros(len(data))
-    for found in _gross(data, positions):
+    for found in _large_slips(data, positions):
         moved_deg[np.isin(data.position, [found.position, *found.others])] += found.error_deg[0]
     return replace(data, angle_rad=data.angle_rad + np.radians(moved_deg)) if moved_deg.any() else data
 
 
-def _gross(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
-    """Slips that last and that no linear problem reaches."""
+def _large_slips(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
+    """Return the lasting slips that are too large for the linear problem."""
     return [f for f in positions.findings if f.finding == "slipped" and _out_of_reach(data, f)]
 
 
 def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
-    """Whether the linear problem does not reach an error of a position.
+    """Whether an error of a position is too large for the linear problem.
 
-    Off by δ, a reading is G (1 − cos δ) shorter along its old direction than a slip says (2 mg at 4°): out
-    of reach is what shortens it by more than its uncertainty.
+    If a dwell is off by δ, its reading along the declared direction is G (1 − cos δ) shorter than the
+    linear term predicts (2 mg at 4°). The error is too large if that difference exceeds the reading's
+    uncertainty.
     """
     shorter = data.gravity_mg * (1 - math.cos(math.radians(found.error_deg[0])))
     return shorter > math.sqrt(float(np.median(data.variance_of_mean)))
 
 
-def as_the_angles_leave(
+def restrict_candidates(
     terms: Sequence[NamedTerm], data: Readings, positions: Diagnosis
 ) -> list[NamedTerm]:
-    """Candidates without effects of one dwell that cannot be, and with the sizes of slips that are gross.
+    """Drop candidates of single dwells that the angles rule out, and set the start of large slips.
 
-    A reading that is right has no `outlier_dwell`; what stood where it was declared has no `position_slip`.
+    A dwell with a correct reading is not a candidate for `outlier_dwell`. A dwell at its declared
+    position is not a candidate for `position_slip`.
     """
     order = data.conditions.order
     if order is None:
         return list(terms)
     of_position = dict(zip(data.position.tolist(), order.tolist(), strict=True))
-    gone: set[tuple[str | None, int | None]] = set()
-    begins: dict[tuple[str | None, int | None], float] = {}
+    # By whether the effect turns the part (a slip) or changes the reading (an outlier), and by its dwell.
+    excluded: set[tuple[bool, int | None]] = set()
+    begins: dict[tuple[bool, int | None], float] = {}
     for found in positions.findings:
         if found.position not in of_position:
             continue  # a check dwell
         names = {named.name for named in found.names}
         number = int(of_position[found.position])
         if found.finding in _MOVED and "gravity_wrong" not in names:
-            gone.add(("outlier_dwell", number))
+            excluded.add((False, number))
         if names == {"gravity_wrong"}:
-            gone.add(("position_slip", number))
+            excluded.add((True, number))
         if found.finding in _MOVED and _out_of_reach(data, found):
-            # ψ = α − θ: what stands further on by e has a slip of −e.
-            begins["position_slip", number] = -found.error_deg[0]
-    kept = [term for term in terms if (term.name, term.dwell) not in gone]
+            # ψ = α − θ: a part turned further by e has a slip of −e.
+            begins[True, number] = -found.error_deg[0]
+    kept = [term for term in terms if (term.enters_angle, term.dwell) not in excluded]
     return [
-        replace(term, begins=begins[key]) if (key := (term.name, term.dwell)) in begins else term
+        replace(term, begins=begins[key]) if (key := (term.enters_angle, term.dwell)) in begins else term
         for term in kept
     ]
 
 
 def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) -> TraceResult:
-    """The trace with what is said of positions, and how they are put right before anything else."""
+    """Add the notes on positions, and put the advice to correct them first."""
     if not positions.findings:
         return result
-    said = list(positions.sentences)
-    said += [_traced_without(found) for found in _gross(data, positions)]
+    corrected = [
+        f"traced as the part stood: {found.error_deg[0]:+.2f}° from position {found.position} on, whose"
+        " uncertainty is not in these figures"
+        for found in _large_slips(data, positions)
+    ]
     return replace(
         result,
         position_findings=positions.findings,
-        notes=(*result.notes, *said),
-        advice=(*_first(positions), *result.advice),
+        notes=(*result.notes, *positions.sentences, *corrected),
+        advice=(*_position_advice(positions), *result.advice),
     )
 
 
-def _traced_without(found: PositionFinding) -> str:
-    return (
-        f"traced as the part stood: {found.error_deg[0]:+.2f}° from position {found.position} on, whose"
-        " uncertainty is not in these figures"
-    )
-
-
-def _first(positions: Diagnosis) -> tuple[str, ...]:
+def _position_advice(positions: Diagnosis) -> tuple[str, ...]:
     mended = [found.correction for found in positions.findings if found.correction is not None]
     repeated = [str(found.position) for found in positions.findings if found.correction is None]
     said = []

@@ -1,9 +1,9 @@
-"""From a trace to a calibration of accelerometers or gyros; the gyros of a session, fitted or traced.
+"""Calibrations from sessions: by the final model of a trace, or by a fit; accelerometers and gyros.
 
-`load_calibration`, `load_gyro_calibration`: from a JSON file, or from a session that is fitted.
+`load_calibration` and `load_gyro_calibration` read a JSON file, or fit a session.
 
-Importing this module teaches `Calibration.load` and `GyroCalibration.load` to fit a session; the classes
-themselves stand below the fits.
+Importing this module enables `Calibration.load` and `GyroCalibration.load` to fit a session; the classes
+themselves are in a lower package than the fits.
 """
 
 from __future__ import annotations
@@ -19,18 +19,17 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError, SessionError, UsageError
 from adis_gonio.base.output import ends_in
 from adis_gonio.calibrate.calibration import Calibration, EffectTerm
-from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
-from adis_gonio.calibrate.document import (
-    GYRO_SCHEMA,
-    SCHEMA,
+from adis_gonio.calibrate.calibration_document import (
     calibration_from,
+    calibration_in,
     gyro_calibration_from,
+    json_document,
 )
-from adis_gonio.calibrate.files import calibration_in, json_document
+from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-from adis_gonio.fitting.calibrations import as_written, assumed_parameters, known_provenance
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
+from adis_gonio.fitting.fit_result import as_written, assumed_parameters, known_provenance
 from adis_gonio.fitting.gyros.gyro_fit import (
     GyroEstimates,
     estimates_of_gyro_fit,
@@ -48,29 +47,29 @@ from adis_gonio.tracing.trace_result import TraceResult
 
 _CLOCK = "follows the clock of the session, which no later reading shares"
 _UNKNOWN = "is not known to be a function of the reading, the temperature or the supply"
-_NAMELESS = "has no name, so that nobody knows whether it belongs to the sensor"
-_GYRO_NAMELESS = "has no name, so that nobody knows whether it belongs to the gyros"
+_NAMELESS = "has no name, so it may not belong to the sensor"
+_GYRO_NAMELESS = "has no name, so it may not belong to the gyros"
 _GYRO_UNKNOWN = "is not known to be a function of the rate, the force, the temperature or the supply"
 
 
 def calibration_of_trace(result: TraceResult) -> Calibration:
-    """Calibration by the final model of a trace: base parameters, and effects that can be corrected.
+    """Return the calibration by the final model: base parameters and the effects that can be corrected.
 
-    What follows the clock alone is taken at the middle of the session: bias, gain and start angle are
-    those of that time, which `not_corrected` states.
+    Terms that depend only on the session's clock are evaluated at the middle of the session. Bias, gain and
+    start angle refer to that time, which `not_corrected` states.
 
-    Covariance and u are those of the final model. Models that predict the same readings may share a bias
-    out in other ways, so that the trace states a larger u of single parameters; angles do not differ by it.
-    Where functions of the reading are left out and one has no name, or no bias stands beside them, or a
-    function of anything without a name stands in its place, the others are fitted anew with a bias: what
-    these carried of it would else stand nowhere.
+    Covariance and u come from the final model. Equivalent models may divide a bias differently among
+    parameters, so the trace states a larger u for single parameters, but the angles are equal. Terms that
+    cannot be corrected are left out. If one is a function of the reading, it may have absorbed a part of
+    the bias, so the other terms are fitted again with a bias. This is done if an unnamed function of the
+    reading is left out, if the model has no bias, or if an unnamed function replaces the bias.
 
     Raises
     ------
     UsageError
         The result was not made from a session (`trace_readings`).
     FitError
-        The trace was not finished, or is one of a single pose, which has no base model.
+        The trace was not finished, or is of a single pose, which has no base model.
     """
     where = known_provenance(result.provenance)
     if not result.fits:
@@ -81,19 +80,19 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     standing = [
         term
         for term in final.terms
-        if isinstance(term, NamedTerm) and term.effect.correctable and _stands(term, result)
+        if isinstance(term, NamedTerm) and term.effect.correctable and _is_corrected(term, result)
     ]
-    others = [term for term in final.terms if term not in standing and term.name != "bias"]
-    left = [_left_out(term, result, middle_s(final)) for term in others]
+    others = [term for term in final.terms if term not in standing and not term.constant]
+    left = [_reason_not_corrected(term, result, middle_s(final)) for term in others]
     if result.unnamed is not None and all(term.name is not None for term in final.terms):
         left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
-    fit, inflation = _without(final, others, result.inflation)
+    fit, inflation = _refit_without(final, others, result.inflation)
     named = [term for term in fit.terms if isinstance(term, NamedTerm)]
     corrected = [term for term in named if term in standing]
     columns = _Columns(fit)
     for parameter in fit.data.model.parameters:
         columns.base(parameter)
-    biased = columns.biases([term for term in named if term.name == "bias"])
+    biased = columns.biases([term for term in named if term.constant])
     effects = tuple(columns.effect(term) for term in corrected)
     parameters, matrix = columns.stated(inflation)
     names = [one.name for one in parameters if one.u is not None]
@@ -113,20 +112,20 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     )
 
 
-def _of_reading(term: Term) -> bool:
-    """True for what follows the reading and nothing else."""
-    return not term.enters_angle and term.covariates == ("reading",)
+def _may_hold_bias(term: Term, *, biased: bool) -> bool:
+    """Whether a term may contain a part of the bias, in a model with a bias or without.
+
+    A function of the reading may, and in a model without a bias also an unnamed function whose value at the
+    middle of the session is unknown.
+    """
+    unnamed = not biased and term.name is None and not follows_clock(term)
+    return not term.enters_angle and (term.covariates == ("reading",) or unnamed)
 
 
-def _holds_bias(term: Term) -> bool:
-    """True for a function without a name in the place of a bias, of which no value at one time is known."""
-    return term.name is None and not term.enters_angle and not follows_clock(term)
-
-
-def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
-    """The terms that stay and a bias fitted anew; the factor on the variance by which u holds the rest."""
-    biased = any(term.name == "bias" for term in fit.terms)
-    terms = [term for term in terms if _of_reading(term) or (not biased and _holds_bias(term))]
+def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
+    """Fit the remaining terms again with a bias; return the fit and the factor on its variance."""
+    biased = any(term.constant for term in fit.terms)
+    terms = [term for term in terms if _may_hold_bias(term, biased=biased)]
     if not terms or (biased and all(term.name is not None for term in terms)):
         return fit, inflation
     pairs = zip(fit.terms, fit.values.terms, strict=True)
@@ -135,16 +134,16 @@ def _without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, fl
         axes = fit.data.axes
         kept.append((NamedTerm("bias", (), 0.0, effect("bias", tuple(AXES[:axes]))), np.zeros(axes)))
     values = replace(fit.values, terms=tuple(own for _, own in kept))
-    # Not what `fit` makes of itself: an average over functions keeps the covariance of its members.
+    # A plain `Fit`: an `AveragedFit` would keep the covariance of its members.
     again = Fit(fit.data, tuple(term for term, _ in kept), values, fit.with_prior).refit()
     misfit = again.chi2 / again.dof if again.dof > 0 else 1.0
     return again, max(inflation, misfit)
 
 
 class _Columns:
-    """Values of a fit with their places among its parameters, in the units that results are stated in.
+    """Parameters of a fit in the units of results, with their gradients.
 
-    What follows the clock is taken at the middle of the session.
+    Terms in time are evaluated at the middle of the session.
     """
 
     def __init__(self, fit: Fit) -> None:
@@ -153,19 +152,11 @@ class _Columns:
         self.offset, self.offset_slope = clock_at_middle(fit, np.zeros(axes))
         self.turn_rad, self.turn_slope = clock_at_middle(fit, np.zeros(axes), turned=True)
         self.unit = fit.data.unit
-        self.names: list[str] = []
-        self.values: list[float] = []
-        self.units: list[str] = []
-        self.rows: list[Floats] = []
-
-    def _add(self, name: str, value: float, unit: str, gradient: Floats) -> None:
-        self.names.append(name)
-        self.values.append(value)
-        self.units.append(unit)
-        self.rows.append(gradient)
+        self.rows: list[tuple[str, float, str, Floats]] = []
+        """Name, value, unit and gradient (p,) of each parameter."""
 
     def _gain(self, axis: int) -> tuple[float, Floats]:
-        """Factor on the gain of an axis at the middle, and its gradient (p,)."""
+        """Factor on the gain of an axis at the middle of the session, and its gradient (p,)."""
         ideal_mg = np.zeros(self.fit.data.axes)
         ideal_mg[axis] = MG_PER_G
         full, slope = clock_at_middle(self.fit, ideal_mg)
@@ -179,7 +170,7 @@ class _Columns:
         return gradient
 
     def base(self, parameter: BaseParameter) -> None:
-        """A base parameter; the start angle only where the dwells show it."""
+        """Add a base parameter; the start angle only if the dwells determine it."""
         k = self.fit.data.model.index(parameter.name)
         if parameter.name == "alpha" and not self.fit.data.visible[k]:
             return
@@ -197,10 +188,10 @@ class _Columns:
             gradient = gain * gradient + value * factor * slope
             value *= gain
         stated = parameter.stated(value) if unit == "deg" else value * factor
-        self._add(parameter.name, stated, unit, gradient)
+        self.rows.append((parameter.name, stated, unit, gradient))
 
     def biases(self, terms: Sequence[NamedTerm]) -> list[str]:
-        """Bias of every axis, zero where the model has none; names of those that it has a term for."""
+        """Add the bias of every axis, zero without a term; return the names that have a term."""
         at: dict[str, int] = {}
         for term in terms:
             start = self.fit.slice_of(self.fit.terms.index(term)).start
@@ -211,36 +202,37 @@ class _Columns:
             value = 0.0 if place is None else float(self.fit.values.parameters[place])
             stated = float(self.unit.zero[axis]) + (value + float(self.offset[axis])) * factor
             gradient = self._gradient(place, factor) + factor * self.offset_slope[axis]
-            self._add(f"bias_{letter}", stated, self.unit.name, gradient)
+            self.rows.append((f"bias_{letter}", stated, self.unit.name, gradient))
         return list(at)
 
     def effect(self, term: NamedTerm) -> EffectTerm:
-        """Values of an effect."""
+        """Add the values of an effect."""
         index = self.fit.terms.index(term)
         start = self.fit.slice_of(index).start
         names = []
         for k, parameter in enumerate(term.effect.parameters):
             name = parameter.name
-            while name in self.names:
+            while name in [row[0] for row in self.rows]:
                 name += "_also"
             value = float(self.fit.values.terms[index][k])
-            self._add(name, value, parameter.unit, self._gradient(start + k))
+            self.rows.append((name, value, parameter.unit, self._gradient(start + k)))
             names.append(name)
         return EffectTerm(term.effect, tuple(names))
 
     def stated(self, inflation: float) -> tuple[tuple[Coefficient, ...], Floats]:
-        """Parameters, and their covariance (p, p)."""
-        rows = np.stack(self.rows)
+        """Return the parameters and their covariance (p, p)."""
+        rows = np.stack([gradient for _, _, _, gradient in self.rows])
+        # Covariance of functions of the parameters by their gradients.
         matrix = rows @ self.fit.covariance @ rows.T * inflation
         sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
         return tuple(
             Coefficient(name, value, float(size) if size > 0 else None, unit)
-            for name, value, size, unit in zip(self.names, self.values, sizes, self.units, strict=True)
+            for (name, value, unit, _), size in zip(self.rows, sizes, strict=True)
         ), matrix
 
 
-def _stands(term: NamedTerm, result: TraceResult) -> bool:
-    """True for a finding, and for an effect that is confounded with nothing but its like."""
+def _is_corrected(term: NamedTerm, result: TraceResult) -> bool:
+    """Whether an effect is a finding, or confounded only with other effects that are corrected."""
     if term.name in {finding.effect for finding in result.found}:
         return True
     rivals = {name for names in result.confounded if term.name in names for name in names}
@@ -249,7 +241,7 @@ def _stands(term: NamedTerm, result: TraceResult) -> bool:
     return bool(rivals) and rivals <= correctable
 
 
-def _left_out(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
+def _reason_not_corrected(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
     if follows_clock(term):
         why = _CLOCK if term.name is not None else _NAMELESS
         of = "the start angle is that" if term.enters_angle else "bias and gain are those"
@@ -265,7 +257,7 @@ def _left_out(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
 
 
 def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
-    """Of `trace --sensor-part gyro`: zero rates and the effects that can be corrected, by its final model.
+    """Return zero rates and correctable effects of gyros by the final model of a trace.
 
     Raises
     ------
@@ -299,7 +291,7 @@ def _not_corrected(term: Term, nameless: str, unknown: str) -> NotCorrected:
 def _gyro_stated(
     fit: Fit, kept: Sequence[NamedTerm], inflation: float
 ) -> tuple[tuple[Coefficient, ...], Floats]:
-    """Parameters with gains K and misalignments of D, and their covariance."""
+    """Return parameters with gains K and misalignments of D, and their covariance."""
     parameters = list(fit.data.model.parameters)
     units = [one.unit for one in parameters]
     names, places = [one.name for one in parameters], list(range(len(parameters)))
@@ -317,7 +309,7 @@ def _gyro_stated(
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:
-    """The calibration with the session's gyros in it; as it was where these cannot be calibrated.
+    """Add the session's gyros to a calibration; unchanged if they cannot be calibrated.
 
     Raises
     ------
@@ -334,47 +326,47 @@ def with_gyros(calibration: Calibration, session: Session, *, traced: bool = Fal
 
 
 def gyros_alone(session: Session) -> str:
-    """What to do where a session calibrates its gyros and not its accelerometers; else nothing."""
+    """Advice if a session calibrates its gyros but not its accelerometers; else empty."""
     try:
         gyro_calibration_of(session)
     except AdisGonioError:
         return ""
     return (
-        "; its gyros are calibrated: put them beside the accelerometers of another session of the part, "
+        "; its gyros are calibrated: combine them with the accelerometers of another session of the part, "
         f"export OTHER --gyros {PurePath(session.source).name} -o both.json"
     )
 
 
 def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibration:
-    """Calibration of a session's gyros, for the part as it is: with the offsets that were written since.
+    """Return the calibration of a session's gyros with the offsets that were written afterwards.
 
     Parameters
     ----------
     traced : bool
-        By the traced model, with its effects.
+        Use the traced model with its effects.
 
     Raises
     ------
     FitError
         The session has no gyros, or does not determine their zero rates.
     SessionError
-        A write of gyro offsets was interrupted, so that only the sensor can tell.
+        A write of gyro offsets was interrupted, so that the current offsets are unknown.
     """
     return gyro_as_written(gyros_as_recorded(session, traced=traced), provenance_of(session))
 
 
 def gyros_as_recorded(session: Session, *, traced: bool = False) -> GyroCalibration:
-    """As `gyro_calibration_of`, for the offsets that stood while the session was recorded."""
+    """Like `gyro_calibration_of`, with the offsets in effect during the recording."""
     return make_gyro_calibration(gyro_estimates_of(session, traced=traced), provenance_of(session))
 
 
 def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimates:
-    """Parameters of a session's gyros by name.
+    """Return the parameters of a session's gyros by name.
 
     Raises
     ------
     DataError, FitError
-        The session has no gyros, or none whose unit is known, or no dwell.
+        The session has no gyros of known unit, or no dwell.
     """
     if traced:
         from adis_gonio.tracing.trace import trace
@@ -384,16 +376,16 @@ def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimate
 
 
 _FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")
-"""Endings of what `export` and `report` write and nothing here reads."""
+"""Endings of files that `export` and `report` write for other programs."""
 
 
 def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
-    """Calibration of a JSON file, or of a session by `fit`; told apart by the first character.
+    """Load a calibration from a JSON file or fit a session; the first character decides.
 
     Parameters
     ----------
     method : str, optional
-        Of the fit, where the file is a session.
+        Method of the fit if the file is a session.
 
     Raises
     ------
@@ -406,14 +398,14 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     if made is not None:
         return made
     from adis_gonio.fitting import fit
-    from adis_gonio.record.loading import as_it_is, load_session
+    from adis_gonio.record.loading import explain_refusal, load_session
 
     if ends_in(path, *_FOR_OTHERS):
         raise DataError(_made_for_others(path))
     try:
         session = load_session(path)
     except DataError as error:
-        raise DataError(as_it_is(str(error))) from None
+        raise DataError(explain_refusal(str(error))) from None
     try:
         own = fit(session, method=method).calibration()
     except FitError as error:
@@ -424,15 +416,15 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
 def load_gyro_calibration(
     path: str | Path, part: Provenance | None = None, *, traced: bool = False
 ) -> GyroCalibration:
-    """As `GyroCalibration.load`.
+    """Load a gyro calibration; see `GyroCalibration.load`.
 
     Parameters
     ----------
     part : Provenance, optional
-        Of the accelerometers beside which the gyros shall stand: another sensor's or serial number's are
-        refused with `UsageError`.
+        Origin of the accelerometers that the gyros will be combined with. Gyros of another sensor or
+        serial number raise `UsageError`.
     traced : bool
-        Of a session: by the traced model of its gyros, with its effects.
+        For a session, use the traced model of its gyros with its effects.
     """
     document = json_document(Path(path))
     if document is None:
@@ -444,17 +436,17 @@ def load_gyro_calibration(
         _refuse_another_part(part, _named(provenance_of(session)), path)
         return gyro_calibration_of(session, traced=traced)
     schema = document.get("schema") if isinstance(document, dict) else None
-    if schema == SCHEMA:
+    if schema == Calibration.schema:
         whole = calibration_from(document, str(path))
         _refuse_another_part(part, _named(whole.provenance), path)
         if whole.gyro is None:
             raise FitError(f"{path}: is a calibration without gyros")
         return whole.gyro
     if schema is None and isinstance(document, dict) and isinstance(document.get("gyro"), dict):
-        # What `export` makes of a session that calibrates its gyros alone, as one of the plan gyro-turns.
+        # Export of a session that calibrates only its gyros, such as one of the plan gyro-turns.
         _refuse_another_part(part, _exported(document.get("session")), path)
         return gyro_calibration_from(document["gyro"], str(path))
-    if schema != GYRO_SCHEMA:
+    if schema != GyroCalibration.schema:
         raise DataError(f"{path}: is no gyro calibration; GyroCalibration.save makes one")
     return gyro_calibration_from(document, str(path))
 

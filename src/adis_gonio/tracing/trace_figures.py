@@ -1,6 +1,6 @@
-"""What the figures of a trace show: residual against covariate before and after each step.
+"""Data of the figures of a trace: residual against covariate before and after each step.
 
-Figures of one pose as a time series: residuals of single samples.
+For a single pose the points are samples, otherwise dwells.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import AXES, Conditions, catalogue
 from adis_gonio.model.records import Session
-from adis_gonio.tracing.one_pose import mg_per_unit, series_columns, series_conditions
+from adis_gonio.tracing.one_pose import series_columns, series_conditions, series_readings
 from adis_gonio.tracing.trace_result import TraceResult
-from adis_gonio.tracing.validation import leave
+from adis_gonio.tracing.validation import residuals_on
 
 _LEFT = ("angle", "time", "temperature", "supply")
 _LEAST_SPAN = {"temperature": 0.145, "supply": 0.0018}
-"""Spans (°C, V) below one step of the part's own sensors: nothing can be read from such an axis."""
+"""Spans (°C, V) below one step of the sensors on the part, which a figure cannot show."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One axis of one step.
+    """Data of one plot: residuals of one quantity over one covariate.
 
     Attributes
     ----------
@@ -37,14 +37,14 @@ class Panel:
         (°C), temperature_rate (°C/min), temperature_lag (°C), supply (V), approach (+1, −1), reading_x …
         (g), variance (mg²).
     quantity : str
-        residual_x, residual_y, residual_z, or norm (in space), in mg; angle in degrees: what the calibrated
-        goniometer computes minus the declared angle.
+        residual_x, residual_y, residual_z, or norm (in space), in mg; angle in degrees: angle computed
+        from the reading minus the declared angle.
     x : (n,) float
     before, after : (n,) float
     u : (n,) float
-        Standard uncertainty of a point; NaN where it is not known.
+        Standard uncertainty of a point; NaN if unknown.
     check_x, check_after : (m,) float
-        Dwells that took no part.
+        Check dwells.
     """
 
     covariate: str
@@ -59,9 +59,9 @@ class Panel:
 
 @dataclass(frozen=True)
 class StepView:
-    """The panels of a step; none where its term could not be told from its name.
+    """The panels of a step; empty if the term of the step is unknown.
 
-    `beside_all`: before is the final model without this effect, not the model of the step before.
+    `beside_all`: `before` is the final model without this effect instead of the model of the step before.
     """
 
     effect: str
@@ -71,13 +71,13 @@ class StepView:
 
 @dataclass(frozen=True)
 class Views:
-    """All that is shown of a trace beside its result.
+    """All figures of a trace.
 
     Attributes
     ----------
     steps : tuple of StepView
     left : tuple of Panel
-        What the final model leaves; before: the base model.
+        Residuals of the final model; `before` is the base model.
     """
 
     steps: tuple[StepView, ...]
@@ -85,12 +85,12 @@ class Views:
 
 
 def views_of(readings: Readings, result: TraceResult) -> Views:
-    """Residuals of traced readings before and after each step.
+    """Return the residuals of traced readings before and after each step.
 
     Parameters
     ----------
     readings : Readings
-        All dwells of the session, those for checking among them.
+        All dwells of the session, check dwells included.
     """
     checking, chain = readings.checking, result.fits
     steps = []
@@ -100,7 +100,7 @@ def views_of(readings: Readings, result: TraceResult) -> Views:
 
 
 def _new_term(before: Fit, after: Fit) -> Term:
-    """The term by which a model differs from the one before."""
+    """Term that a model has in addition to the model before."""
     inside = {term.label for term in before.terms}
     fresh = [term for term in after.terms if term.label not in inside]
     return (fresh or list(after.terms))[-1]
@@ -129,13 +129,13 @@ def _axes(term: Term) -> list[int]:
 
 
 def _covariate(data: Readings, term: Term, axis: int) -> str:
-    """The covariate that explains a term best to the eye."""
+    """Return the covariate that shows a term best in a plot."""
     planar_angle = data.planar and data.conditions.angle_rad is not None
     shown = term.effect.shown_over if isinstance(term, NamedTerm) else ""
     name = term.covariates[0] if term.covariates else ""
     own = f"reading_{AXES[axis]}"
     if shown == "angle":
-        # A constant has no covariate: it shows as a harmonic of the turn that the base model cannot follow.
+        # A constant has no covariate; over the angle it shows as a harmonic that the base model lacks.
         return "angle" if planar_angle else own
     if shown:
         return shown
@@ -145,38 +145,29 @@ def _covariate(data: Readings, term: Term, axis: int) -> str:
 
 
 def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
-    """Covariate (n,) in the unit of a figure; None where it was not recorded."""
+    """Return a covariate (n,) in the unit of figures; None if it was not recorded."""
+    c = conditions
     if name.startswith("reading_"):
-        axis = AXES.index(name[-1])
-        return data.mean[:, axis] / data.model.full
+        return data.mean[:, AXES.index(name[-1])] / data.model.full
     if name in ("force", "rotation"):
-        rows = conditions.force_g if name == "force" else conditions.rate_dps
+        rows = c.force_g if name == "force" else c.rate_dps
         return None if rows is None else rows[:, int(np.ptp(rows, axis=0).argmax())]
-    if name == "time":
-        return conditions.time_s / 60.0
     if name in ("angle", "previous_angle"):
-        rad = conditions.angle_rad if name == "angle" else conditions.previous_angle_rad
+        rad = c.angle_rad if name == "angle" else c.previous_angle_rad
         return None if rad is None else np.degrees(rad)
     if name == "temperature_rate":
-        history = conditions.temperature_history
+        history = c.temperature_history
         if history is None or len(history[0]) < 2:
             return None
-        return np.interp(conditions.time_s, history[0], np.gradient(history[1], history[0])) * 60.0
+        return np.interp(c.time_s, history[0], np.gradient(history[1], history[0])) * 60.0
     if name == "variance":
-        rows = conditions.variance_mg2
-        return None if rows is None else rows.mean(axis=1)
-    fields = {
-        "temperature": "temperature_c",
-        "supply": "supply_v",
-        "order": "order",
-        "approach": "approach",
-    }
-    found: Floats | None = getattr(conditions, fields[name]) if name in fields else None
-    return found
+        return None if c.variance_mg2 is None else c.variance_mg2.mean(axis=1)
+    plain = {"temperature": c.temperature_c, "supply": c.supply_v, "order": c.order, "approach": c.approach}
+    return c.time_s / 60.0 if name == "time" else plain.get(name)
 
 
 def _lag(data: Readings, after: Fit) -> Floats:
-    """Temperature of the lagging element minus the die's (n,) in °C, as the fitted effect has it."""
+    """Temperature of the fitted lagging element minus the die's (n,) in °C."""
     for term, values in zip(after.terms, after.values.terms, strict=True):
         if isinstance(term, NamedTerm) and term.effect.shown_over == "temperature_lag":
             axis = AXES.index(term.effect.axes[0])
@@ -213,13 +204,13 @@ def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit
 
 
 def _left_over(fit: Fit, quantity: str, others: Readings | None = None) -> Floats:
-    """Residual (n,) of a quantity, of the dwells that were fitted or of others."""
+    """Residual (n,) of a quantity, for the fitted dwells or others."""
     data = fit.data if others is None else others
     if quantity == "angle":
         turned = fit.angle_error_rad(data)
         assert turned is not None
         return np.degrees(wrap_radians(turned))
-    left = fit.misfit if others is None else leave(fit, others).residual
+    left = fit.misfit if others is None else residuals_on(fit, others).residual
     if quantity == "norm":
         return np.asarray((left * _along(data)).sum(axis=1))
     return np.asarray(left[:, AXES.index(quantity[-1])])
@@ -227,14 +218,15 @@ def _left_over(fit: Fit, quantity: str, others: Readings | None = None) -> Float
 
 def _along(data: Readings) -> Floats:
     pose = data.model.pose(data.mean, data.conditions)
-    assert pose is not None  # a reading of which the length counts has a direction
+    assert pose is not None  # readings judged by their norm have a direction
     return pose
 
 
 def _uncertainty(fit: Fit, quantity: str) -> Floats:
-    """Standard uncertainty (n,) of a quantity of the dwells that were fitted."""
+    """Standard uncertainty (n,) of a quantity for the fitted dwells."""
     data = fit.data
     if quantity == "angle":
+        # A reading changes by `slope` standard uncertainties per rad.
         slope = np.linalg.norm(data.root @ fit.tangent, axis=1)[:, 0]
         fixture = np.where(np.isfinite(data.fixture), data.fixture, 0.0)
         return np.asarray(np.degrees(np.hypot(1 / slope, fixture)))
@@ -246,7 +238,7 @@ def _uncertainty(fit: Fit, quantity: str) -> Floats:
 
 
 def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
-    """What the final model leaves against every covariate that moved, those of the unnamed rest first."""
+    """Plot the final residual over each covariate that varied, starting with the unnamed part's."""
     base, last = result.fits[0], result.fits[-1]
     data = last.data
     unnamed = result.unnamed.covariates if result.unnamed is not None else ()
@@ -263,9 +255,9 @@ def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
 
 
 def series_views(session: Session, result: TraceResult) -> Views:
-    """Residuals of the samples of a traced pose before and after each step."""
+    """Return the residuals of the samples of a traced pose before and after each step."""
     dwell = next(dwell for dwell in session.dwells if len(dwell))
-    readings = dwell.accel * mg_per_unit(session, dwell)
+    readings = series_readings(session, dwell)
     conditions = series_conditions(dwell)
     axes = readings.shape[1]
     blocks = {finding.effect: series_columns(finding, conditions, axes) for finding in result.found}
@@ -289,7 +281,7 @@ def series_views(session: Session, result: TraceResult) -> Views:
 
 
 def _series_left(readings: Floats, blocks: Sequence[Sequence[Floats]]) -> Floats:
-    """Readings (n, axes) minus the best constant and columns of each axis, each block (n, d) by axis."""
+    """Residual (n, axes) of the readings after a constant and the columns (n, d) of each axis."""
     left = np.empty_like(readings)
     for axis in range(readings.shape[1]):
         design = np.concatenate([np.ones((len(readings), 1)), *(block[axis] for block in blocks)], axis=1)

@@ -1,4 +1,4 @@
-"""What a trace says: findings, steps, rivals, the unnamed rest, errors before and after, advice."""
+"""Result of a trace: findings, steps, rivals, unnamed part, errors before and after, advice."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from adis_gonio.base.jsonable import (
     OPTIONAL,
     JsonRecord,
     finite,
-    json_object,
+    key,
 )
 from adis_gonio.base.tables import Entries, ParameterTable, lines_of
-from adis_gonio.base.values import Detectable, Value
+from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.parts import ACCELEROMETER, GYRO
+from adis_gonio.fitting.estimation.readings import ACCELEROMETER, GYRO
 from adis_gonio.fitting.slips.position_diagnosis import PositionFinding, listed
 from adis_gonio.model.effects import catalogue
-from adis_gonio.model.effects.environment import REFERENCE_C
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C
 from adis_gonio.record.provenance import Provenance
 from adis_gonio.tracing.credible_sets import CredibleSet
 from adis_gonio.tracing.within.samples import WithinFinding
@@ -34,28 +34,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ErrorFigures(JsonRecord):
-    """How well a model does.
+    """Errors of one model.
 
     The JSON document is the keys of `error.before`.
 
     Attributes
     ----------
     residual_rms : float
-        Residual of the dwells that were fitted, in `unit`.
+        Residual of the fitted dwells, in `unit`.
     heldout_rms : float or None
-        Reading minus model at the attitude that fits the dwell best, over dwells that took no part.
+        Reading minus model at the attitude that fits the dwell best, over the held-out dwells.
     angle_rms_deg : float or None
-        Angle from the reading by the calibrated goniometer minus declared angle, over these dwells.
+        Angle computed from the reading minus declared angle, over the held-out dwells.
     chi2_per_dof : float or None
-        None where the noise of a reading is not known or no degree of freedom is left.
+        None if the noise of a reading is unknown or no degree of freedom remains.
     heldout_by_axis : mapping of str to float or None
-        The held-out error axis by axis, where one pose is traced sample by sample, or axes have nothing in
-        common (gyros).
+        Held-out error of each axis, for a single pose traced sample by sample and for gyros (no common
+        attitude of their axes).
     heldout_kept : float or None
-        Of the final model, where `heldout_rms` is that of effects chosen anew in each fold: the same
-        dwells left out with its effects kept and only their values fitted anew.
+        Held-out error of the final model if its effects are kept in each fold and only their values are
+        fitted again. `heldout_rms` then refers to effects that were chosen again in each fold.
     unit : str
-        Of the readings: it ends the names in the JSON (`residual_rms_mg`).
+        Unit of the readings, which ends the JSON names (`residual_rms_mg`).
     """
 
     residual_rms: float = field(metadata=NAMED_BY_UNIT)
@@ -69,7 +69,7 @@ class ErrorFigures(JsonRecord):
 
 @dataclass(frozen=True)
 class Finding(JsonRecord):
-    """One named effect that the trace added.
+    """A named effect that the trace added to the model.
 
     The JSON document is one entry of `found`.
 
@@ -79,15 +79,15 @@ class Finding(JsonRecord):
     axes : tuple of str
     parameters : mapping of str to Value
     p_value : float
-        Of the effect in the final model (group score test), times the number of candidates, at most 1.
+        Of the group score test in the final model, times the number of candidates, at most 1.
     explains : float
-        Fraction of the base model's excess residual; 0 for an effect that stands inside the dwells only.
+        Fraction of the base model's excess residual; 0 for an effect that was found only inside dwells.
     probability : float
-        Posterior that the effect is present; of one inside the dwells 1 less its p-value.
+        Posterior probability that the effect is present; inside dwells, 1 minus the p-value.
     equivalents : tuple of str
-        Models that predict the same in this session.
+        Models with the same predictions in this session.
     cause : str
-        In one sentence.
+        Cause of the effect in one sentence.
     """
 
     effect: str
@@ -102,21 +102,21 @@ class Finding(JsonRecord):
 
 @dataclass(frozen=True)
 class Unnamed(JsonRecord):
-    """Structure that has no name.
+    """Structure in the residual that no named effect explains.
 
     The JSON document is the value of `unnamed`.
 
     Attributes
     ----------
     covariates : tuple of str
-        What it depends on: angle, time, order, temperature, temperature_rate, supply, approach,
-        previous_angle, reading, variance.
+        Covariates that the structure depends on: angle, time, order, temperature, temperature_rate,
+        supply, approach, previous_angle, reading, variance.
     form : str
         Formula in words.
     explains : float
         Fraction of the base model's excess residual.
     probability : float
-        Posterior of these covariates.
+        Posterior probability of these covariates.
     p_value : float
     """
 
@@ -129,7 +129,7 @@ class Unnamed(JsonRecord):
 
 @dataclass(frozen=True)
 class Step(JsonRecord):
-    """One term as it came in. The JSON document is one entry of `steps`."""
+    """One added term and the errors of the model with it. The JSON document is one entry of `steps`."""
 
     effect: str
     error: ErrorFigures = field(metadata=INLINE)
@@ -139,33 +139,40 @@ Purpose = Literal["decide", "cover"]
 
 
 @dataclass(frozen=True)
-class NextDwell:
-    """One more dwell that is worth while.
+class NextDwell(JsonRecord):
+    """A proposed further dwell.
+
+    The JSON document is one entry of `measurements`.
 
     Attributes
     ----------
     angle_deg : float or None
         Angle to declare; None in space.
     direction : tuple of 3 float or None
-        In space: what an ideal sensor would read there, in units of G.
+        In space: reading of an ideal sensor there, in units of G.
     approach : {1, -1, 0}
         Direction of travel in which the angle is reached; 0 does not matter.
     wait_s : float
-        How long to wait before it, beside the usual time between two dwells.
+        Waiting time before the dwell, in addition to the usual time between two dwells.
     temperature_c, supply_v : float or None
-        Temperature and supply that are wanted; None as they are.
+        Required temperature and supply; None for no change.
     separation : float
-        Expected difference of the two in standard uncertainties of what is measured, beyond what the
-        measurements before it part already.
+        Expected difference between the two hypotheses, in standard uncertainties of the measurement, in
+        addition to the separation by earlier proposed dwells.
     information : float
-        Expected information about what is true, in nats, given the measurements before it.
+        Expected information about the true model in nats, given the earlier proposed dwells.
     purpose : {"decide", "cover"}
-        Which of the models near the best is true, or whether something is there that the session could
+        To decide which of the probable models is true, or to look for an effect that this session could
         not have shown.
     one, other : tuple of str
-        What is told apart: effects that only one of the two models has. One of them may be empty.
+        Effects that only one of the two hypotheses contains; one of the two may be empty.
     sentence : str
     """
+
+    document_keys = (
+        *("angle_deg", "direction", "approach", "wait_s", "temperature_c", "supply_v", "separation"),
+        *("information", "purpose", "separates", "sentence"),
+    )
 
     angle_deg: float | None
     direction: tuple[float, float, float] | None
@@ -180,26 +187,15 @@ class NextDwell:
     other: tuple[str, ...]
     sentence: str = ""
 
-    def as_dict(self) -> dict[str, Any]:
-        """One entry of `measurements`."""
-        return json_object(
-            angle_deg=self.angle_deg,
-            direction=self.direction,
-            approach=self.approach,
-            wait_s=self.wait_s,
-            temperature_c=self.temperature_c,
-            supply_v=self.supply_v,
-            separation=self.separation,
-            information=self.information,
-            purpose=self.purpose,
-            separates=[self.one, self.other],
-            sentence=self.sentence,
-        )
+    @property
+    def separates(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The two groups of effects, `one` and `other`."""
+        return self.one, self.other
 
 
 @dataclass(frozen=True)
 class Stopped(JsonRecord):
-    """What the time limit did to a trace.
+    """Effect of the time limit on a trace.
 
     The JSON document is the value of `stopped`.
 
@@ -210,7 +206,7 @@ class Stopped(JsonRecord):
     left_out : tuple of str
         Stages that ended early or were not begun.
     checked : bool
-        Whether validation was complete: what is called found then stands. Nothing is, where it was not.
+        Whether the validation was completed. Without it the result contains no findings.
     """
 
     document_keys = ("limit_s", "elapsed_s", "left_out", "checked", "sentence")
@@ -222,12 +218,12 @@ class Stopped(JsonRecord):
 
     @classmethod
     def of(cls, budget: Budget, *, checked: bool) -> Stopped:
-        """What a budget has left out."""
+        """Record the stages that a budget has cut off."""
         return cls(budget.limit_s, budget.elapsed_s, tuple(budget.left_out), checked)
 
     @property
     def sentence(self) -> str:
-        """One sentence."""
+        """The record as one sentence."""
         if self.checked:
             outcome = "what is called found was checked"
         else:
@@ -238,7 +234,7 @@ class Stopped(JsonRecord):
 
 @dataclass(frozen=True)
 class Rival(JsonRecord):
-    """A model near the best: its terms, and its posterior. The JSON document is one entry of `rivals`."""
+    """A model of high posterior probability. The JSON document is one entry of `rivals`."""
 
     terms: tuple[str, ...]
     probability: float
@@ -246,51 +242,56 @@ class Rival(JsonRecord):
 
 @dataclass(frozen=True)
 class TraceResult(ParameterTable):
-    """The trace of a session.
+    """Result of tracing a session.
 
     Attributes
     ----------
     adequate : bool
-        The final model leaves no more than the noise that was measured within the dwells; False if this
-        was not tested (see `adequacy`).
+        Whether the residual of the final model agrees with the noise measured within the dwells; False if
+        this was not tested (see `adequacy`).
     found : tuple of Finding
     steps : tuple of Step
     confounded : tuple of tuple of str
-        Effects, or an effect and nameless forms, that this session cannot tell apart.
+        Effects, or an effect and unnamed forms, that this session cannot distinguish.
     unnamed : Unnamed or None
     before, after : ErrorFigures
     detectable : mapping of str to Detectable
     advice : tuple of str
     rivals : tuple of Rival
-        Models near the best, the best first.
+        Models of high posterior probability, the most probable first.
     base : mapping of str to Value
         Base parameters of the final model.
     reasons : mapping of str to str
-        Why an effect is confounded or not called found.
+        For each effect that is confounded or rejected, the reason.
     notes : tuple of str
     within : tuple of WithinFinding
-        What the samples inside the dwells show.
+        Findings in the samples inside the dwells.
     heldout_design : str
         How dwells were left out.
     sets : tuple of CredibleSet
-        For each cause of the model the names that could stand in its place.
+        For each cause in the model, the names that could replace it.
     measurements : tuple of NextDwell
-        Advice in figures, for a program or a running session: further dwells, in the order in which they
-        are worth while.
+        Proposed further dwells for a program or a running session, in order of priority.
     fits : tuple of Fit
-        The base model, then the model after each step, fitted; no part of the JSON, nor of a comparison.
-        Empty where one pose is traced sample by sample.
+        Fit of the base model, then of the model after each step; not in the JSON and not compared. Empty
+        for a single pose traced sample by sample.
     inflation : float
-        Factor on the noise variance at which uncertainties are stated.
+        Factor on the noise variance used for the stated uncertainties.
     stopped : Stopped or None
-        What the time limit left out, where it ended the trace.
+        Stages that the time limit cut off; None if the trace was completed.
     provenance : Provenance or None
-        Where the readings come from; None where no session was given.
+        Origin of the readings; None if no session was given.
     overrides : mapping
-        What was stated otherwise than in the session's file, old and new (`session.overrides`).
+        Metadata that replaced values of the session's file, old and new (`session.overrides`).
     position_findings : tuple of PositionFinding
-        Positions that are not where they were declared (`adis_gonio.fitting.slips`).
+        Positions that differ from their declaration (`adis_gonio.fitting.slips`).
     """
+
+    document_keys = (
+        *("adequate", "adequacy", "found", "steps", "sets", "confounded", "unnamed", "error", "detectable"),
+        *("advice", "measurements", "rivals", "base", "reasons", "notes", "within", "heldout_design"),
+        *("reference_temperature_c", "stopped", "overrides"),
+    )
 
     adequate: bool
     found: tuple[Finding, ...]
@@ -300,7 +301,7 @@ class TraceResult(ParameterTable):
     before: ErrorFigures
     after: ErrorFigures
     detectable: dict[str, Detectable]
-    advice: tuple[str, ...]
+    advice: tuple[str, ...] = field(metadata=key("next"))
     rivals: tuple[Rival, ...] = ()
     base: dict[str, Value] = field(default_factory=dict)
     reasons: dict[str, str] = field(default_factory=dict)
@@ -322,28 +323,29 @@ class TraceResult(ParameterTable):
 
     @property
     def tested(self) -> bool:
-        """True if the session has readings to spare and a known noise, so that its model could fail."""
+        """Whether the noise is known and enough readings remain to reject the model."""
         return self.after.chi2_per_dof is not None
 
     @property
     def adequacy(self) -> Literal["adequate", "not adequate", "not tested"]:
-        """Outcome of the test of the final model against the noise within the dwells."""
+        """Result of the test of the final model against the noise within the dwells."""
         if not self.tested:
             return "not tested"
         return "adequate" if self.adequate else "not adequate"
 
     def calibration(self) -> Calibration | GyroCalibration:
-        """What turns readings into angles by the final model; of gyros, into rates of turn.
+        """Return the calibration by the final model: readings to angles, or gyro readings to rates.
 
-        Effects that are functions of the reading (of gyros: the rate and the force), the temperature or the
-        supply are corrected; what belongs to the bench is listed as not corrected.
+        Effects that depend only on the reading (for gyros: the rate and the force), the temperature or the
+        supply are corrected. Effects of the bench are listed as not corrected.
 
         Raises
         ------
         UsageError
             The result was made from readings, not from a session.
         FitError
-            One pose only, a trace that its time limit ended before it was checked, or another part.
+            The trace is of a single pose, was ended by its time limit before validation, or is of another
+            part.
         SessionError
             A write of offsets to the sensor was interrupted.
         """
@@ -365,15 +367,15 @@ class TraceResult(ParameterTable):
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of the noise at which uncertainties are stated; inf where unlimited."""
+        """Degrees of freedom of the noise used for the uncertainties; inf if unlimited."""
         return next((value.dof for value in self.base.values() if value.u is not None), math.inf)
 
     @property
     def reference_temperature_c(self) -> float | None:
         """Temperature at which the parameters hold.
 
-        25 °C where an effect of the temperature is in the model, else the mean of the dwells; None where it
-        was not recorded.
+        25 °C if the model contains an effect of temperature, else the mean of the dwells. None if the
+        temperature was not recorded.
         """
         if any("temperature" in c for fit in self.fits[-1:] for term in fit.terms for c in term.covariates):
             return REFERENCE_C
@@ -385,7 +387,7 @@ class TraceResult(ParameterTable):
         return float(recorded.mean())
 
     def summary(self) -> str:
-        """What was found and what it brings, as `trace` begins, and the parameters of the effects."""
+        """Return the outcome, the change of the errors and the parameters of the effects as text."""
         from adis_gonio.tracing import trace_summary as words
 
         return "\n".join([words.headline(self), words.gains(self), *lines_of(self._of_effects)])
@@ -398,47 +400,15 @@ class TraceResult(ParameterTable):
         return [(name, one.as_dict()) for found in self.found for name, one in found.parameters.items()]
 
     def caption_and_parameters(self) -> tuple[str, Entries]:
-        """Summary, and the parameters of the base model and the effects."""
+        """Return the summary, and the parameters of the base model and the effects."""
         return self.summary(), [*finite(self.base).items(), *self._of_effects]
+
+    @property
+    def error(self) -> dict[str, ErrorFigures]:
+        """Errors before and after."""
+        return {"before": self.before, "after": self.after}
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `trace`."""
         other = {} if self.part == ACCELEROMETER else {"part": self.part}
-        return json_object(
-            **other,
-            adequate=self.adequate,
-            adequacy=self.adequacy,
-            found=self.found,
-            steps=self.steps,
-            sets=self.sets,
-            confounded=self.confounded,
-            unnamed=self.unnamed,
-            error={"before": self.before, "after": self.after},
-            detectable=self.detectable,
-            next=self.advice,
-            measurements=self.measurements,
-            rivals=self.rivals,
-            base=self.base,
-            reasons=self.reasons,
-            notes=self.notes,
-            within=self.within,
-            heldout_design=self.heldout_design,
-            reference_temperature_c=self.reference_temperature_c,
-            stopped=self.stopped,
-            overrides=self.overrides,
-            **listed(self.position_findings),
-        )
-
-
-__all__ = [
-    "Detectable",
-    "ErrorFigures",
-    "Finding",
-    "Rival",
-    "Step",
-    "Stopped",
-    "TraceResult",
-    "Unnamed",
-    "Value",
-    "WithinFinding",
-]
+        return {**other, **super().as_dict(), **listed(self.position_findings)}

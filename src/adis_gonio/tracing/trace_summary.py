@@ -1,4 +1,4 @@
-"""What a trace says, in sentences: the terminal's summary and the page use the same ones."""
+"""Sentences on the result of a trace, shared by the terminal's summary and the report page."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from adis_gonio.base.numbers import (
     join_words,
     with_unit,
 )
-from adis_gonio.base.values import Detectable
+from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.model.effects import catalogue, effect
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.records import Session
@@ -31,21 +31,21 @@ _SURE = (
     (0.9, 5e-2, "likely"),
     (0.0, 1.0, "the best of several explanations"),
 )
-"""Least probability and largest p-value of each word."""
+"""Smallest probability and largest p-value for each phrase."""
 
 
 @dataclass(frozen=True)
 class SightWords:
-    """What the session would have shown.
+    """Effects that the session would have shown.
 
     Attributes
     ----------
     visible, weak : tuple of (name, text)
-        Effects with the smallest amplitude that would have shown: below, and above what a bench sees.
+        Effects with the smallest amplitude that would have shown: smaller, and larger than typical.
     open : tuple of (name, text)
-        The same of effects that the session cannot tell from others.
+        Visible effects that the session cannot distinguish from others.
     blind : tuple of (names, reason)
-        Effects that could not show at any physical amplitude.
+        Effects that would not have shown at any physical amplitude.
     """
 
     visible: tuple[tuple[str, str], ...]
@@ -55,22 +55,22 @@ class SightWords:
 
 
 def title(session: Session) -> str:
-    """Name of the session: its title, else its file."""
+    """Name of the session: its title or, without one, its file."""
     return session.title or session.source.rsplit("/", maxsplit=1)[-1] or "session"
 
 
 _WRITTEN_DOWN = {"serial": "part", "stage": "stage", "operator": "operator"}
-"""Fields of a session that somebody wrote down, with their names on the page."""
+"""Fields of a session that a person wrote, with their names on the page."""
 
 
 def written_down(session: Session) -> dict[str, str]:
-    """Serial number of the part, stage and operator by their names on the page, where they are stated."""
+    """Return the stated serial number, stage and operator by their names on the page."""
     texts = {name: str(getattr(session, field, "")).strip() for field, name in _WRITTEN_DOWN.items()}
     return {name: text for name, text in texts.items() if text}
 
 
 def overridden(session: Session) -> list[str]:
-    """What was stated in the place of the file: `gravity_mps2: 9.81 instead of 9.80665`."""
+    """Return the replaced metadata, such as `gravity_mps2: 9.81 instead of 9.80665`."""
     return [
         name
         if change["new"] is True
@@ -86,7 +86,7 @@ def _stated(value: Any) -> str:
 
 
 def shape(session: Session) -> str:
-    """What kind of session it is, such as `24 dwells, adis16354, one plane`."""
+    """Describe the session, such as `24 dwells, adis16354, one plane`."""
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if session.free_turn and session.recording is not None:
         return f"one free turn, {counted(len(session.recording), 'sample')}, {session.sensor}"
@@ -107,7 +107,7 @@ def with_axes(finding: Finding) -> str:
 
 
 def parameters(finding: Finding) -> list[str]:
-    """Parameters with values, those of an axis in one line."""
+    """Parameters with values, one line for each axis."""
     groups: dict[str, list[str]] = {}
     for name, value in finding.parameters.items():
         axis = name.rsplit("_", 1)[-1]
@@ -117,7 +117,7 @@ def parameters(finding: Finding) -> list[str]:
 
 
 def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the errors, base model first; columns without any figure are left out."""
+    """Return head and rows of the errors, the base model first, without empty columns."""
     rows: list[tuple[str, ErrorFigures]] = [
         ("base model", result.before),
         *((f"+ {step.effect}", step.error) for step in result.steps),
@@ -139,7 +139,7 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
 
 
 def _by_axis(rows: Sequence[tuple[str, ErrorFigures]], unit: str) -> dict[str, list[float | None]]:
-    """Columns of the held-out error of each axis, where axes have nothing in common."""
+    """Return columns of the held-out error of each axis, if the axes share no attitude."""
     each = [error.heldout_by_axis for _, error in rows]
     return {f"{axis} / {unit}": [(own or {}).get(axis) for own in each] for axis in each[0] or ()}
 
@@ -153,31 +153,34 @@ def how_sure(finding: Finding) -> str:
 
 
 def uncertain_steps(result: TraceResult) -> list[str]:
-    """Effects of the final model that are not called found."""
+    """Effects of the final model that are not findings."""
     found = {finding.effect for finding in result.found}
     return list(dict.fromkeys(step.effect for step in result.steps if step.effect not in found))
 
 
 def ordered(result: TraceResult) -> list[Finding]:
-    """Findings in the order in which they came in."""
+    """Findings in the order in which they entered the model."""
     order = [step.effect for step in result.steps]
     return sorted(result.found, key=lambda f: order.index(f.effect) if f.effect in order else len(order))
 
 
 def inside_only(result: TraceResult) -> list[Finding]:
-    """Findings that stand inside the dwells and have no part in the model of the readings."""
+    """Findings inside the dwells that are not part of the model of the readings."""
     steps = {step.effect for step in result.steps}
     seen = {finding.effect for finding in result.within}
     return [finding for finding in result.found if finding.effect in seen - steps]
 
 
 def within(result: TraceResult) -> list[str]:
-    """What the samples inside the dwells show, with how sure."""
-    return [f"{_capital(finding.sentence)} ({format_p(finding.p_value)})." for finding in result.within]
+    """Findings inside the dwells as sentences with p-values."""
+    return [
+        f"{finding.sentence[:1].upper()}{finding.sentence[1:]} ({format_p(finding.p_value)})."
+        for finding in result.within
+    ]
 
 
 def headline(result: TraceResult) -> str:
-    """The outcome in a few sentences; what a time limit left out first."""
+    """The outcome in a few sentences, preceded by the effect of a time limit."""
     if result.stopped is not None:
         rest = f" {_outcome(result)}" if result.stopped.checked else ""
         return result.stopped.sentence + rest
@@ -192,53 +195,49 @@ def _outcome(result: TraceResult) -> str:
     return first
 
 
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
 def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
-    """What the readings say, of the findings that are in their model."""
+    """Sentences on the model of the readings and its findings."""
     names = [with_axes(finding) for finding in found]
     what = f"Found: {join_words(names)}." if names else ""
     rest = result.unnamed
     if rest is not None:
         begin = f"{what} Besides, the" if names else "The"
         end = "" if result.adequate else " Not all of the residual is explained."
-        return (
-            f"{begin} residual follows {join_words(list(rest.covariates))} in a way that has no name.{end}"
-        )
+        covariates = join_words(list(rest.covariates))
+        return f"{begin} residual follows {covariates} in a way that no named effect explains.{end}"
     if result.adequate:
         if not names and not result.steps:
             return (
-                "The base model explains this session: what is left is the noise that was measured within "
-                "the dwells. Nothing had to be added."
+                "The base model explains this session: the residual is the noise that was measured within "
+                "the dwells. No effect had to be added."
             )
         unsure = uncertain_steps(result)
         if unsure:
-            beside = f"{join_words(names)} brings" if len(names) == 1 else f"{join_words(names)} bring"
-            beside = f"{beside} it down together with" if names else "what brings it down is"
-            end = "which is not certain" if len(unsure) == 1 else "which are not certain"
-            return f"The residual is the measured noise: {beside} {join_words(unsure)}, {end}."
+            verb = "is" if len(unsure) == 1 else "are"
+            return (
+                f"The residual falls to the measured noise with {join_words([*names, *unsure])}; "
+                f"{join_words(unsure)} {verb} not certain."
+            )
         count = _COUNTS[len(names)] if len(names) < len(_COUNTS) else str(len(names))
         word = "effect brings" if len(names) == 1 else "effects bring"
         return f"{count} {word} the residual down to the measured noise: {join_words(names)}."
     if exact(result):
         return (
-            f"{what} The model has as many parameters as there are readings: nothing is left to test it "
-            "by. Measure more positions."
+            f"{what} The model has as many parameters as there are readings: no reading remains to "
+            "test it. Measure more positions."
         )
     if result.before.heldout_by_axis is not None and not result.fits:
         return (
-            f"{what or 'Nothing was found that the readings follow.'} One pose shows what they follow, not"
-            " whether zero or gain does. Whether anything is left cannot be tested: the noise of"
-            " neighbouring samples is not independent."
+            f"{what or 'No condition was found that the readings follow.'} One pose does not show whether"
+            " zero or gain changes. Adequacy cannot be tested, since the noise of neighbouring samples is"
+            " correlated."
         )
     if not result.tested:
         noise_known = bool(result.fits) and result.fits[-1].data.noise_known
-        ending = "Whether anything is left cannot be tested: " + (
+        ending = "Adequacy cannot be tested: " + (
             "the model has as many parameters as there are readings. Measure more positions."
             if noise_known
-            else "the noise of a reading is not known by itself."
+            else "the noise of a reading is unknown."
         )
         return f"{what or 'Nothing was found beyond the base model.'} {ending}"
     if result.confounded or result.reasons:
@@ -246,17 +245,17 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
             "The residual stays larger than the noise, and this session cannot decide what causes the rest."
         )
     else:
-        ending = "The residual stays larger than the noise, and nothing could be named for the rest."
+        ending = "The residual stays larger than the noise, and no named effect explains the rest."
     return f"{what or 'Nothing was found for certain.'} {ending}"
 
 
 def exact(result: TraceResult) -> bool:
-    """True where an effect leaves nothing at all, as a model does that passes through every reading."""
+    """Whether the final model passes exactly through every reading."""
     return bool(result.steps) and result.after.residual_rms < 1e-9 * result.before.residual_rms
 
 
 def gains(result: TraceResult) -> str:
-    """Error before and after in a sentence."""
+    """The errors before and after in one sentence."""
     before, after = result.before, result.after
     unit = format_unit(before.unit)
     if exact(result):
@@ -269,17 +268,15 @@ def gains(result: TraceResult) -> str:
     if before.heldout_rms is not None and after.heldout_rms is not None:
         left, kept = format_number(after.heldout_rms), format_number(after.heldout_kept)
         parts.append(
-            f"on data that took no part from {format_number(before.heldout_rms)} to {left} {unit}"
+            f"on held-out data from {format_number(before.heldout_rms)} to {left} {unit}"
             f"{format_reduction(before.heldout_rms, after.heldout_rms)}"
         )
         if after.heldout_kept is not None and kept != left:
             parts[-1] += (
-                f", effects chosen anew each time, or to {kept} {unit} with those of this model kept"
+                f", effects chosen again each time, or to {kept} {unit} with the effects of this model kept"
             )
     else:
-        parts.append(
-            "there was too little data to leave any out, so that nothing proves this on other data"
-        )
+        parts.append("there were too few data to hold any out, so this is not verified on other data")
     if before.angle_rms_deg is not None and after.angle_rms_deg is not None:
         parts.append(
             f"the error of the angle from {format_number(before.angle_rms_deg)}° to "
@@ -290,7 +287,7 @@ def gains(result: TraceResult) -> str:
 
 
 def confounded(result: TraceResult, most: int = 4) -> list[str]:
-    """Groups that the session cannot tell apart, those that begin alike in one line."""
+    """Groups that the session cannot distinguish, one line for each first name."""
     groups: dict[str, list[str]] = {}
     for names in result.confounded:
         if len(names) == 1:
@@ -304,24 +301,24 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
         text = first
         named = [name for name in others if name in known]
         nameless = [name for name in others if name not in named]
-        told = named[:most] + nameless[:1]
-        if told:
+        listed = named[:most] + nameless[:1]
+        if listed:
             more = len(named[most:]) + len(nameless[1:])
             kind = "more" if named[most:] else f"other form{'s' * (more > 1)} without a name"
-            text = f"{first} — or {', or '.join(told)}" + (f" (or {more} {kind})" if more else "")
+            text = f"{first} — or {', or '.join(listed)}" + (f" (or {more} {kind})" if more else "")
         reason = result.reasons.get(first)
         lines.append(f"{text}: {reason}" if reason else text)
     return lines
 
 
 def open_names(result: TraceResult) -> list[str]:
-    """Reasons of effects that are not in a group."""
+    """Rejected effects that are in no group, with the reason."""
     grouped = {names[0] for names in result.confounded}
     return [f"{name}: {reason}" for name, reason in result.reasons.items() if name not in grouped]
 
 
 def unnamed(result: TraceResult) -> str:
-    """What has no name, with how sure."""
+    """The unnamed part with its probability."""
     rest = result.unnamed
     if rest is None:
         return ""
@@ -330,13 +327,11 @@ def unnamed(result: TraceResult) -> str:
 
 
 def sight(result: TraceResult) -> SightWords:
-    """What the session would have shown, from the smallest amplitude against what a bench sees."""
+    """Compare the smallest visible amplitude of each effect with its typical size."""
     found = {finding.effect for finding in result.found}
     undecided = {name for names in result.confounded for name in names} | set(result.reasons)
     undecided |= {step.effect for step in result.steps}
-    visible: list[tuple[str, str]] = []
-    still_open: list[tuple[str, str]] = []
-    weak: list[tuple[str, str]] = []
+    shown: dict[str, list[tuple[str, str]]] = {"visible": [], "weak": [], "open": []}
     blind: dict[str, list[str]] = {}
     for name in catalogue():
         if name in found or name not in result.detectable:
@@ -344,48 +339,42 @@ def sight(result: TraceResult) -> SightWords:
         entry = result.detectable[name]
         prototype = _parameter(name, entry)
         if name in undecided:
-            still_open.append((name, amplitude(entry)))
+            shown["open"].append((name, amplitude(entry)))
         elif entry.amplitude is None:
-            blind.setdefault(entry.reason or "its trace lies in what is fitted", []).append(name)
+            blind.setdefault(_reason(entry.reason or "its trace lies in what is fitted"), []).append(name)
         elif prototype is not None and entry.amplitude > prototype.high:
-            blind.setdefault("too little of what drives it; no physical amplitude would show", []).append(
-                name
-            )
+            reason = "too little of what drives it; no physical amplitude would show"
+            blind.setdefault(reason, []).append(name)
         elif prototype is not None and entry.amplitude > abs(prototype.typical):
-            weak.append((name, amplitude(entry)))
+            shown["weak"].append((name, amplitude(entry)))
         else:
-            visible.append((name, amplitude(entry)))
-    worded: dict[str, list[str]] = {}
-    for reason, names in blind.items():
-        worded.setdefault(_reason(reason), []).extend(names)
+            shown["visible"].append((name, amplitude(entry)))
     return SightWords(
-        tuple(visible),
-        tuple(weak),
-        tuple((tuple(names), reason) for reason, names in worded.items()),
-        tuple(still_open),
+        blind=tuple((tuple(names), reason) for reason, names in blind.items()),
+        **{group: tuple(rows) for group, rows in shown.items()},
     )
 
 
 def absent(result: TraceResult) -> str:
-    """What may be said of an effect that would have shown and did not."""
+    """Statement on an effect that would have shown and was not found."""
     if result.adequate and result.unnamed is None:
         return "not there: it would have shown"
     return "not recognised; it would have shown alone"
 
 
 def amplitude(entry: Detectable) -> str:
-    """Smallest amplitude with unit."""
+    """Smallest visible amplitude with unit."""
     return "–" if entry.amplitude is None else with_unit(format_number(entry.amplitude, 2), entry.unit)
 
 
 def typical(name: str, entry: Detectable) -> str:
-    """What a bench sees of the parameter, with unit."""
+    """Typical size of the parameter on a bench, with unit."""
     prototype = _parameter(name, entry)
     return "" if prototype is None else with_unit(f"{abs(prototype.typical):.4g}", prototype.unit)
 
 
 def advice(result: TraceResult) -> Sequence[str]:
-    """What to do next; a word where nothing is asked for."""
+    """Advice for the next session, or a statement that none is needed."""
     return result.advice or ("nothing: the session answers what it was asked",)
 
 
@@ -410,7 +399,7 @@ def _reason(reason: str) -> str:
 
 
 def _parameter(name: str, entry: Detectable) -> Parameter | None:
-    """The parameter that an amplitude is of."""
+    """Parameter to which an amplitude refers."""
     kind = catalogue().get(name)
     if kind is None or not entry.parameter:
         return None

@@ -1,4 +1,4 @@
-"""The answer of a traced session: the recommended method with the effects that the trace found."""
+"""The answer of a traced session: the recommended method together with the effects of the trace."""
 
 from __future__ import annotations
 
@@ -10,45 +10,48 @@ from functools import cached_property
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import factor_over
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.fitting.answer import Answer, with_notes
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.estimation.shown import ShownAngle
-from adis_gonio.fitting.noise import NoiseAssumptions
-from adis_gonio.fitting.result import FitResult
-from adis_gonio.fitting.scores import DwellPrediction, Score, predicted, scores_of
-from adis_gonio.fitting.sources import MODEL, response_of, sources_of
-from adis_gonio.fitting.standing import Recommendation, surely_worse
-from adis_gonio.fitting.uncertainty_budget import BudgetRow, budget_of
+from adis_gonio.fitting.fit_result import FitResult
+from adis_gonio.fitting.method_comparison import (
+    DwellPrediction,
+    Recommendation,
+    Score,
+    predicted,
+    predicts_worse,
+    scores_of,
+)
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions
+from adis_gonio.fitting.uncertainty import MODEL, BudgetRow, ShownAngle, budget_of, response_of, sources_of
 from adis_gonio.tracing.trace_result import TraceResult
 
 TRACED = "trace"
-"""Name of the traced model among the scores."""
+"""Name of the traced model in the scores."""
 
 
 @dataclass(frozen=True)
 class TracedAnswer(Answer):
-    """Answer by a traced model, whose effects the recommended method lacks.
+    """Answer by a traced model with effects that the recommended method lacks.
 
     Attributes
     ----------
     traced : TraceResult
-        The trace; its model is the recommended one.
+        The trace with the recommended model.
     """
 
     traced: TraceResult
 
     @property
     def model_parameters(self) -> dict[str, Value]:
-        """Parameters of the base model by name, as the traced model has them."""
+        """Parameters of the base model by name, with their values in the traced model."""
         return dict(self.traced.base)
 
     @property
     def parameters(self) -> dict[str, Value]:
-        """All parameters of the traced model by name, with those of its effects."""
+        """All parameters of the traced model by name, including its effects."""
         found = dict(self.traced.base)
         for finding in self.traced.found:
             found |= finding.parameters
@@ -62,28 +65,30 @@ class TracedAnswer(Answer):
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Uncertainty budget of `values` in the plane, by the traced model."""
+        """Uncertainty budget of `values` in the plane by the traced model."""
         return budgets_of_trace(self.traced, self.values)
 
     @property
     def shows_another_method(self) -> bool:
-        """False: the traced model is the recommended one."""
+        """False, since the traced model is the recommended one."""
         return False
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Empty: the effects are in the model."""
+        """Empty, since the effects are in the model."""
         return ()
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on the values, such as the temperature at which they hold."""
+        """Remarks on the values, such as their reference temperature."""
         temperature = self.traced.reference_temperature_c
-        return super().remarks if temperature is None else (f"Parameters hold at {temperature:.1f} °C.",)
+        return (
+            super().remarks if temperature is None else (f"Parameters are valid at {temperature:.1f} °C.",)
+        )
 
     @property
     def reference_temperature_c(self) -> float | None:
-        """Temperature at which the parameters hold."""
+        """Temperature to which the parameters refer."""
         own = self.traced.reference_temperature_c
         return super().reference_temperature_c if own is None else own
 
@@ -93,13 +98,13 @@ class TracedAnswer(Answer):
         return TRACED
 
     def facts(self) -> list[str]:
-        """Residual of the traced model, in one line."""
+        """Residual of the traced model as one line."""
         after = self.traced.after
         return [f"residual {after.residual_rms:.3g} {after.unit} rms"]
 
 
 def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool = True) -> Answer:
-    """Answer of a session that was fitted and traced.
+    """Return the answer of a session that was fitted and traced.
 
     Parameters
     ----------
@@ -108,7 +113,7 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
     trace : TraceResult, optional
         Trace of the same session.
     own : bool
-        Show this result, else the recommended one.
+        Show this result instead of the recommended one.
 
     Returns
     -------
@@ -116,24 +121,24 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
         A `TracedAnswer` if the trace added effects and its model predicts as well as the best method.
     """
     plain = Answer.of(result, own=own)
-    standing = plain.standing
+    comparison = plain.comparison
     if trace is None or not trace.fits or result.session is None:
         return plain
-    likely = next((r for r in standing.results if r.method == "ml"), standing.best)
+    likely = next((r for r in comparison.results if r.method == "ml"), comparison.best)
     names = _beyond(likely, trace)
     if not names:
-        return replace(plain, recommended=_confirmed(standing.recommended, trace))
+        return replace(plain, recommended=_confirmed(comparison.recommended, trace))
     prediction = _of_trace(result.session, trace)
     if prediction is None:
         return plain
-    found = {**standing.predictions, TRACED: prediction}
+    found = {**comparison.predictions, TRACED: prediction}
     scores = scores_of(found)
-    reason = _reason(trace, found, scores, standing.recommended.method)
+    reason = _reason(trace, found, scores, comparison.recommended.method)
     if reason is None:
         return replace(plain, scores=scores)
     return TracedAnswer(
         with_notes(likely, result),
-        standing,
+        comparison,
         Recommendation(likely.method, reason, names),
         scores,
         traced=trace,
@@ -141,14 +146,14 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
 
 
 def _beyond(likely: FitResult, trace: TraceResult) -> tuple[str, ...]:
-    """Effects of the traced model that a fit does not hold itself: biases are in most."""
+    """Return the effects of the traced model that the fit lacks; most fits contain biases."""
     biased = any(e.name.startswith("bias_") for e in likely.parameters)
     names = dict.fromkeys(step.effect for step in trace.steps)
     return tuple(name for name in names if not (biased and name == "bias"))
 
 
 def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendation:
-    """The recommendation with what a trace that added nothing to its model says of it."""
+    """Add to the recommendation the verdict of a trace without additional effects."""
     if trace.stopped is not None and not trace.stopped.checked:
         return recommended
     said = {
@@ -160,7 +165,7 @@ def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendatio
 
 
 def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
-    """Predictions of the traced model, its effects kept and their values fitted anew without each dwell."""
+    """Predict each dwell by the traced model's effects, with values fitted without this dwell."""
     final = trace.fits[-1]
     if not session.planar and not final.data.planar and final.data.axes != session.axes:
         return None
@@ -172,10 +177,10 @@ def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
 def _reason(
     trace: TraceResult, found: dict[str, DwellPrediction], scores: dict[str, Score], best: str
 ) -> str | None:
-    """Why the traced model is the answer; None where it is not."""
+    """Reason to recommend the traced model, or None."""
     if trace.stopped is not None and not trace.stopped.checked:
         return None
-    if surely_worse(found[TRACED], found[best]):
+    if predicts_worse(found[TRACED], found[best]):
         return None
     own, other = scores[TRACED], scores[best]
     if own.angle_rms_deg is not None and other.angle_rms_deg is not None:
@@ -190,7 +195,7 @@ def _reason(
 
 
 def shown_angle(traced: TraceResult, error_deg: float) -> Value:
-    """An error of the angle with the uncertainty of one shown by the traced model, rms over the dwells."""
+    """Return an error of the angle with the uncertainty of an angle by the traced model (rms of dwells)."""
     final = traced.fits[-1]
     covariance = _covariance(final)
     if covariance is None:
@@ -203,17 +208,17 @@ def shown_angle(traced: TraceResult, error_deg: float) -> Value:
 
 
 def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[str, tuple[BudgetRow, ...]]:
-    """Budget of `delta_k`, `delta_phi` and `angle` by the traced model.
+    """Return the budgets of `delta_k`, `delta_phi` and `angle` by the traced model.
 
-    What the sources of the readings leave of u is the choice of the model: a residual larger than the
-    noise, and other models that are as probable.
+    The part of u that is not explained by the sources of the readings is assigned to the choice of the
+    model: a residual larger than the noise, and other models of equal probability.
     """
     final = traced.fits[-1]
     covariance = _covariance(final)
     if covariance is None or not final.data.planar:
         return {}
     data = final.data
-    # Where nothing states the noise, `inflation` is its estimate.
+    # If the noise was not stated, `inflation` is its estimate.
     noise = NoiseAssumptions(scale=math.sqrt(traced.inflation), sigma_rad=data.fixture_rad, dof=traced.dof)
     response = response_of(final, covariance, np.ones(len(covariance)))
     sources = sources_of(data, noise, final, response)
@@ -227,7 +232,7 @@ def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[s
 
 
 def _covariance(fit: Fit) -> Floats | None:
-    """Covariance of all parameters of a fit; None where an average stands for some of them."""
+    """Covariance of all parameters of a fit; None if an average replaces some of them."""
     covariance = fit.covariance
     return covariance if len(covariance) == len(fit.values.parameters) else None
 
@@ -243,7 +248,7 @@ def _gradients(fit: Fit) -> dict[str, Floats]:
 
 
 def _completed(rows: tuple[BudgetRow, ...], value: Value) -> tuple[BudgetRow, ...]:
-    """Rows whose contributions add up to u, the rest of it in the choice of the model."""
+    """Complete the rows so that they add up to u, with the remainder as the choice of the model."""
     total = (value.u or 0.0) ** 2
     known = sum(row.contribution**2 for row in rows if row.source != MODEL)
     rest = math.sqrt(max(total - known, 0.0))

@@ -1,9 +1,9 @@
-"""Validation of a trace: errors on dwells that took no part, and the names and steps that survive them.
+"""Validation of a trace: errors on held-out dwells, and the names and steps that survive them.
 
-Dwells that took no part are the `check` dwells, else those of folds with the selection inside the fold.
-Folds are made of whole dwells: every fifth one; where positions repeat so that no fold leaves a gap of
-angles, blocks of time; and all dwells about one body axis. Plain leave-one-out flatters a model where poses
-repeat: another dwell of the same pose stands in for the one that was left out.
+Held-out dwells are the `check` dwells or, without any, folds of dwells with the selection repeated inside
+each fold. A fold consists of whole dwells: every fifth dwell (shuffled); blocks of time, if positions
+repeat so that no block leaves a gap of angles; all dwells about one body axis. Plain leave-one-out is too
+optimistic if poses repeat, because another dwell of the same pose replaces the dwell that was left out.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, wrap_radians
-from adis_gonio.base.budget import check, told
-from adis_gonio.fitting.estimation.fit import Fit, adequacy, foreseen
+from adis_gonio.base.budget import check, with_progress
+from adis_gonio.fitting.estimation.fit import Fit, adequacy, predictable_dwells
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES
@@ -32,29 +32,29 @@ BLOCKS_OF_TIME = "blocks of time"
 
 
 @dataclass(frozen=True)
-class Left:
-    """What a model leaves on dwells that took no part.
+class HeldOut:
+    """Residuals of a model on held-out dwells.
 
     Attributes
     ----------
     residual : (n, axes) float
-        Reading minus model at the attitude that fits this dwell best within the fixture's tolerance.
+        Reading minus model at the attitude that fits the dwell best within the fixture's tolerance.
     angle_rad : (n,) float or None
-        Angle by the calibrated goniometer minus declared angle.
+        Angle computed from the reading minus declared angle.
     predicted : (n,) bool
-        Dwells of which the model that was fitted without them knows where they lie.
+        Whether the model that was fitted without a dwell determines its reading.
     """
 
     residual: Floats
     angle_rad: Floats | None
     predicted: NDArray[np.bool_]
 
-    def rows(self, index: NDArray[np.bool_]) -> Left:
-        """Some of the dwells."""
+    def rows(self, index: NDArray[np.bool_]) -> HeldOut:
+        """Return some of the dwells."""
         turned = None if self.angle_rad is None else self.angle_rad[index]
         if turned is not None and np.isnan(turned).any():
             turned = None
-        return Left(self.residual[index], turned, self.predicted[index])
+        return HeldOut(self.residual[index], turned, self.predicted[index])
 
 
 @dataclass(frozen=True)
@@ -64,35 +64,35 @@ class Chosen:
     Attributes
     ----------
     fit : Fit
-        What predicts the dwells that are left out.
+        Fit that predicts the held-out dwells.
     by : Fit
-        The one by which is judged what it knows: the choice behind an average, which has no columns of its
-        own; else the same.
+        Fit whose covariance decides which dwells are predicted: the selection behind an average, since an
+        average has no columns, else `fit`.
     """
 
     fit: Fit
     by: Fit
 
 
-def leave(fit: Fit, data: Readings) -> Left:
-    """Residuals of a fitted model on other dwells."""
+def residuals_on(fit: Fit, data: Readings) -> HeldOut:
+    """Return the residuals of a fitted model on other dwells."""
     there = fit.on(data)
     turned = fit.angle_error_rad(data)
-    return Left(there.misfit, turned, np.ones(len(data), dtype=bool))
+    return HeldOut(there.misfit, turned, np.ones(len(data), dtype=bool))
 
 
 def rms(residual: Floats, by_axis: bool) -> float:
-    """Root mean square: over the readings of all axes, or of the norm's residual (`Readings.by_axis`)."""
+    """Root mean square over the readings of all axes, or of the norm's residual (`Readings.by_axis`)."""
     squares = residual**2
     return float(np.sqrt(squares.mean() if by_axis else squares.sum(axis=1).mean()))
 
 
 def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
-    """Fold designs that apply: name → masks (n,) of the dwells that are left out."""
+    """Return the applicable fold designs: name → masks (n,) of the held-out dwells."""
     n = len(data)
     count = min(limits.folds, n) if n > limits.alone else n
     order = np.arange(n)
-    # A fixed shuffle, so that no fold holds every fifth angle of a turn only.
+    # A fixed shuffle, so that no fold holds exactly every fifth angle of a turn.
     shuffled = np.random.default_rng(5).permutation(n)
     designs = {"whole dwells": [shuffled % count == k for k in range(count)]}
     blocks = [order * limits.blocks // n == k for k in range(limits.blocks)]
@@ -105,15 +105,16 @@ def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
 
 
 def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
-    """Masks (n,) of the dwells whose gravity lies nearest each end of each body axis.
+    """Return masks (n,) of the dwells with gravity nearest to each end of each body axis.
 
-    In one plane only where positions repeat, since a turn whose positions are all different has no dwell
-    that stands in for another, and a quarter of it that is missing is another session.
+    In one plane the result is empty unless positions repeat. In a turn of different positions no dwell can
+    replace another, and leaving out a quarter of the turn makes a different session.
     """
     if data.planar:
         theta = data.conditions.angle_rad
         if theta is None:
             return []
+        # Distances of all pairs of angles; less than half of the dwells with a neighbour: no repetition.
         apart = np.abs(wrap_radians(theta[:, None] - theta[None, :]))
         if 2 * int(((apart < np.deg2rad(limits.repeated_deg)).sum(axis=1) > 1).sum()) < len(data):
             return []
@@ -122,19 +123,20 @@ def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
         return []
     nearest = np.abs(pose).argmax(axis=1)
     up = np.take_along_axis(pose, nearest[:, None], axis=1)[:, 0] > 0
+    # Six groups in space: axis nearest to gravity, and its direction.
     groups = 2 * nearest + up
     return [groups == group for group in np.unique(groups)]
 
 
-def counting(
+def predicted_dwells(
     data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], model: Sequence[Term]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Dwells (n,) that count as predicted under each design, with a model of all dwells.
+    """Return the dwells (n,) that count as predicted under each design, for a model of all dwells.
 
-    Under the designs that leave out whole ranges of angle or time these are the dwells that the others
-    predict by the base model and, where the model has functions without a name, by these: a quarter of a
-    turn that was left out says nothing of a function that has harmonics there, nor does the first dwell of
-    a jump that only it has seen.
+    Under designs that leave out whole ranges of angle or time, a dwell counts if the other dwells predict
+    it by the base model and the unnamed functions of the model. If a quarter of a turn is left out, the
+    rest does not determine a function with harmonics there; a jump seen only by its first dwell is not
+    determined without that dwell.
     """
     nameless = [term for term in model if term.name is None]
     every = np.ones(len(data), dtype=bool)
@@ -153,29 +155,32 @@ def counting(
 def determined(
     data: Readings, masks: Sequence[NDArray[np.bool_]], beside: Sequence[Term] = ()
 ) -> NDArray[np.bool_]:
-    """Dwells (n,) that the dwells outside their fold predict by the base model with a bias on each axis.
+    """Return the dwells (n,) that the dwells outside their fold predict by base model and biases.
 
-    With X the whitened columns, the prediction of held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
-    units of the noise. A dwell counts up to a variance of four; beyond, its error is that of a fit
-    that has never seen the axis, not of the model.
+    With whitened columns X, the prediction of held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
+    units of the noise. A dwell counts up to a variance of four. Beyond that its error shows that the fit
+    has never seen the axis, and not that the model is wrong.
 
     Parameters
     ----------
     beside : sequence of Term
-        Terms whose columns are determined as well.
+        Terms whose columns have to be determined too.
     """
     begun = Fit.begin(data)
+    # A bias on each axis, in units of the full reading.
     zero = np.tile(data.model.size * np.eye(data.axes), (len(data), 1, 1))
     more = [begun.candidate(term) for term in beside]
     columns = begun.white_by_dwell(np.concatenate([begun.base_columns, zero, *more], axis=2))
     out = np.zeros(len(data), dtype=bool)
     for mask in masks:
-        out[mask] = foreseen(columns[~mask].reshape(-1, columns.shape[2]), columns[mask], limits.predicted)
+        out[mask] = predictable_dwells(
+            columns[~mask].reshape(-1, columns.shape[2]), columns[mask], limits.predicted
+        )
     return out
 
 
 def _poses_repeat(data: Readings, blocks: list[NDArray[np.bool_]]) -> bool:
-    """True where every dwell left out has a neighbour: 2.5 steps of angle, in space 45° away."""
+    """Whether every held-out dwell has a neighbour outside its block: 2.5 angle steps, in space 45°."""
     if not data.planar:
         unit = data.model.pose(data.mean, data.conditions)
         if unit is None:
@@ -198,40 +203,40 @@ def cross_validate(
     data: Readings,
     designs: dict[str, list[NDArray[np.bool_]]],
     fit: Callable[[Readings], Chosen],
-) -> dict[str, Left]:
-    """Left-out residuals of all dwells under each design; `fit` selects and fits on the other dwells."""
+) -> dict[str, HeldOut]:
+    """Return held-out residuals of all dwells by design; `fit` selects and fits on the other dwells."""
     out = {}
     folds_in_all, begun = sum(map(len, designs.values())), 0
     for name, masks in designs.items():
         residual = np.full(data.mean.shape, np.nan)
         turned = np.full(len(data), np.nan)
         predicted = np.ones(len(data), dtype=bool)
-        for mask in told(masks, begun, folds_in_all):
+        for mask in with_progress(masks, begun, folds_in_all):
             check()
             answer = fit(data.rows(~mask))
-            predicted[mask] = answer.by.foresees(data.rows(mask), limits.predicted)
-            left = leave(answer.fit, data.rows(mask))
+            predicted[mask] = answer.by.can_predict(data.rows(mask), limits.predicted)
+            left = residuals_on(answer.fit, data.rows(mask))
             residual[mask] = left.residual
             if left.angle_rad is not None:
                 turned[mask] = left.angle_rad
         begun += len(masks)
-        out[name] = Left(residual, turned, predicted)
+        out[name] = HeldOut(residual, turned, predicted)
     return out
 
 
-def counted(left: Mapping[str, Left], counts: Mapping[str, NDArray[np.bool_]]) -> list[Left]:
-    """Left-out residuals of the dwells that count, design by design."""
+def select_counted(left: Mapping[str, HeldOut], counts: Mapping[str, NDArray[np.bool_]]) -> list[HeldOut]:
+    """Return the held-out residuals of the dwells that count, design by design."""
     return [left[name].rows(own) for name, own in counts.items()]
 
 
-def less_unknown(
-    counts: Mapping[str, NDArray[np.bool_]], anew: Mapping[str, Left]
+def drop_unpredicted(
+    counts: Mapping[str, NDArray[np.bool_]], anew: Mapping[str, HeldOut]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Dwells that count, less those that a model chosen without them does not pretend to know.
+    """Remove dwells that a model chosen without them does not determine.
 
-    Without the quarter of a turn that shows it, or a fifth of a few poses, another effect is chosen that
-    fits the rest as well, and whose parameters leave what is missing open by many mg: its covariance says
-    so. Designs that have less than a third of the dwells left do not apply, unless none does.
+    If the quarter of a turn that shows an effect is left out, or a fifth of a few poses, another effect may
+    be chosen that fits the rest equally well. Its covariance shows that the missing dwells are undetermined
+    by many mg. A design with less than a third of its dwells remaining is dropped, unless all designs are.
     """
     out = {}
     for name, own in counts.items():
@@ -243,21 +248,21 @@ def less_unknown(
 
 @dataclass(frozen=True)
 class Fold:
-    """What is done anew where dwells are left out.
+    """Selection and fit that are repeated inside each fold.
 
     Attributes
     ----------
     terms : sequence of Term
         Candidates inside a fold.
     averaged : Averaged or None
-        The average on all dwells.
+        Average on all dwells.
     max_effects : int
     """
 
     terms: Sequence[Term]
     averaged: Averaged | None
     max_effects: int
-    _made: dict[tuple[int, str], tuple[Fit | None, Left]] = field(
+    _made: dict[tuple[int, str], tuple[Fit | None, HeldOut]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -265,26 +270,26 @@ class Fold:
     def of(
         cls, selection: Selection, terms: Sequence[Term], averaged: Averaged | None, max_effects: int
     ) -> Fold:
-        """Candidates are those that showed promise (`Selection.promising`)."""
+        """Use the candidates that were promising on all dwells (`Selection.promising`)."""
         return cls(selection.promising(terms), averaged, max_effects)
 
     def left_out(
         self, data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], fit: Fit | None = None
-    ) -> dict[str, Left]:
-        """Residuals of readings under each design, made once for the guard and for the figures.
+    ) -> dict[str, HeldOut]:
+        """Return held-out residuals under each design; computed once for the guard and the figures.
 
         Parameters
         ----------
         fit : Fit, optional
-            Whose effects are kept in every fold; by default they are chosen anew.
+            Fit whose effects are kept in every fold; by default effects are chosen again.
         """
         fresh = {name: masks for name, masks in designs.items() if (id(fit), name) not in self._made}
-        made = cross_validate(data, fresh, self.chosen_anew if fit is None else _keeping(fit))
+        made = cross_validate(data, fresh, self.chosen_anew if fit is None else _keep_effects(fit))
         self._made.update({(id(fit), name): (fit, left) for name, left in made.items()})
         return {name: self._made[id(fit), name][1] for name in designs}
 
     def chosen_anew(self, rows: Readings) -> Chosen:
-        """Fit of the dwells that are kept, with everything chosen from them alone."""
+        """Choose and fit a model from the remaining dwells alone."""
         chosen = select(
             rows, self.terms, self.max_effects, beam=limits.fold_beam, rounds=limits.fold_rounds
         )
@@ -295,8 +300,8 @@ class Fold:
         return Chosen(chosen.fit, by=chosen.fit)
 
 
-def in_order(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
-    """Fits of nested models, the term of the largest gain first, and the words for each step."""
+def nest_fits(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
+    """Return fits of nested models, the term of largest gain first, and the name of each step."""
     left = list(selection.verdict.best)
     model: list[int] = []
     values = {t.label: v for t, v in zip(selection.terms, selection.fit.values.terms, strict=True)}
@@ -308,7 +313,7 @@ def in_order(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit]
         left.remove(best)
         terms = [selection.problem.terms[k] for k in model]
         steps.append(terms[-1].shown_as)
-        fits.append(selection.base.having(terms, [values[term.label] for term in terms]).refit())
+        fits.append(selection.base.with_terms(terms, [values[term.label] for term in terms]).refit())
     if averaged is not None:
         if len(averaged.named) == len(selection.terms):
             steps.append(averaged.fit.terms[-1].shown_as)
@@ -325,12 +330,12 @@ def error_figures(
     fits: Sequence[Fit],
     fold: Fold,
 ) -> tuple[list[ErrorFigures], str]:
-    """Error figures of nested models, and how dwells were left out.
+    """Return error figures of nested models, and a description of the held-out dwells.
 
     Parameters
     ----------
     measured : Readings
-        Those that were fitted, with the noise that was measured.
+        Fitted readings with the measured noise.
     """
     data = selection.data
     if checking is not None:
@@ -340,18 +345,18 @@ def error_figures(
         lefts, design = leave_each_out(fits)
     else:
         designs = folds(data)
-        counts = counting(data, designs, selection.terms)
+        counts = predicted_dwells(data, designs, selection.terms)
         anew = fold.left_out(data, designs) if len(fits) > 1 else {}
-        counts = less_unknown(counts, anew) if anew else counts
+        counts = drop_unpredicted(counts, anew) if anew else counts
         designs = {name: designs[name] for name in counts}
         design = "; ".join(f"{name} ({len(masks)} folds)" for name, masks in designs.items())
         kept = fits[:-1] if len(fits) > 1 else fits
-        lefts = [counted(fold.left_out(data, designs, fit), counts) for fit in kept]
+        lefts = [select_counted(fold.left_out(data, designs, fit), counts) for fit in kept]
         if len(fits) > 1:
-            lefts.append(counted(anew, counts))
-            design += "; effects chosen anew in each fold"
+            lefts.append(select_counted(anew, counts))
+            design += "; effects chosen again in each fold"
             if fold.averaged is None:
-                again = _heldout(counted(fold.left_out(data, designs, fits[-1]), counts), data)
+                again = _heldout(select_counted(fold.left_out(data, designs, fits[-1]), counts), data)
                 design += f", {again:.3g} {data.model.unit} with those found kept"
     figures = [figures_of_fit(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)]
     return [*figures[:-1], replace(figures[-1], heldout_kept=again)], design
@@ -360,20 +365,21 @@ def error_figures(
 def without_folds(
     fits: Sequence[Fit], measured: Readings, checking: Readings | None
 ) -> tuple[list[ErrorFigures], str]:
-    """The same by check dwells alone: without any, and without time for folds, nothing is left out."""
-    lefts: list[list[Left]] = [[] for _ in fits]
+    """Return error figures by the check dwells alone; without check dwells nothing is held out."""
+    lefts: list[list[HeldOut]] = [[] for _ in fits]
     design = "no dwell"
     if checking is not None:
-        lefts = [[leave(fit, checking)] for fit in fits]
+        lefts = [[residuals_on(fit, checking)] for fit in fits]
         design = f"{len(checking)} check dwells"
     return [figures_of_fit(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)], design
 
 
-def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[Left]) -> ErrorFigures:
-    """Error figures of a fit, with its residuals on the left-out dwells."""
+def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[HeldOut]) -> ErrorFigures:
+    """Return the error figures of a fit, given its residuals on held-out dwells."""
     residual = [part.residual for part in left]
     turned = [part.angle_rad for part in left if part.angle_rad is not None]
-    chi2 = fit.chi2 if fit.data is measured else chi2_of_measured(fit, measured)
+    # χ² against the measured noise, whatever noise the fit assumed.
+    chi2 = fit.chi2 if fit.data is measured else replace(fit, data=measured).settled().chi2
     return ErrorFigures(
         residual_rms=rms(fit.misfit, fit.data.by_axis),
         heldout_rms=_heldout(left, fit.data),
@@ -385,14 +391,14 @@ def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[Left]) -> ErrorF
 
 
 def _by_axis(data: Readings, residual: Sequence[Floats]) -> dict[str, float] | None:
-    """Held-out error of each axis, where no attitude joins them."""
+    """Held-out error of each axis; None if an attitude connects the axes."""
     if data.model.freedom or not residual:
         return None
     each = np.sqrt((np.concatenate(residual) ** 2).mean(axis=0))
     return {AXES[k]: float(value) for k, value in enumerate(each)}
 
 
-def _keeping(fit: Fit) -> Callable[[Readings], Chosen]:
+def _keep_effects(fit: Fit) -> Callable[[Readings], Chosen]:
     def kept(rows: Readings) -> Chosen:
         again = fit.again(rows)
         return Chosen(again, by=again)
@@ -405,15 +411,15 @@ def _parameters(fit: Fit) -> int:
 
 
 def leaves_too_few(fit: Fit) -> bool:
-    """True where no dwell can be left out of the selection: few, or the others do not fix the model."""
+    """Whether too few dwells remain for a selection if some are held out."""
     rows = (len(fit.data) - 1) * fit.data.equations_each
     return len(fit.data) < limits.least_choice or rows < _parameters(fit)
 
 
-def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[Left]], str]:
-    """Each dwell left out alone with the effects kept, where the others determine the final model.
+def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
+    """Hold out each dwell alone with the effects kept, if the others determine the final model.
 
-    The others are too few to choose effects from: only the values are fitted anew.
+    The other dwells are too few to choose effects, so only the values are fitted again.
     """
     data, last = fits[-1].data, fits[-1]
     singles = [np.arange(len(data)) == k for k in range(len(data))]
@@ -421,70 +427,67 @@ def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[Left]], str]:
     if any(last.again(data.rows(~mask)).used < columns for mask in singles):
         return [[] for _ in fits], (
             f"the model has {columns} parameters: {len(data) - 1} dwells do not determine it, so that none "
-            "could be left out"
+            "could be held out"
         )
     design = f"each of {len(data)} dwells in turn, effects kept: the others are too few to choose any from"
     designs = {design: singles}
     every = {design: np.ones(len(data), dtype=bool)}
-    return [counted(cross_validate(data, designs, _keeping(fit)), every) for fit in fits], design
+    return [
+        select_counted(cross_validate(data, designs, _keep_effects(fit)), every) for fit in fits
+    ], design
 
 
-def guarding(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[float | None]:
-    """Held-out errors of nested models by which the final one is chosen, effects kept in each fold.
+def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[float | None]:
+    """Return held-out errors of nested models that choose the final model; effects are kept in each fold.
 
-    `check` dwells take no part: they must not choose.
+    `check` dwells are excluded, since they must not influence the choice.
     """
     if leaves_too_few(selection.fit) or len(fits) == 1:
         return [None for _ in fits]
     data = selection.data
     designs = folds(data)
-    counts = counting(data, designs, selection.terms)
-    # A form that was found on all dwells knows those that are left out; an average more so.
+    counts = predicted_dwells(data, designs, selection.terms)
+    # A formula found on all dwells already knows the held-out dwells; an average even more so.
     final = fits[-1] if fold.averaged is None else None
     lefts = [fold.left_out(data, designs, fit) for fit in (*fits[:-1], final)]
-    counts = less_unknown(counts, lefts[-1])
-    return [_heldout(counted(left, counts), data) for left in lefts]
+    counts = drop_unpredicted(counts, lefts[-1])
+    return [_heldout(select_counted(left, counts), data) for left in lefts]
 
 
-def _heldout(parts: Sequence[Left], data: Readings) -> float | None:
-    """Root mean square of left-out residuals; None without any."""
+def _heldout(parts: Sequence[HeldOut], data: Readings) -> float | None:
+    """Root mean square of held-out residuals; None without any."""
     return rms(np.concatenate([part.residual for part in parts]), data.by_axis) if parts else None
 
 
-def chi2_of_measured(fit: Fit, measured: Readings) -> float:
-    """χ² of a fit against the noise that was measured, whatever was assumed in it."""
-    return replace(fit, data=measured).settled().chi2
-
-
 def rms_deg(turned: list[Floats]) -> float | None:
-    """Root mean square of angles in rad about whole turns, in degrees; None without any."""
+    """Root mean square of angles in rad, modulo whole turns, in degrees; None without any."""
     if not turned:
         return None
     return float(np.degrees(np.sqrt((wrap_radians(np.concatenate(turned)) ** 2).mean())))
 
 
-def checkable(names: Names, selection: Selection) -> Names:
-    """Names less those of a model that leaves too few: it would fit whatever was there.
+def reject_unchecked(names: Names, selection: Selection) -> Names:
+    """Reject the names of a model that leaves too few readings, since it would fit any data.
 
-    A bias stands: every sensor has one, and nothing need prove it against none at all.
+    A bias is accepted: every sensor has one, so it needs no proof.
     """
     dof = selection.fit.dof
     if dof >= limits.least_checks:
         return names
-    open_ = [name for name in names.stand if name != "bias"]
+    open_ = [name for name in names.accepted if name != "bias"]
     reasons = dict.fromkeys(open_, f"the model leaves {dof} readings to check it by: too few")
-    return without(replace(names, open={**names.open, **reasons}), reasons)
+    return reject_names(replace(names, rejected={**names.rejected, **reasons}), reasons)
 
 
-def without(names: Names, reasons: dict[str, str]) -> Names:
-    """Names less those that were taken away, which stand under `confounded`."""
-    more = tuple((name,) for name in reasons if name in names.stand)
-    stand = tuple(name for name in names.stand if name not in reasons)
-    return Names(stand, names.open, tuple(dict.fromkeys((*names.confounded, *more))))
+def reject_names(names: Names, reasons: dict[str, str]) -> Names:
+    """Remove rejected names, and list each of them under `confounded`."""
+    more = tuple((name,) for name in reasons if name in names.accepted)
+    accepted = tuple(name for name in names.accepted if name not in reasons)
+    return Names(accepted, names.rejected, tuple(dict.fromkeys((*names.confounded, *more))))
 
 
-def longest(errors: Sequence[float | None], most: int) -> int:
-    """Steps, up to `most`, of the longest nested model whose error is hardly above any shorter one's."""
+def longest_acceptable(errors: Sequence[float | None], most: int) -> int:
+    """Return the steps, up to `most`, of the longest model with hardly more error than any shorter one."""
     known = [error for error in errors if error is not None]
     if len(known) < len(errors):
         return most
@@ -494,9 +497,11 @@ def longest(errors: Sequence[float | None], most: int) -> int:
     return count
 
 
-def refuted(selection: Selection, fits: Sequence[Fit], errors: Sequence[float | None]) -> list[Term]:
-    """Functions without a name that the left-out dwells speak against."""
-    stay = fits[longest(errors, len(fits) - 1)]
+def refuted_functions(
+    selection: Selection, fits: Sequence[Fit], errors: Sequence[float | None]
+) -> list[Term]:
+    """Return the unnamed functions that the held-out dwells contradict."""
+    stay = fits[longest_acceptable(errors, len(fits) - 1)]
     if stay is fits[-1]:
         return []
     return [term for term in selection.terms if term.name is None and term not in stay.terms]
@@ -509,27 +514,27 @@ def never_worse(
     reported: tuple[float, float] | None,
     unit: str = "mg",
 ) -> tuple[int, Names, dict[str, str]]:
-    """Longest nested model whose held-out error is hardly above that of any shorter one.
+    """Find the longest nested model with hardly more held-out error than any shorter model.
 
     Parameters
     ----------
     steps : sequence of str
-        What each model has beyond the one before.
+        Name of the term that each model adds to the one before.
     errors : sequence of float or None
         Held-out errors of the nested models, the base model first; effects are kept in the folds.
     reported : tuple of 2 float, optional
-        What stands in the result for the base model and for the longest one, which may be of other dwells.
+        Reported errors of the base model and the longest model, which may refer to other dwells.
 
     Returns
     -------
-    The number of steps that are kept, the names that are left, and the reasons of the others.
+    The number of steps to keep, the remaining names, and the reasons of the rejected names.
     """
     last = len(steps)
     known = [error for error in errors if error is not None]
     if len(known) < len(errors):
         return last, names, {}
     stated_worse = reported is not None and reported[1] > limits.worse * reported[0]
-    count = longest(known, last - 1 if last > 0 and stated_worse else last)
+    count = longest_acceptable(known, last - 1 if last > 0 and stated_worse else last)
     cut = set(steps) - set(steps[:count])
     before, after = min(known[: count + 1]), known[last]
     if reported is not None and after <= limits.worse * before:
@@ -537,21 +542,22 @@ def never_worse(
     reasons = dict.fromkeys(
         sorted(cut), f"the held-out error would go from {before:.3g} to {after:.3g} {unit} with it"
     )
-    return count, without(names, reasons), reasons
+    return count, reject_names(names, reasons), reasons
 
 
-def unexpected(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
-    """p-value of the residuals of dwells that took no part.
+def disagreement_p_value(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
+    """p-value of the residuals of held-out dwells.
 
-    About the fit a reading is predicted with the covariance 1 + X C Xᵀ of its noise and of the parameters
-    (Cook and Weisberg, Residuals and Influence in Regression, 1982, chapter 2). What dwells share is taken
-    as noise of each one's own.
+    The predicted reading has the covariance 1 + X C Xᵀ, from its noise and from the parameters (Cook and
+    Weisberg, Residuals and Influence in Regression, 1982, chapter 2). Noise that dwells share is treated
+    as independent noise of each dwell.
     """
     alone = replace(others, own_covariance=others.covariance, slow=None)
     there = fit.on(alone)
     residual = there.residual.ravel() / np.sqrt(inflation)
     rows = there.jacobian
     size = min(rows.shape[1], len(fit.covariance))
+    # Columns of X C^½, so that carried · carriedᵀ = X C Xᵀ.
     carried = rows[:, :size] @ _root(fit.covariance[:size, :size])
     spread = np.eye(len(rows)) + carried @ carried.T
     distance = float(residual @ np.linalg.solve(spread, residual))

@@ -1,4 +1,4 @@
-"""Bring-up of a new board: what to check once, in order, and what it says about the register table."""
+"""Bring-up of a new board: checks in order, and their answers to open questions of the register table."""
 
 from adis_gonio.bench.bringup.bringup_run import STEPS, Permission, bring_up
 from adis_gonio.bench.bringup.bringup_step import (

@@ -1,4 +1,4 @@
-"""The page of a bring-up: what was found, what it says of the table, and the figures behind it."""
+"""The HTML page of a bring-up: results, answers about the register table, and figures."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from adis_gonio.bench.bringup.bringup_step import (
     Row,
     Verdict,
 )
-from adis_gonio.page.parts import Figure, Section, Table
-from adis_gonio.page.render import render
+from adis_gonio.page.document import Figure, Section, Table, render
 from adis_gonio.page.svg import Series, plot
 
 
 def build_page(found: Bringup) -> str:
-    """The bring-up as one HTML page that loads nothing."""
+    """The bring-up as one HTML page without external resources."""
     return render(
         "Bring-up",
         found.url,
@@ -29,7 +28,7 @@ def build_page(found: Bringup) -> str:
         begun=found.begun_utc,
         software=found.software,
         sections=(_summary(found), _answers(found), _figures(found), _details(found), _limits(found)),
-        closing="The JSON file beside this page holds the same figures for programs.",
+        closing="The JSON file next to this page has these figures for programs.",
     )
 
 
@@ -39,9 +38,9 @@ def _summary(found: Bringup) -> Section:
         k for k, row in enumerate(found.rows) if row.result.verdict in (Verdict.FAULT, Verdict.DIFFERS)
     ]
     return Section(
-        "What was found",
+        "Results",
         words=(found.headline, f"Writes: {found.undone}."),
-        tables=(Table(("step", "verdict", "what was found"), rows, strong=tuple(strong)),),
+        tables=(Table(("step", "verdict", "result"), rows, strong=tuple(strong)),),
     )
 
 
@@ -61,7 +60,7 @@ def _answers(found: Bringup) -> Section:
         if answer.outcome is Outcome.CONTRADICTS:
             strong.append(k)
     return Section(
-        "What it says about the register table",
+        "Answers about the register table",
         words=(
             "Rows that a real part can settle, with the table's value, its source and its confidence (A the"
             " sibling's data sheet and code agree, B the sibling's sheet only, C derived, D an estimate).",
@@ -78,7 +77,7 @@ def _figures(found: Bringup) -> Section:
             for curve in row.result.curves
             if len(curve.x)
         ]
-    except NotInstalledError as error:  # what was measured on the bench is worth a page without them
+    except NotInstalledError as error:  # the page is useful without figures
         return Section("Figures", words=(f"There are none: {error}.",))
     return Section("Figures", figures=drawn)
 
@@ -127,14 +126,13 @@ def _limits(found: Bringup) -> Section:
     return Section(
         "Limits and surroundings",
         words=(
-            f"A sound board is accused with a probability below {found.false_alarm:g}: that is shared out"
-            f" over {MOST_TESTS} comparisons, of which {found.comparisons} were made. Each limit is the"
-            " quantile of the figure's distribution on a sound board: normal for means, chi-square for"
-            " variances, exponential for the bins of a spectrum. What is not random on a sound board has"
-            " no limit.",
-            "Values stand with their standard uncertainty.",
+            f"A good board is accused with a probability below {found.false_alarm:g}, which is divided"
+            f" among {MOST_TESTS} comparisons; {found.comparisons} of them were made. Each limit is a"
+            " quantile of the figure's distribution on a good board: normal for means, chi-square for"
+            " variances, exponential for the bins of a spectrum. Faults that are not random have no limit.",
+            "Values have their standard uncertainty.",
         ),
-        notes=(f"Bridge: {bridge}.", f"Registers as they were found: {held or 'not read'}."),
+        notes=(f"Bridge: {bridge}.", f"Original registers: {held or 'not read'}."),
     )
 
 
@@ -153,5 +151,5 @@ def _number(value: float, figure: Measured) -> str:
 
 
 def _plain(text: str) -> str:
-    """The column before says `not measured` already."""
+    """Text without `not measured`, which is in the column before."""
     return text.removeprefix("not measured: ")

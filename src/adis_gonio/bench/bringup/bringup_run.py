@@ -1,4 +1,4 @@
-"""The run: steps in order, harmless first; what is written is undone whatever happens."""
+"""The run of a bring-up: its steps in order, harmless ones first; every write is undone in any case."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.base.version import __version__
 from adis_gonio.bench.bringup.bringup_step import (
     QUESTIONS,
     AlarmBudget,
@@ -31,9 +31,8 @@ from adis_gonio.bench.bringup.noise_steps import FilterSteps, Noise
 from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
 from adis_gonio.bench.bringup.write_steps import FlashCount, Offset, SelfTests, StatusBits
 from adis_gonio.device.bus import SpiBus
-from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.device.sensor.frames import NORMAL
-from adis_gonio.device.sensor.undo import Undo
+from adis_gonio.device.sensor.driver import Adis16354, Undo
+from adis_gonio.device.sensor.registers import NORMAL
 from adis_gonio.device.sensor.variants import Variant
 
 STEPS: tuple[BringupStep, ...] = (
@@ -52,14 +51,14 @@ STEPS: tuple[BringupStep, ...] = (
     StatusBits(),
     FlashCount(),
 )
-"""In order: what only reads, then what lends data-ready, then what writes, the flash last."""
+"""Steps in order: those that only read, those that lend data-ready, those that write, the flash last."""
 
 NO_ANSWER = "not measured: {}"
 
 
 @dataclass(frozen=True)
 class Permission:
-    """What may be done to the part.
+    """Permitted changes of the part.
 
     Attributes
     ----------
@@ -70,7 +69,7 @@ class Permission:
     lends : bool
         Data-ready may be enabled while scans run, as a stream does.
     ask : callable
-        Takes a question, returns True for yes.
+        Asks a question; returns True for yes.
     """
 
     writes: bool = False
@@ -89,29 +88,29 @@ def bring_up(
 ) -> Bringup:
     """Check a board step by step.
 
-    A Ctrl-C ends it early: the registers are put back, and the result says `stopped`.
+    A Ctrl-C ends it early: the registers are restored, and the result is marked `stopped`.
 
     Parameters
     ----------
     bus : SpiBus
         An open bus; it stays open.
     variant : str or Variant
-        Which part it should be.
+        Expected part.
     permission : Permission
-        Without one only what reads, and what lends data-ready, is done.
+        By default only steps that read or lend data-ready are run.
     tell : callable
-        Called with each row when it is done.
+        Called with the row of each finished step.
 
     Returns
     -------
     Bringup
-        Faults of the part and of the bridge are in it, not raised.
+        Result with the faults of part and bridge, which are not raised.
     """
     return _Run(bus, variant, permission, tell).all(steps)
 
 
 class _Run:
-    _no_link = "the link does not work"
+    """State of one run."""
 
     def __init__(
         self, bus: SpiBus, variant: str | Variant, permission: Permission, tell: Callable[[Row], object]
@@ -140,7 +139,11 @@ class _Run:
             if stopped:
                 result = not_measured("stopped by the operator")
             elif self._bench is None:
-                result = not_measured(self._no_link) if self._rows else StepResult(Verdict.FAULT, failure)
+                result = (
+                    not_measured("the link does not work")
+                    if self._rows
+                    else StepResult(Verdict.FAULT, failure)
+                )
             else:
                 try:
                     result = self._one(self._bench, step)
@@ -153,7 +156,7 @@ class _Run:
                 stopped = True
         if self._undo is not None:
             try:
-                self._undo.put_back()  # once more, whatever moment an interruption has hit
+                self._undo.put_back()  # again, since an interruption may have come during the first time
             except KeyboardInterrupt:
                 stopped = True
         return self._whole(begun, stopped)
@@ -164,21 +167,20 @@ class _Run:
             return not_measured(refusal)
         if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self._permission.ask(step.question):
             return not_measured("the answer to its question was no")
-        if step.effect is SideEffect.READS:
-            return _attempt(bench, step)
-        if self._undo is None:
-            try:
-                self._undo = Undo(bench.sensor, writable())
-            except AdisGonioError as error:
-                return StepResult(Verdict.FAULT, f"could not be done: {error}")
+        changes = step.effect is not SideEffect.READS
         try:
-            return _attempt(bench, step)
+            if changes and self._undo is None:
+                self._undo = Undo(bench.sensor, writable())
+            return step.run(bench)
+        except AdisGonioError as error:
+            return StepResult(Verdict.FAULT, f"could not be done: {error}")
         finally:
-            try:
-                self._undo.put_back()
-            finally:
-                if self._undo.left:
-                    bench.blocked = f"{', '.join(self._undo.left)} could not be put back"
+            if changes and self._undo is not None:
+                try:
+                    self._undo.put_back()
+                finally:
+                    if self._undo.left:
+                        bench.blocked = f"{', '.join(self._undo.left)} could not be put back"
 
     def _refusal(self, step: BringupStep) -> str:
         if step.effect is SideEffect.WRITES and not self._permission.writes:
@@ -209,7 +211,7 @@ class _Run:
         elif self._undo is None:
             undone = "nothing was written"
         else:
-            undone = f"all of {len(self._undo.rows)} registers were read back as they were found"
+            undone = f"all of {len(self._undo.rows)} registers were read back with their original numbers"
         return Bringup(
             url=self._bus.url,
             variant=sensor.variant.name if sensor is not None else str(self._variant),
@@ -227,27 +229,17 @@ class _Run:
         )
 
 
-def _attempt(bench: BringupBench, step: BringupStep) -> StepResult:
-    try:
-        return step.run(bench)
-    except AdisGonioError as error:
-        return StepResult(Verdict.FAULT, f"could not be done: {error}")
-
-
 def _bridge(bus: ClockCeiling) -> dict[str, Any]:
-    """What the bridge says of itself."""
+    """Facts about the bridge."""
     inner = bus.inner
-    said: dict[str, Any] = {"bus": type(inner).__name__, "capabilities": sorted(inner.capabilities)}
-    said["unbroken_frames"] = inner.unbroken_frames
-    said["clock_hz_used_at_most"] = bus.ceiling_hz
+    facts: dict[str, Any] = {"bus": type(inner).__name__, "capabilities": sorted(inner.capabilities)}
+    facts["unbroken_frames"] = inner.unbroken_frames
+    facts["clock_hz_used_at_most"] = bus.ceiling_hz
     firmware = getattr(inner, "firmware", None)
     if dataclasses.is_dataclass(firmware) and not isinstance(firmware, type):
-        said["firmware"] = {
+        facts["firmware"] = {
             field.name: getattr(firmware, field.name)
             for field in dataclasses.fields(firmware)
             if isinstance(getattr(firmware, field.name), int | str | tuple | list)
         }
-    return said
-
-
-__all__ = ["STEPS", "BringupBench", "Permission", "bring_up"]
+    return facts

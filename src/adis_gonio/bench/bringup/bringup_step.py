@@ -1,12 +1,10 @@
-"""Steps of a bring-up: what they share, what they find, and the document of all of them.
+"""Steps of a bring-up: their common bench, their results, and the document with all of them.
 
-Where every limit of the bring-up comes from: one probability of a false alarm for a whole board.
-
-A sound board is to be accused less often than once in 10 000. The probability is divided by the largest
-number of comparisons of a run (Bonferroni), so that the comparisons need not be independent. Each limit
-is the quantile of the distribution that the compared figure has on a sound board: normal for means,
-chi-square for variances, exponential for the bins of a periodogram. What is not random on a sound board
-(a stuck line, a lost edge) has no limit: there one occurrence is enough.
+All limits follow from one probability of a false alarm for a whole board: a good board is to be accused
+less often than once in 10 000. The probability is divided by the largest number of comparisons of a run
+(Bonferroni), so that the comparisons need not be independent. Each limit is a quantile of the distribution
+of the compared figure on a good board: normal for means, chi-square for variances, exponential for the bins
+of a periodogram. Faults that are not random (a stuck line, a lost edge) have no limit: one is enough.
 """
 
 from __future__ import annotations
@@ -25,8 +23,7 @@ from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.device.bus import Capability, FrameStream, SpiBus, SpiTiming, Words
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.device.sensor.frames import IDLE
-from adis_gonio.device.sensor.registers import BY_NAME, EA, Register, register, registers
+from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, Register, register, registers
 from adis_gonio.device.sensor.scanning import PolledScans, ScanLayout, ScanStream
 from adis_gonio.device.sensor.variants import VARIANTS
 
@@ -35,36 +32,28 @@ _FIGURES = _PART.performance
 
 
 @dataclass(frozen=True)
-class Question:
-    """One row.
+class Question(JsonRecord):
+    """An open question about the ADIS16354, a row of the register table or of the variants.
 
     Attributes
     ----------
     table : str
-        What the table says.
+        Value in the table.
     confidence : str
-        A the data sheet of the sibling and code agree, B the sibling's sheet only, C derived or code
-        only, D an estimate, ? nothing is known.
+        A: the data sheet of the sibling and code agree; B: the sibling's sheet only; C: derived or code
+        only; D: an estimate; ?: nothing is known.
     otherwise : str
-        Why it is not measured where no step answers it.
+        Reason why it is not measured, if no step answers it.
     """
 
+    document_keys = ("name", "text", "table", "source", "confidence")
+
     name: str
-    text: str
+    text: str = field(metadata=key("question"))
     table: str
     source: str
     confidence: str
     otherwise: str = "the step that answers it was not done"
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "name": self.name,
-            "question": self.text,
-            "table": self.table,
-            "source": self.source,
-            "confidence": self.confidence,
-        }
 
 
 def _register(name: str, register: str, text: str, table: str, confidence: str = "") -> Question:
@@ -139,7 +128,7 @@ QUESTIONS: tuple[Question, ...] = (
         "self_test_accel", "MSC_CTRL", "Do the accelerometers answer to the positive sign only?", "yes", "B"
     ),
     _register(
-        "over_range_falls", "STATUS", "Does STATUS's over-range bit fall by itself?", "yes (DS, p. 20)"
+        "over_range_falls", "STATUS", "Does the over-range bit clear automatically?", "yes (DS, p. 20)"
     ),
     _register(
         "alarm_stays", "STATUS", "Does an alarm's bit stay until STATUS is read?", "yes (DS, p. 20)", "B"
@@ -167,23 +156,23 @@ Number = TypeVar("Number", float, float | None)
 
 
 class Verdict(StrEnum):
-    """What a step found."""
+    """Result of a step."""
 
     OK = "ok"
     FAULT = "fault"
-    """The board does what no sound board does."""
+    """The board has a fault."""
     DIFFERS = "differs"
-    """The board works and contradicts a row of the table: the table or the part is other than thought."""
+    """The board works, but contradicts a row of the table."""
     NOT_MEASURED = "not measured"
 
 
 class Outcome(StrEnum):
-    """What was found about a row of the table."""
+    """Answer to a question about the table."""
 
     CONFIRMS = "confirms"
     CONTRADICTS = "contradicts"
     MEASURED = "measured"
-    """The table has no value: here is one."""
+    """The table has no value, and one was measured."""
     NOT_MEASURED = "not measured"
 
 
@@ -194,9 +183,9 @@ class Measured(JsonRecord):
     Attributes
     ----------
     u : float or None
-        None where the figure is a count or a setting.
+        None for a count or a setting.
     expected : float or None
-        What table or configuration say.
+        Value by the table or the configuration.
     """
 
     document_keys = ("name", "value", "u", "unit", "expected")
@@ -210,7 +199,7 @@ class Measured(JsonRecord):
 
 @dataclass(frozen=True)
 class Answer(JsonRecord):
-    """What was measured of one question about the part; `text` is one sentence."""
+    """Answer to one question about the part; `text` is one sentence."""
 
     outcome: Outcome
     text: str
@@ -219,7 +208,7 @@ class Answer(JsonRecord):
 
 @dataclass(frozen=True)
 class Curve:
-    """A series to draw: x and y with their labels, and what is expected where there is such."""
+    """Series to draw against x, by name, with the labels of the axes."""
 
     name: str
     x_label: str
@@ -232,7 +221,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class StepResult(JsonRecord):
-    """Result of a step: a verdict, one sentence that says it, figures, answers to open questions."""
+    """Result of a step: a verdict, one sentence, figures, and answers to open questions."""
 
     document_keys = ("verdict", "text", "figures")
 
@@ -248,7 +237,7 @@ def _plain(number: Number) -> Number:
 
 
 class Findings:
-    """Figures, answers and curves of a step as they come, and the result that they make with a verdict."""
+    """Collects figures, answers and curves of a step, and makes its result."""
 
     def __init__(self) -> None:
         self.figures: list[Measured] = []
@@ -263,7 +252,7 @@ class Findings:
         u: float | None = None,
         expected: float | None = None,
     ) -> Measured:
-        """Add a figure; numbers of numpy become Python's."""
+        """Add a figure; numbers of numpy become numbers of Python."""
         figure = Measured(name, _plain(value), unit, _plain(u), _plain(expected))
         self.figures.append(figure)
         return figure
@@ -273,17 +262,17 @@ class Findings:
         self.answers[question] = Answer(outcome, text, figures)
 
     def settle(self, question: str, text: str, *, differs: bool) -> StepResult:
-        """Result of a step that answers one question, with all its figures and one sentence."""
+        """Result of a step with one question: the answer has all figures and one sentence."""
         self.answer(question, Outcome.CONTRADICTS if differs else Outcome.CONFIRMS, text, *self.figures)
         return self.differs(text) if differs else self.ok(text)
 
     def contradictions(self) -> str:
-        """Texts of the answers that contradict the table; empty without one."""
+        """Texts of the answers that contradict the table, or empty."""
         answers = self.answers.values()
         return "; ".join(one.text for one in answers if one.outcome is Outcome.CONTRADICTS)
 
     def ok(self, text: str) -> StepResult:
-        """Result of a step that found nothing wrong."""
+        """Result of a step that found no fault."""
         return self._result(Verdict.OK, text)
 
     def fault(self, text: str) -> StepResult:
@@ -300,7 +289,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class Row(JsonRecord):
-    """A step with its result, as it stands in the document."""
+    """A step with its result, as in the document."""
 
     name: str
     does: str
@@ -310,20 +299,20 @@ class Row(JsonRecord):
 
 @dataclass(frozen=True)
 class Bringup:
-    """The whole bring-up.
+    """Result of a bring-up.
 
     Attributes
     ----------
     rows : tuple of Row
-        One a step, in order.
+        One row for each step, in order.
     answers : mapping of str to Answer
-        One for each question of `adis_gonio.bench.bringup.bringup_step`.
+        One answer for each of `QUESTIONS`.
     undone : str
-        What became of the registers that were written.
+        Sentence on the restored registers.
     undone_ok : bool
-        True where every register was read back as it was found.
+        True if every register was read back with its original number.
     stopped : bool
-        True where the operator ended it early.
+        True if the operator ended it early.
     """
 
     url: str
@@ -353,7 +342,7 @@ class Bringup:
 
     @property
     def sound(self) -> bool:
-        """True where no step found a fault and everything was undone."""
+        """True if no step found a fault and every write was undone."""
         return self.undone_ok and all(row.result.verdict is not Verdict.FAULT for row in self.rows)
 
     @property
@@ -363,7 +352,7 @@ class Bringup:
 
     @property
     def headline(self) -> str:
-        """The whole in one sentence."""
+        """Summary in one sentence."""
         faults = [row.name for row in self.rows if row.result.verdict is Verdict.FAULT]
         differs = [row.name for row in self.rows if row.result.verdict is Verdict.DIFFERS]
         left = sum(row.result.verdict is Verdict.NOT_MEASURED for row in self.rows)
@@ -402,7 +391,7 @@ class Bringup:
 
 
 class ClockCeiling(SpiBus):
-    """Passes everything on to another bus; `ceiling_hz` limits the clock from the next `configure` on."""
+    """Forwards to another bus; `ceiling_hz` limits its clock from the next `configure` on."""
 
     def __init__(self, inner: SpiBus, ceiling_hz: float) -> None:
         super().__init__(inner.timing)
@@ -422,15 +411,15 @@ class ClockCeiling(SpiBus):
         self.inner.sleep_s(seconds)
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """As the bus."""
+        """See `SpiBus`."""
         return self.inner.stream(frames, block_scans=block_scans)
 
     def hard_reset(self) -> None:
-        """As the bus."""
+        """See `SpiBus`."""
         self.inner.hard_reset()
 
     def read_event_counter(self) -> int:
-        """As the bus."""
+        """See `SpiBus`."""
         return self.inner.read_event_counter()
 
     def _exchange(self, frames: Words) -> Words:
@@ -444,13 +433,13 @@ class ClockCeiling(SpiBus):
 
 
 FALSE_ALARM = 1e-4
-"""Probability that a sound board is accused of anything."""
+"""Probability that a good board is accused of anything."""
 MOST_TESTS = 256
-"""Comparisons that a run may make."""
+"""Limit of comparisons of a run."""
 
 
 class AlarmBudget:
-    """Shares the probability of a false alarm out."""
+    """Divides the probability of a false alarm among the comparisons."""
 
     def __init__(self, total: float = FALSE_ALARM, tests: int = MOST_TESTS) -> None:
         self.total = total
@@ -458,12 +447,12 @@ class AlarmBudget:
         self.spent = 0
 
     def alpha(self) -> float:
-        """Probability of a false alarm of one more comparison.
+        """Probability of a false alarm for one more comparison.
 
         Raises
         ------
         RuntimeError
-            All are spent: the number of tests is a promise about the code.
+            All comparisons are used up, which is an error of the program.
         """
         if self.spent >= self.tests:
             raise RuntimeError(f"more than {self.tests} comparisons: the false alarm rate does not hold")
@@ -500,21 +489,21 @@ Floats = NDArray[np.float64]
 HOST_CLOCK_U = 100e-6 / np.sqrt(3)
 """Relative standard uncertainty of a computer's clock: quartz, within 100 ppm."""
 BOARD_CLOCK_U = 5e-3 / np.sqrt(3)
-"""The same of a bridge that times frames itself: a ceramic resonator, within 0.5 %."""
+"""Relative standard uncertainty of a bridge's clock: a ceramic resonator, within 0.5 %."""
 
 
 LONGEST_S = 40.0
-"""No run of scans takes longer, for slow bridges and slow sample rates, …"""
+"""Limit of the time for scans with slow bridges and slow sample rates."""
 FEWEST = 16
-"""… unless there are not even so many scans."""
+"""Number of scans that is read even if it takes longer than `LONGEST_S`."""
 
 
 class SideEffect(StrEnum):
-    """What a step does to the part."""
+    """Effect of a step on the part."""
 
     READS = "reads"
     LENDS = "lends data-ready"
-    """Enables data-ready while it runs, as a stream does, and sets MSC_CTRL back."""
+    """Enables data-ready while it runs, as a stream does, and restores MSC_CTRL."""
     WRITES = "writes, undone"
     FLASH = "flash write"
 
@@ -525,12 +514,12 @@ class BringupStep(ABC):
     Attributes
     ----------
     name : str
-        Names the row.
+        Name of its row.
     does : str
-        One line: what is done.
+        Description of the step in one line.
     effect : SideEffect
     question : str
-        What is asked before something is written.
+        Question to the operator before a register is written.
     settles : tuple of str
         Questions about the part that it answers.
     """
@@ -543,21 +532,21 @@ class BringupStep(ABC):
 
     @abstractmethod
     def run(self, bench: BringupBench) -> StepResult:
-        """Do it; `AdisGonioError` where the part or the bridge fails."""
+        """Run the step; raises `AdisGonioError` if the part or the bridge fails."""
 
 
 @dataclass
 class BringupBench:
-    """The bench of one run.
+    """Sensor, bus and findings of one run.
 
     Attributes
     ----------
     lends : bool
         Data-ready may be enabled.
     blocked : str
-        Why nothing more can be measured; empty while something can.
+        Reason why no further step can measure, or empty.
     clock : float
-        Measured period of the update over its nominal one; 1 where it is not known.
+        Measured period of the update over its nominal period; 1 if unknown.
     data_ready : bool
         Edges were seen to belong to the updates.
     supply_ok : bool
@@ -576,19 +565,19 @@ class BringupBench:
     constants: dict[str, int] = field(default_factory=dict)
 
     def has(self, capability: Capability) -> bool:
-        """True where the bridge offers a capability."""
+        """True if the bridge offers a capability."""
         return capability in self.bus.capabilities
 
     def refresh(self) -> None:
-        """Set the clock that the present mode and the ceiling allow."""
+        """Set the clock by the present mode and the ceiling."""
         self.sensor._follow()
 
     # -- reading --------------------------------------------------------------------------------------
 
     def repeated(self, name: str | Register, count: int) -> tuple[Words, float]:
-        """Words (count,) of the same register one right after the other, and the time of a frame in s.
+        """Words (count,) of one register in consecutive frames, and the time of a frame in s.
 
-        Longer than what a bridge runs without a pause they are not: then fewer words come.
+        Returns fewer than `count` words if the bridge cannot run that many frames without a pause.
         """
         if self.bus.unbroken_frames is not None:
             count = min(count, self.bus.unbroken_frames - 1)
@@ -602,10 +591,10 @@ class BringupBench:
         return replies[1:], self.bus.timing.frame_s if timed else took_s
 
     def scans(self, count: int, names: Sequence[str]) -> tuple[ScanBlock, bool]:
-        """Scans (at most `count`, no longer than `LONGEST_S`), and whether they follow without a gap.
+        """Scans (at most `count`, no longer than `LONGEST_S`), and True if they have no gap.
 
-        The bridge streams where data-ready may be lent and was found to work, else it polls. Where there
-        are gaps the longest run without one is returned if it is long enough, else all scans.
+        The bridge streams if data-ready may be lent and works, else it polls. If there are gaps, the
+        longest run without a gap is returned if it is long enough, else all scans.
         """
         blocks: list[ScanBlock] = []
         have, begin_s = 0, self.bus.now_s()
@@ -623,7 +612,7 @@ class BringupBench:
     def _stream(self, names: Sequence[str], block_scans: int) -> ScanStream:
         if self.lends and self.data_ready:
             return self.sensor.stream(names, block_scans=block_scans)
-        # Data-ready may be enabled and not be wired: polling needs none.
+        # Data-ready may be enabled, but not wired; polling does not need it.
         now = self.sensor.configuration()
         layout = ScanLayout(
             registers(names), self.sensor.variant.name, now.gyro_range_dps, now.sample_period_s
@@ -636,7 +625,7 @@ class BringupBench:
         return np.asarray(block.numbers().mean(axis=0), np.float64)
 
     def sample_quickly(self) -> None:
-        """The fastest sample rate, for steps that write anyway."""
+        """Set the fastest sample rate, for steps that write."""
         if self.sensor.read("SMPL_PRD") & 0xFF != 0x01:
             self.sensor.write("SMPL_PRD", 0x01)
             self.wait_updates()
@@ -644,11 +633,11 @@ class BringupBench:
     # -- flags ------------------------------------------------------------------------------------------
 
     def alarm_stands(self) -> bool:
-        """EA, as it comes with a word that is read; STATUS is not touched."""
+        """EA of a word; STATUS is not read."""
         return bool(self.sensor.read_words(["XACCL_OUT"])[0] & EA)
 
     def status(self) -> int:
-        """STATUS, which is cleared."""
+        """Read STATUS, which clears it."""
         return self.sensor.read("STATUS")
 
     def wait_updates(self, count: int = 4) -> None:
@@ -658,8 +647,9 @@ class BringupBench:
 
 
 def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
-    """The longest piece without a missed update; a block whose gaps have no place counts as broken."""
+    """Longest run without a missed update; a block with gaps of unknown position is not used."""
     whole = join(blocks)
+    # Scans before which an update was missed.
     breaks: list[int] = [0]
     at = 0
     for block in blocks:
@@ -678,14 +668,14 @@ def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
 
 
 def not_measured(why: str) -> StepResult:
-    """A step that could not measure."""
+    """Result of a step that could not measure."""
     return StepResult(Verdict.NOT_MEASURED, f"not measured: {why}")
 
 
 def writable() -> tuple[Register, ...]:
-    """Registers that are noted before anything is written, and compared after it.
+    """Registers that are saved before any write and compared after it.
 
-    SLP_CNT sends the part to sleep, and the levels of GPIO_CTRL follow the wires: no step touches them.
+    SLP_CNT sends the part to sleep, and the levels of GPIO_CTRL follow the wires: no step writes them.
     """
     return tuple(
         row

@@ -20,24 +20,27 @@ from adis_gonio.bench.bringup.bringup_step import (
     at_most,
 )
 from adis_gonio.device.bus import SpiTiming, Words
-from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.driver import PLAUSIBLE
-from adis_gonio.device.sensor.frames import FAST, FAST_UP_TO, IDLE, NORMAL, read_frames
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
     ACCEL_OUT,
     BY_NAME,
+    FAST,
+    FAST_UP_TO,
+    IDLE,
+    NORMAL,
     REGISTERS,
     TEMP_OUT,
     Register,
+    read_frames,
     registers,
 )
-from adis_gonio.device.sensor.settings import Status
+from adis_gonio.device.sensor.settings import Status, white_noise_gain
 from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE, VARIANTS, Variant
 
 CLOCKS_HZ = (2e6, 1.5e6, 1e6, 750e3, 500e3, 250e3, 125e3, 62.5e3, 31.25e3)
-"""Clocks that a bridge is asked for: the bridges' own steps, within the limits of the chip's modes."""
+"""Clocks to try: steps of the bridges within the limits of the chip's modes."""
 FASTEST_HZ = {"fast": 2e6, "normal": 300e3}
 """Highest clock of a mode (DS, A)."""
 READS = 1000
@@ -48,11 +51,11 @@ _CONSTANT = tuple(
     for row in REGISTERS
     if row.readable and not row.flags and row.name not in ("STATUS", "GPIO_CTRL", "SLP_CNT")
 )
-"""Registers whose content nobody changes meanwhile."""
+"""Registers with constant content."""
 
 
 def legal(row: Register, word: int) -> bool:
-    """True where a word can stand in a register: no bit beside its number or its fields."""
+    """True if a register can have this word: no bit is set outside its number or its fields."""
     if row.name == "ENDURANCE":
         return word < 1 << 15
     if row.name == "SMPL_PRD":
@@ -82,13 +85,13 @@ _READINGS: tuple[tuple[str, Callable[[int], int]], ...] = (
 
 
 class Link(BringupStep):
-    """Whether there is a chip, and whether it is read the right way."""
+    """Checks that there is a chip and that its words are read correctly."""
 
     name = "link"
     does = "reads the control registers three times: silence, a stuck, inverted or shifted data line"
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Try every way of reading that a wrong board makes."""
+        """Compare the words with all known errors of reading."""
         frames = np.append(np.tile(read_frames(_CONSTANT), _PASSES), np.uint16(IDLE))
         words = bench.bus.exchange_array(frames)[1:].reshape(_PASSES, -1)
         first = [int(word) for word in words[0]]
@@ -104,7 +107,7 @@ class Link(BringupStep):
             if max(scores) > scores[0]:
                 problem = _READINGS[scores.index(max(scores))][0]
             elif 2 * scores[0] < len(first):
-                problem = "what is read makes no sense in any way: check the wires of DIN, DOUT and CS"
+                problem = "the words make no sense in any reading: check the wires of DIN, DOUT and CS"
         if problem:
             bench.blocked = "the link does not work"
             return found.fault(problem)
@@ -137,7 +140,7 @@ def _unsteady(words: Words) -> str:
 
 
 class Timing(BringupStep):
-    """What the bridge says of clock, stall and period, and how long a frame takes by its clock."""
+    """Clock, stall and period as reported by the bridge, and the time of a frame by its clock."""
 
     name = "timing"
     does = "asks the bridge for both modes' timing and times 500 frames"
@@ -171,14 +174,14 @@ class Timing(BringupStep):
 
 
 def _frame_s(bench: BringupBench, count: int) -> float:
-    """Time of a frame by the bus's clock, in one batch."""
+    """Time of a frame in a batch, by the bus's clock."""
     begin_s = bench.bus.now_s()
     bench.bus.exchange_array(np.full(count, IDLE, np.uint16))
     return (bench.bus.now_s() - begin_s) / count
 
 
 def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
-    """A frame that takes less than the bridge promises by more than its clock can be off."""
+    """Message if a frame is shorter than the bridge reports by more than the error of its clock."""
     least_us = 1e6 * timing.frame_s
     if frame_us < least_us * (1 - np.sqrt(3) * BOARD_CLOCK_U):
         return [f"a frame takes {frame_us:.1f} µs, the part needs {least_us:.0f}: the stall is not kept"]
@@ -197,9 +200,8 @@ class _Trial:
 class BitErrors(BringupStep):
     """Constant registers at every clock, slowest first; ends at the first clock with errors.
 
-    A flipped bit on the way in may make a write of a read, so no clock above one with errors is tried.
-    A link is sound where its error rate is below 1e-10 a bit: then an error comes about once in 100 000
-    boards.
+    A flipped bit may turn a read into a write, so no clock above a clock with errors is tried. A link is
+    good if its error rate is below 1e-10 per bit: then about one board in 100 000 shows an error.
     """
 
     name = "bit errors"
@@ -262,9 +264,7 @@ class BitErrors(BringupStep):
             bench.blocked = "words are wrong at the slowest clock"
             text += ", the slowest: shorten the wires, check supply and ground"
         else:
-            text += (
-                f", none up to {clean[-1] / 1e3:g} kHz: shorten the wires; what follows was done no faster"
-            )
+            text += f", none up to {clean[-1] / 1e3:g} kHz: shorten the wires; later steps were no faster"
         if changed:
             text += f"; a read became a write: {', '.join(changed)} changed"
         return found.fault(text)
@@ -298,33 +298,35 @@ def _judge(clock_hz: float, words: Words, expected: Words, frame_us: float) -> _
 
 
 def _majority(words: Words) -> Words:
-    """Each bit as most of the passes have it."""
+    """Majority of the passes for each bit."""
+    # Bits (passes, registers, 16): a bit is one if it is one in most passes.
     ones = ((words[:, :, np.newaxis] >> np.arange(16, dtype=np.uint16)) & 1).mean(axis=0) > 0.5
     words_of: Words = (ones.astype(np.uint32) << np.arange(16)).sum(axis=1).astype(np.uint16)
     return words_of
 
 
 SUPPLY_V = (4.75, 5.25)
-"""Limits of the supply (DS, B), the ones of STATUS."""
+"""Limits of the supply (DS, B), as in STATUS."""
 TEMPERATURE_C = (-40.0, 85.0)
 """Range of operation of the siblings (DS, B)."""
 GRAVITY_U = 0.0026 / np.sqrt(3)
-"""Relative: gravity is within 0.26 % of the standard value at all places on earth's surface."""
+"""Relative standard uncertainty: gravity on earth is within 0.26 % of the standard value."""
 _SCANS = 256
 
 
 def mean_and_u(numbers: Floats, gain: float = 1.0) -> tuple[Floats, Floats]:
     """Means (k,) of numbers (n, k) and their standard uncertainties, in LSB.
 
-    The filter takes no noise out at the lowest frequencies: unfiltered, σ/√n with the σ that filtered
-    noise of this `gain` had. Where the noise is below an LSB, its rounding is not random: 1/√12.
+    The filter does not reduce noise at the lowest frequencies: the uncertainty is σ/√n with the σ of
+    unfiltered noise, which is the measured one over `gain`. If the noise is below an LSB, its rounding is
+    not random: 1/√12.
     """
     spread = numbers.std(axis=0, ddof=1) / gain
     return numbers.mean(axis=0), np.hypot(spread / np.sqrt(len(numbers)), 1 / np.sqrt(12))
 
 
 class Health(BringupStep):
-    """Supply and temperature, and what STATUS says of them."""
+    """Supply and temperature, and STATUS."""
 
     name = "supply"
     does = f"{_SCANS} readings of supply and temperatures; STATUS, read twice (a read clears it)"
@@ -343,7 +345,7 @@ class Health(BringupStep):
         found.measure("supply", value[0], "V", u[0], 5.0)
         for axis, t, s in zip("xyz", value[1:], u[1:], strict=True):
             found.measure(f"temperature {axis}", t, "degC", s)
-        found.measure("STATUS as it was found", first)
+        found.measure("STATUS at first", first)
         found.measure("STATUS read again", standing.word, expected=0)
         wrong = []
         z = bench.budget.z()
@@ -364,7 +366,7 @@ class Health(BringupStep):
 
 
 class WhichPart(BringupStep):
-    """|a| at rest: the only mark of the variant."""
+    """|a| at rest, the only property that identifies the variant."""
 
     name = "variant"
     does = (
@@ -376,7 +378,7 @@ class WhichPart(BringupStep):
         """Compare |a| with 1 g of each variant."""
         block, _ = bench.scans(_SCANS, ACCEL_OUT)
         mean, u = mean_and_u(block.numbers().astype(np.float64), _gain(bench))
-        # The table's bias is the part's own, without what somebody wrote against it.
+        # The bias in the table is that of the part alone, without the offset registers.
         offsets = [row.number(bench.constants[row.name]) for row in registers(ACCEL_OFF)]
         mean = mean - offsets
         norm = float(np.linalg.norm(mean))
@@ -423,5 +425,5 @@ def _tolerance(part: Variant, warm_c: float) -> float:
 
 
 def _gain(bench: BringupBench) -> float:
-    """Gain of the filter in force for white noise, rms."""
-    return white_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))
+    """Rms gain of the present filter for white noise."""
+    return white_noise_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))

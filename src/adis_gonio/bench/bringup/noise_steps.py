@@ -21,26 +21,33 @@ from adis_gonio.bench.bringup.bringup_step import (
     StepResult,
     not_measured,
 )
-from adis_gonio.device.sensor.bartlett import bartlett, response, rounding, white_gain
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, registers
-from adis_gonio.device.sensor.settings import sens_avg_word
+from adis_gonio.device.sensor.settings import (
+    filter_response,
+    filter_weights,
+    rounding_spectrum,
+    sens_avg_word,
+    white_noise_gain,
+)
 from adis_gonio.device.sensor.variants import Variant
 
 _SCANS = 4096
 _FEW = 512
 _BANDS = 6
 _HANN_WIDTH = 35 / 18
-"""Bins of a periodogram with Hann's window that count as one independent bin in a mean."""
+"""Number of bins of a periodogram with Hann's window that count as one independent bin in a mean."""
 _MOST_FLICKER = 0.1
-"""Flicker, which the model has, may add so much of the white level at the lowest frequency used."""
+"""Largest share of flicker, relative to white noise, at the lowest frequency used."""
 GYRO_FLOOR_DPS = 0.015
 """Bias instability of the gyros (D: the simulator's)."""
 
 
 def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
-    """Of the variance of `count` filtered samples that are `spacing` samples apart."""
-    weights = bartlett(m)
+    """Degrees of freedom of the variance of `count` filtered samples at a distance of `spacing` samples."""
+    # Autocorrelation of the filter at the lags of the samples: each correlated lag costs degrees of
+    # freedom.
+    weights = filter_weights(m)
     shape = np.correlate(weights, weights, "full")
     shape = shape[len(weights) - 1 :] / shape[len(weights) - 1]
     lags = np.arange(1, len(shape) / spacing)
@@ -49,9 +56,9 @@ def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
 
 
 def flicker(floor: Floats, frequency_hz: Floats, rate_hz: float) -> Floats:
-    """Level (n, k) in a periodogram of flicker whose Allan deviation has a floor (k,).
+    """Level (n, k) in a periodogram of flicker with an Allan deviation of floor (k,).
 
-    Its one-sided density is floor² / (2 ln 2 f), that of white noise 2 σ² / rate; a bin holds σ².
+    Its one-sided density is floor² / (2 ln 2 f); white noise has 2 σ² / rate and the level σ² in each bin.
     """
     level: Floats = floor**2 / (2 * math.log(2) * frequency_hz[:, None]) * rate_hz / 2
     return level
@@ -64,6 +71,7 @@ def spectrum(values: Floats) -> tuple[Floats, Floats]:
     """
     n = len(values)
     at = np.arange(n) - (n - 1) / 2
+    # Remove the mean and the linear trend, then apply Hann's window.
     flat = values - values.mean(axis=0)
     flat = flat - np.outer(at, at @ flat) / float(at @ at)
     window = np.hanning(n + 1)[:-1]
@@ -142,7 +150,7 @@ class Noise(BringupStep):
 
 
 class _Judged:
-    """Noise of six axes in LSB, unfiltered, and what is wrong with it."""
+    """Noise of six axes in LSB, unfiltered, and its deviations."""
 
     def __init__(self, sigma: Floats, u: Floats) -> None:
         self.sigma = sigma
@@ -154,7 +162,7 @@ class _Judged:
         self.density: tuple[Floats, Floats, Floats] | None = None
 
     def curves(self) -> tuple[Curve, ...]:
-        """Smoothed spectra beside the expected ones."""
+        """Smoothed spectra and the expected spectrum."""
         if self.density is None:
             return ()
         hz, power, shape = self.density
@@ -174,7 +182,7 @@ class _Judged:
 
 
 def floors(part: Variant, expected: Floats) -> Floats:
-    """Bias instability (6,) in LSB, for axes whose noise in LSB is expected."""
+    """Bias instability (6,) in LSB, for axes of the expected noise in LSB."""
     performance = part.performance
     white = np.array([performance.noise_mg] * 3 + [performance.gyro_noise_dps] * 3)
     return np.asarray(
@@ -184,12 +192,12 @@ def floors(part: Variant, expected: Floats) -> Floats:
 
 
 def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, expected: Floats) -> _Judged:
-    """Where scans have gaps: the variance alone."""
-    # Over so few octaves flicker has about the variance of twice its floor.
+    """Judge scans with gaps by their variance."""
+    # Over so few octaves the variance of flicker is about twice its floor squared.
     extra = 2 * floors(bench.sensor.variant, expected) ** 2
     variance = np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12 - extra, 1e-9)
     dof = degrees_of_freedom(len(numbers), m, spacing)
-    sigma = np.sqrt(variance) / white_gain(m)
+    sigma = np.sqrt(variance) / white_noise_gain(m)
     judged = _Judged(sigma, sigma / math.sqrt(2 * dof))
     for k in range(len(sigma)):
         low, high = bench.budget.variance_ratio(dof)
@@ -198,20 +206,22 @@ def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, e
 
 
 def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
-    """Level, shape and tones where the noise is above rounding and flicker."""
+    """Judge level, shape and tones at frequencies at which noise exceeds rounding and flicker."""
     cycles, power = spectrum(numbers)
-    gain = response(m, cycles)
+    gain = filter_response(m, cycles)
     part = bench.sensor.variant
     floor = floors(part, expected)
+    # Frequency above which flicker adds at most `_MOST_FLICKER` to the white noise of every axis.
     lowest_hz = float(np.max(flicker(floor, np.ones(1), rate_hz)[0] / (_MOST_FLICKER * expected**2)))
     used = cycles * rate_hz >= max(lowest_hz, 4 * rate_hz / len(numbers))
-    rounded = np.stack([rounding(m, sigma, cycles) for sigma in expected], axis=1)
+    rounded = np.stack([rounding_spectrum(m, sigma, cycles) for sigma in expected], axis=1)
     used &= np.all(gain[:, None] * expected**2 >= rounded, axis=1)
-    used[-1] = False  # the last bin is real: another distribution
+    used[-1] = False  # the last bin is real and has another distribution
     rest = gain[used, None] * flicker(floor, cycles[used] * rate_hz, rate_hz) + rounded[used]
     relative = (power[used] - rest) / gain[used, None]
-    # A bin's scatter is that of signal, flicker and rounding together: weigh it by the signal's share.
+    # The scatter of a bin includes flicker and rounding: weight it by the share of the white noise.
     share = gain[used, None] * expected**2 / (gain[used, None] * expected**2 + rest)
+    # Weighted mean of the levels of the bins, and its number of independent bins.
     level = np.sum(share**2 * relative, axis=0) / np.sum(share**2, axis=0)
     effective = np.sum(share**2, axis=0) / _HANN_WIDTH
     sigma = np.sqrt(np.maximum(level, 1e-12))
@@ -224,14 +234,16 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
         judged.level_off[k] = not low <= level[k] / expected[k] ** 2 <= high
         highest = int(np.argmax(ratio[:, k]))
         if ratio[highest, k] > bench.budget.highest_bin(len(ratio)):
-            # A line of rms r gives n r² / 3 in its highest bin behind Hann's window, or a little less.
+            # A line of rms r gives about n r² / 3 in its highest bin with Hann's window.
             rms = math.sqrt(3 * power[used][highest, k] / gain[used][highest] / len(numbers))
             judged.tones.append((k, float(hz[highest]), rms))
+        # The shape is judged by the means over bands of the spectrum.
         bands = [band for band in np.array_split(ratio[:, k], _BANDS) if len(band)]
         for band in bands:
             low, high = bench.budget.variance_ratio(2 * len(band) / _HANN_WIDTH)
             if not low <= float(np.mean(band)) <= high and k not in judged.shape_off:
                 judged.shape_off.append(k)
+    # At most about 200 points are drawn: means over neighbouring bins.
     step = max(1, len(power) // 200)
     size = len(power) // step * step
     smooth = power[:size].reshape(-1, step, power.shape[1]).mean(axis=1) / expected**2
@@ -242,7 +254,7 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
 
 
 def _answer_noise(found: Findings, names: Sequence[str], off: Sequence[bool]) -> None:
-    """Answer by the figures of the six axes, which come first."""
+    """Answer the questions by the figures of the six axes, which are the first ones."""
     for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
         axes = slice(first, first + 3)
         pairs = zip(names[axes], found.figures[axes], strict=True)
@@ -263,7 +275,7 @@ class FilterSteps(BringupStep):
     _scans = 2048
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Compare each variance with what the fewest taps and the table's gain give."""
+        """Compare each variance with the variance at M = 0 and the gain by the table."""
         lsb = bench.sensor.variant.accel_mg_per_lsb
         flicker = (bench.sensor.variant.performance.bias_instability_mg / lsb) ** 2
         variances, dofs = [], []
@@ -282,12 +294,12 @@ class FilterSteps(BringupStep):
         found, off = Findings(), []
         reference, reference_dof = variances[0], 3 * dofs[0]
         for m in range(1, 7):
-            # Three axes together; flicker of the figure passes every filter.
+            # The three axes are taken together; flicker passes every filter.
             unfiltered = float(np.sum(reference))
             gain2 = (float(np.sum(variances[m])) - 3 * flicker) / unfiltered
             relative_u = math.sqrt(2 / (3 * dofs[m]) + 2 / reference_dof)
             gain = math.sqrt(max(gain2, 0.0))
-            expected = white_gain(m)
+            expected = white_noise_gain(m)
             found.measure(f"noise gain at M = {m}", gain, "1", gain * relative_u / 2, expected)
             low, high = bench.budget.variance_ratio(2 / relative_u**2)
             if not low <= gain2 / expected**2 <= high:

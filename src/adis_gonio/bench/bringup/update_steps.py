@@ -25,8 +25,7 @@ from adis_gonio.bench.bringup.bringup_step import (
     not_measured,
 )
 from adis_gonio.device.bus import Capability, Words
-from adis_gonio.device.sensor.frames import read_frames, timing_for, write_frames
-from adis_gonio.device.sensor.registers import BY_NAME, ND
+from adis_gonio.device.sensor.registers import BY_NAME, ND, read_frames, timing_for, write_frames
 from adis_gonio.device.sensor.settings import sample_period_s
 
 _CODES = [n for n in range(256) if n & 0x7F or n & 0x80]
@@ -34,11 +33,11 @@ _MISC = BY_NAME["MSC_CTRL"]
 _READ = "XACCL_OUT"
 _NO_EDGE = "no edge arrives: wire DIO1 to the bridge's data-ready input if it is to stream"
 _LONGEST_FRAME_US = 20_000.0
-"""Frames of a list are no further apart; the bridges' timers reach to some 50 ms."""
+"""Limit of the distance of frames in a list; the timers of the bridges reach about 50 ms."""
 _BENT = 0.02
-"""Times of a bridge with a clock of its own may be bent so much while its rate is learnt."""
+"""Relative error of the times of a bridge while the rate of its clock is being estimated."""
 _UNBROKEN_PERIODS = 3
-"""Periods that a batch without a pause must hold, so that its own frames tell the time."""
+"""Periods in a batch without a pause so that its frames can be used as a clock."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +49,10 @@ class Period:
 
 
 def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
-    """Period of the update from ND of one register read again and again; or why it cannot be.
+    """Period of the update from the ND flags of one register, or the reason why it cannot be measured.
 
-    The first read after an update carries ND, so a span of ND flags is a whole number of periods long to
-    within a read's time at either end, evenly spread: u = frame sqrt(1/6) / number of periods.
+    The first read after an update carries ND, so that a span between ND flags is a whole number of periods,
+    with a uniform error of one read at either end: u = frame sqrt(1/6) / number of periods.
     """
     _, frame_s = bench.repeated(_READ, 4)
     if frame_s > expected_s / 2.5:
@@ -70,7 +69,7 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
         at = np.flatnonzero(words & ND)
         if len(at) > 1:
             if at[0] == 0:
-                at = at[1:]  # the update may have been long before the batch began
+                at = at[1:]  # this update may have come long before the batch
             if len(at) > 1:
                 spans += float(at[-1] - at[0]) * frame_s
                 periods += len(at) - 1
@@ -85,7 +84,7 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
 
 
 def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
-    """The same by short batches and the bus's clock: each finds at most one update."""
+    """Period of the update by short batches and the bus's clock; each batch finds at most one update."""
     first = last = 0.0
     count, longest = -1, 0.0
     end_s = bench.bus.now_s() + 3 * (updates + 3) * expected_s
@@ -109,7 +108,7 @@ def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | 
 
 
 def nearest_code(period_s: float) -> int:
-    """SMPL_PRD whose nominal period is nearest by ratio."""
+    """SMPL_PRD with the nearest nominal period, by ratio."""
     return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
@@ -120,7 +119,7 @@ class Rate(BringupStep):
     does = "counts new-data flags (ND) of one register that is read without a pause"
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Compare with the period that SMPL_PRD says."""
+        """Compare with the period of SMPL_PRD."""
         configuration = bench.sensor.configuration()
         expected = configuration.sample_period_s
         period = measured_period(bench, expected, max(8, min(512, round(2.0 / expected))))
@@ -147,12 +146,12 @@ class Rate(BringupStep):
 
 @dataclass(frozen=True)
 class _Edges:
-    """What scans of one register, started by the bridge at edges, show.
+    """Result of scans of one register that the bridge starts at edges.
 
     Attributes
     ----------
     position : (n,) int
-        Number of the read that carries ND in each scan; -1 none, -2 several.
+        Number of the read with ND in each scan; -1 if there is none, -2 if there are several.
     """
 
     position: NDArray[np.int64]
@@ -165,18 +164,18 @@ class _Edges:
 
     @property
     def surplus(self) -> float:
-        """Edges that the bridge saw more than there were updates; negative where it saw fewer."""
+        """Number of edges minus number of updates."""
         seen = len(self.position) + self.lost
         return seen - self.expected
 
     @property
     def slack(self) -> float:
-        """By how much that may be off: one at either end, and a bridge's times while they are learnt."""
+        """Tolerance of `surplus`: one edge at either end, and the error of the bridge's times."""
         return 2 + _BENT * self.expected
 
     @property
     def missed(self) -> int:
-        """Edges without a scan: reported by the bridge, or gaps in its times."""
+        """Edges without a scan, reported by the bridge or seen as gaps in its times."""
         gaps = self.expected - len(self.position)
         return max(self.lost, round(gaps) if gaps > self.slack else 0)
 
@@ -188,30 +187,28 @@ class _Edges:
 
     @property
     def locked(self) -> float:
-        """Share of scans with ND at the usual position or beside it: the edge belongs to the update."""
+        """Share of scans with ND within one read of the usual position, so that edges follow updates."""
         near = np.abs(self.position - self.usual) <= 1
         return float(np.mean(near & (self.position >= 0)))
 
 
 class _NoEdgeError(Exception):
-    """A stream waits in vain."""
+    """A stream gets no edge."""
 
 
 class DataReady(BringupStep):
-    """Edges of data-ready: their rate, whose they are, which of the two leads, jitter, missed ones."""
+    """Edges of data-ready: rate, relation to the updates, leading edge, jitter, missed edges."""
 
     name = "data-ready"
-    does = (
-        "enables data-ready, counts edges, starts scans at both edges of the pulse and looks where ND comes"
-    )
+    does = "enables data-ready, counts edges, starts scans at both edges of the pulse and finds the ND"
     effect = SideEffect.LENDS
     settles = ("data_ready_edge", "data_ready_pulse")
     _scans = 256
     _lists = (16, 8)
-    """Reads of a scan: the firmware takes 16; 8 are what a usual scan has."""
+    """Reads of a scan: 16 is the limit of the firmware, 8 is usual."""
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Both polarities where the bridge starts scans, a count where it only counts."""
+        """Test both polarities if the bridge starts scans; only count edges if it cannot."""
         streams, counts = bench.has(Capability.STREAM), bench.has(Capability.EVENT_COUNTER)
         if not (streams or counts):
             return not_measured(
@@ -257,7 +254,7 @@ class DataReady(BringupStep):
         return self._judge(bench, period, first, second, found)
 
     def _enable(self, bench: BringupBench, before: int, *, first: bool) -> None:
-        """Data-ready on DIO1, so that the bridge's edge is the pulse's first or second one."""
+        """Enable data-ready on DIO1 so that the bridge uses the first or the second edge of the pulse."""
         low = before & ~(_MISC.field("polarity").mask | _MISC.field("line").mask)
         low |= _MISC.field("data_ready").mask
         if bench.bus.edge_rises == first:
@@ -268,7 +265,7 @@ class DataReady(BringupStep):
         bench.bus.exchange_array(write_frames(_MISC, word & _MISC.write_mask, byte_mask=0x00FF))
 
     def _count(self, bench: BringupBench, period_s: float) -> tuple[float, int]:
-        """Updates expected and edges counted meanwhile."""
+        """Expected updates and counted edges of a span of time."""
         bench.bus.read_event_counter()
         begin_s = bench.bus.now_s()
         bench.bus.sleep_s(max(0.5, 20 * period_s))
@@ -280,19 +277,19 @@ class DataReady(BringupStep):
         rest = (
             "edges are missed: the line is weak, or the bridge is busy"
             if edges < expected
-            else "what arrives is not data-ready alone: the input is open or picks up noise"
+            else "other edges arrive too: the input is open or picks up noise"
         )
         return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
 
     def _scan(self, bench: BringupBench, period_s: float) -> _Edges:
-        """Scans that nearly fill the period with reads of one register.
+        """Scans of one register that nearly fill the period.
 
-        A bridge may be too slow to hand on long scans: edges count as missed where short ones miss them.
+        A bridge may be too slow for long scans, so edges count as missed only if short scans miss them too.
         """
         timing = timing_for(bench.sensor.read("SMPL_PRD"))
         found: list[_Edges] = []
         for reads in self._lists:
-            # One more frame fetches the last reply; a twentieth of the period is left for the bridge.
+            # One more frame fetches the last reply; 5 % of the period is reserved for the bridge.
             fill_us = math.floor(0.95e6 * period_s / (reads + 1))
             fitting = min(max(timing.period_us, fill_us), _LONGEST_FRAME_US)
             if (reads + 1) * fitting > 0.97e6 * period_s:
@@ -321,7 +318,7 @@ class DataReady(BringupStep):
                 raise _NoEdgeError from error
         words = np.concatenate([block.words for block in blocks])
         times = np.concatenate([block.time_s for block in blocks])
-        lost = sum(block.lost for block in blocks[1:])  # what was before the first block is no loss
+        lost = sum(block.lost for block in blocks[1:])  # edges before the first block do not count
         expected = float(times[-1] - times[0]) / period_s
         return _Edges(_positions(words), lost, *_jitter(times, period_s), expected, frame_us, reads)
 
@@ -337,7 +334,7 @@ class DataReady(BringupStep):
         found.curves = (_histogram(first, second),)
         surplus = max(first.surplus - first.slack, second.surplus - second.slack)
         if surplus > 0:
-            return found.fault("more edges come than updates: the input picks up noise beside data-ready")
+            return found.fault("more edges come than updates: the input picks up noise too")
         if first.locked < 1:
             return found.fault(
                 f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up"
@@ -372,15 +369,17 @@ class DataReady(BringupStep):
 
 
 def _positions(words: Words) -> NDArray[np.int64]:
+    # One flag in a scan gives its position, several give -2, none gives -1.
     new = (words & ND).astype(bool)
-    new[0] = False  # before the first scan nobody read
+    new[0] = False  # ND of the first scan may come from an earlier update
     count = new.sum(axis=1)
     place = np.where(count == 1, np.argmax(new, axis=1), np.where(count, -2, -1))
     return np.asarray(place[1:], np.int64)
 
 
 def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
-    """Rms in µs of the times about an even row, and their rate in Hz."""
+    """Rms deviation in µs of the times from equal steps, and their rate in Hz."""
+    # Number the edges by rounded periods, then subtract the straight line of even steps.
     steps = np.diff(time_s)
     number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / period_s), 1))])
     rest = time_s - time_s[0] - np.polyval(np.polyfit(number, time_s - time_s[0], 1), number)
@@ -388,10 +387,10 @@ def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
 
 
 def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[float, float]:
-    """Between which times after the edge the update lies in µs; negative is before it.
+    """Earliest and latest time of the update after the edge in µs; negative before the edge.
 
-    A word is taken at the end of its frame, so the update lies between the end of the read before the one
-    with ND and that one's; before the first read that is the last one of the scan before.
+    A word is taken at the end of its frame, so that the update lies between the ends of the read with ND
+    and the read before it, which may be the last read of the scan before.
     """
     taken_us = 16e6 / bench.bus.timing.clock_hz
     if edges.usual > 0:
@@ -400,7 +399,7 @@ def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[floa
 
 
 def _pulse(first: _Edges, second: _Edges, period_s: float, bench: BringupBench) -> Answer:
-    """Width of the pulse from where the update lies behind its two edges."""
+    """Width of the pulse from the times of the update after its two edges."""
     one, two = (_delay_us(edges, period_s, bench) for edges in (first, second))
     low, high = one[0] - two[1], one[1] - two[0]
     if first.usual == second.usual:
@@ -409,9 +408,8 @@ def _pulse(first: _Edges, second: _Edges, period_s: float, bench: BringupBench) 
     width = (low + high) / 2 % (1e6 * period_s)
     half = (high - low) / 2
     figure = Measured("pulse", width, "us", half / math.sqrt(3))
-    text = (
-        f"{max(width - half, 0):.0f} to {width + half:.0f} µs, from where ND comes in scans at either edge"
-    )
+    low, high = max(width - half, 0), width + half
+    text = f"{low:.0f} to {high:.0f} µs, from the position of ND in scans at either edge"
     return Answer(Outcome.MEASURED, text, (figure,))
 
 
@@ -423,8 +421,8 @@ def _histogram(first: _Edges, second: _Edges) -> Curve:
     }
     return Curve(
         "data-ready", "read of the scan that carries ND", "share of the scans", places, share,
-        "Where the update lies in scans started at either edge of the pulse: 0 means before the first read,"
-        " -1 no update between two edges, -2 several.",
+        "Position of the update in scans started at either edge of the pulse: 0 means before the first"
+        " read, -1 no update between two edges, -2 several.",
     )  # fmt: skip
 
 
@@ -439,7 +437,7 @@ class SamplePeriods(BringupStep):
     _codes = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Compare each with base × (N + 1)."""
+        """Compare each period with base × (N + 1)."""
         found, off, why = Findings(), [], ""
         for code in self._codes:
             bench.sensor.write("SMPL_PRD", code)

@@ -1,4 +1,4 @@
-"""Steps that write: offsets, manual self-test, STATUS, the flash's counter. All of it is undone."""
+"""Steps that write: offsets, manual self-test, STATUS, the flash's counter. All writes are undone."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _ALARM = BY_NAME["STATUS"].field("alarm1").mask
 
 
 class Offset(BringupStep):
-    """Size of the offsets' LSB, and on which side of the filter they act."""
+    """Size of the offsets' LSB, and whether they act before or after the filter."""
 
     name = "offset"
     does = f"writes {_STEP:+d} to XACCL_OFF, YACCL_OFF, ZACCL_OFF and looks how far the outputs move"
@@ -54,6 +54,7 @@ class Offset(BringupStep):
         self._write(bench, held)
         bench.wait_updates()
         after = bench.means(_SCANS, ACCEL_OUT)
+        # The mean of before and after cancels a linear drift.
         ratio = (moved - (before + after) / 2) / np.array(steps)
         u = _mean_u(bench, _SCANS)[:3] * math.sqrt(1.5) / _STEP
         found = Findings()
@@ -76,7 +77,7 @@ class Offset(BringupStep):
 
     @staticmethod
     def _behind_filter(bench: BringupBench, held: int, step: int, ratio: float) -> Answer:
-        """With the longest filter: whether the step is there at once, or comes in over 127 samples."""
+        """Test with the longest filter whether a step appears at once or over 127 samples."""
         sensor = bench.sensor
         sensor.write("SENS_AVG", sens_avg_word(300, _MOST_M))
         bench.wait_updates()
@@ -109,7 +110,7 @@ class Offset(BringupStep):
 def _mean_u(bench: BringupBench, count: int) -> Floats:
     """Standard uncertainty in LSB of means of accelerometers and gyros over `count` scans.
 
-    White noise of the figures, their flicker's floor, and rounding; the noise that was measured is not far.
+    It comes from white noise, the floor of flicker and rounding, by the figures of the variant.
     """
     part = bench.sensor.variant
     lsb, _, _ = scales(registers((*ACCEL_OUT, *GYRO_OUT)), part, 300)
@@ -120,7 +121,7 @@ def _mean_u(bench: BringupBench, count: int) -> Floats:
 
 
 class SelfTests(BringupStep):
-    """Internal self-test, and the manual one with both signs."""
+    """Internal self-test, and manual self-test with both signs."""
 
     name = "self-test"
     does = "runs the internal self-test, then the manual one with the positive and the negative stimulus"
@@ -139,13 +140,14 @@ class SelfTests(BringupStep):
             bench.sensor.write_fields(
                 "MSC_CTRL", positive=int(sign == "positive"), negative=int(sign == "negative")
             )
-            bench.bus.sleep_s(0.04)  # the elements answer within the time that the internal test takes
+            bench.bus.sleep_s(0.04)  # the duration of the internal test is enough for the elements
             bench.wait_updates()
             means.append(bench.means(_SCANS // 2, names))
         zero, up, between, down, end = means
         lsb, _, units = scales(
             registers(names), bench.sensor.variant, bench.sensor.configuration().gyro_range_dps
         )
+        # Each stimulus is compared with the means without stimulus before and after it.
         plus, minus = up - (zero + between) / 2, down - (between + end) / 2
         range_scale = np.array([1.0] * 3 + [0.07326 / lsb[3]] * 3)
         u = _mean_u(bench, _SCANS // 2) * math.sqrt(1.5) * range_scale
@@ -183,7 +185,7 @@ def _answer_self_test(found: Findings, plus: Floats, minus: Floats, limit: Float
         ),
         (
             "self_test_accel", all(still),
-            "the accelerometers stay where they are at the negative stimulus",
+            "the accelerometers do not move at the negative stimulus",
             "the accelerometers answer to the negative stimulus as well", "ACCL",
         ),
     ):  # fmt: skip
@@ -193,7 +195,7 @@ def _answer_self_test(found: Findings, plus: Floats, minus: Floats, limit: Float
 
 
 class StatusBits(BringupStep):
-    """Which bits of STATUS fall by themselves, and the threshold of over-range."""
+    """Behaviour of the bits of STATUS after their condition ends, and the threshold of over-range."""
 
     name = "status"
     does = "raises an alarm and over-range by registers alone, ends them, and looks at EA and STATUS"
@@ -203,12 +205,12 @@ class StatusBits(BringupStep):
     _halvings = 9
 
     def run(self, bench: BringupBench) -> StepResult:
-        """First the alarm, which the table says stays, then over-range, which it says falls."""
+        """Test the alarm, which stays by the table, then over-range, which falls by the table."""
         bench.sample_quickly()
         bench.status()
         bench.wait_updates()
         if standing := bench.status():
-            return not_measured(f"STATUS stands at 0x{standing:04X} already")
+            return not_measured(f"STATUS is 0x{standing:04X} already")
         found = Findings()
         found.answers["alarm_stays"] = self._alarm(bench)
         self._over_range(bench, found)
@@ -234,7 +236,7 @@ class StatusBits(BringupStep):
             return Answer(Outcome.CONFIRMS, "an alarm's bit stays until STATUS is read, which clears it")
         return Answer(
             Outcome.CONTRADICTS,
-            "an alarm's bit falls by itself when its condition ends" if cleared
+            "an alarm's bit clears automatically when its condition ends" if cleared
             else "an alarm's bit is not cleared by a read of STATUS",
         )  # fmt: skip
 
@@ -250,7 +252,7 @@ class StatusBits(BringupStep):
         end = high if mean[axis] > 0 else low
         rest = float(mean[axis]) - held
         reached_mg = abs(rest + end) * part.accel_mg_per_lsb
-        # The condition has to stand in every sample, also in the one that noise takes furthest back.
+        # The condition has to be true in every sample, even with the largest noise.
         needed_mg = 1000 * part.accel_range_g + bench.budget.z() * part.performance.noise_mg
         if reached_mg < needed_mg:
             why = f"not measured: with its offset {ACCEL_OUT[axis]} reaches {reached_mg:.0f} mg only"
@@ -292,7 +294,7 @@ class StatusBits(BringupStep):
         bench.wait_updates()
         bench.status()
         threshold = abs(rest + (inside + outside) / 2) * part.accel_mg_per_lsb
-        # A sample over the limit is enough: noise raises the bit up to some sigmas below.
+        # One sample over the limit is enough: noise raises the bit some standard deviations below it.
         u = math.hypot(2 * part.performance.noise_mg, abs(outside - inside) * part.accel_mg_per_lsb)
         figure = found.measure("over-range threshold", threshold, "mg", u, 1000 * part.accel_range_g)
         text = f"{threshold:.0f} mg on {ACCEL_OUT[axis]}, judged with its offset; the range is"
@@ -306,23 +308,23 @@ def _falling(*, stood: bool, falls: bool) -> Answer:
             Outcome.NOT_MEASURED, "not measured: over-range came and went before its condition ended"
         )
     if falls:
-        return Answer(Outcome.CONFIRMS, "over-range falls by itself when its condition ends")
-    return Answer(Outcome.CONTRADICTS, "over-range does not fall by itself: it stands until STATUS is read")
+        return Answer(Outcome.CONFIRMS, "over-range clears automatically when its condition ends")
+    return Answer(Outcome.CONTRADICTS, "over-range does not clear automatically, only when STATUS is read")
 
 
 class FlashCount(BringupStep):
     """ENDURANCE counts a flash update."""
 
     name = "flash count"
-    does = "resets the part, so that the registers hold what the flash holds, and saves that: ENDURANCE + 1"
+    does = "resets the part, so that the registers have the flash's numbers, and saves them: ENDURANCE + 1"
     effect = SideEffect.FLASH
     question = "Reset the part and write the flash once (10 000 writes are its life)?"
     settles = ("flash_count",)
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Save what is saved already."""
+        """Save numbers that are in the flash already."""
         if not bench.supply_ok:
-            return not_measured("the supply is outside its limits, where a flash update fails")
+            return not_measured("the supply is outside its limits, so that a flash update may fail")
         used = {"AUX_DAC": 0x0FFF, "GPIO_CTRL": 0x0003}  # a voltage, lines that are outputs
         in_use = [name for name, bits in used.items() if bench.sensor.read(name) & bits]
         if in_use:

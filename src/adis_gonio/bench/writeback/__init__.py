@@ -1,7 +1,7 @@
-"""A session's biases and zero rates into the sensor's offset registers: planned, written, verified, undone.
+"""Write-back of biases and zero rates to the sensor's offset registers, with verification and undo.
 
-The part adds an offset register to its output (DS, A), so the register takes the bias with its sign turned:
-new = the number at which the session was recorded − bias / LSB.
+The part adds an offset register to its output (DS, A), so that the register is set to the negative bias:
+new = number during the recording − bias / LSB.
 """
 
 from adis_gonio.bench.writeback.offset_checks import AutonullFound

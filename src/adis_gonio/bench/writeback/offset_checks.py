@@ -1,13 +1,13 @@
-"""Is this the session's part, and did the write do what was planned: dwells at rest against the session.
+"""Verification of a write-back: dwells at rest are compared with the session and with the plan.
 
-A dwell is taken by polling: read frames alone, so that nothing but the offsets is ever written. At a
-declared angle the session's fit predicts both readings; without one only the length of gravity. All
-uncertainties go in: of the parameters (with their covariance), of the dwell, of the angle, of the noise
-that wanders between then and now, and of a temperature that is another one.
+A dwell is read by polling, with read frames only, so that no register except the offsets is ever written.
+At a declared angle the session's fit predicts both readings; without an angle, only the length of gravity.
+The comparison includes the uncertainties of the parameters (with their covariance), of the dwell, of the
+angle, of the noise that drifts between the recording and now, and of a different temperature.
 
-The chip's own null of its gyros takes the outputs of a moment for zero rates: noise of that moment, and
-what force adds in this pose, go into its offsets. In the same pose the session predicts the same sum, with
-u; beyond the uncertainty of both, one of them is wrong.
+The autonull of the chip takes the present outputs of the gyros for zero rates, so that its offsets include
+their noise and the effect of force in this pose. The session predicts this sum with its uncertainty. If
+they differ by more than both uncertainties allow, one of them is wrong.
 """
 
 from __future__ import annotations
@@ -25,12 +25,11 @@ from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import NAMED_BY_UNIT, OPTIONAL, JsonRecord
 from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
-from adis_gonio.device.sensor.bartlett import white_gain
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT, Kind
 from adis_gonio.device.sensor.scanning import ScanStream
-from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.device.sensor.variants import variant
 from adis_gonio.fitting import fit
 from adis_gonio.model.effects.base import AXES
@@ -57,15 +56,15 @@ class Rest(JsonRecord):
     Attributes
     ----------
     mean_mg, u_mg : (3,) float
-        Mean reading and its standard uncertainty: the noise, and the rounding where noise does not blur it.
+        Mean reading and its standard uncertainty by noise and rounding.
     temperature_c, supply_v : float
     samples : int
     mean_dps, u_dps : (3,) float or None
-        The same of the gyros, where they were read.
+        Mean rates and their standard uncertainties, if the gyros were read.
     sample_dps : (3,) float or None
         Standard deviation of one sample of the gyros.
     temperatures_c : (3,) float or None
-        Of the gyros' dies, where they were read.
+        Temperatures of the gyros' dies, if the gyros were read.
     """
 
     document_keys = ("mean_mg", "u_mg", "temperature_c", "supply_v", "samples", "mean_dps", "u_dps")
@@ -89,23 +88,23 @@ class Rest(JsonRecord):
 
 
 def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool = False) -> Rest:
-    """Wait until the part is at rest, then take a dwell with the settings that the sensor has.
+    """Wait until the part is at rest, then record a dwell with the present settings of the sensor.
 
     Parameters
     ----------
     dwell_s : float
         Length of the dwell in s.
     patience_s : float
-        How long to wait for rest, in s, beside what the watch needs.
+        Time to wait for rest, in s, in addition to the time that the watch needs.
     gyros : bool
-        Read these too.
+        True to read the gyros too.
 
     Raises
     ------
     UsageError
         The dwell is too short for the sensor's rate.
     SessionError
-        It does not come to rest, moves within the dwell, or an axis is stuck.
+        The part does not come to rest or moves within the dwell, or an axis is stuck.
     BusError, SilentChipError
         The sensor does not answer.
     """
@@ -125,7 +124,7 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool
 
 
 def _noise(sensor: Adis16354, stream: ScanStream, now: Configuration, patience_s: float) -> Floats:
-    expected = sensor.variant.performance.noise_mg * white_gain(now.filter_m)
+    expected = sensor.variant.performance.noise_mg * white_noise_gain(now.filter_m)
     meter = NoiseMeter(window_samples(now), expected)
     seen, begin_s = 0, sensor.bus.now_s()
     for scans in stream:
@@ -133,7 +132,7 @@ def _noise(sensor: Adis16354, stream: ScanStream, now: Configuration, patience_s
         if noise is not None:
             return noise
         seen += len(scans)
-        # A slow bridge needs its time for the windows that the meter compares.
+        # A slow bridge needs more time for the windows that the meter compares.
         if seen > meter.least_samples and sensor.bus.now_s() - begin_s > patience_s:
             break
     raise SessionError(
@@ -178,33 +177,33 @@ def _means(scans: ScanBlock, now: Configuration) -> Rest:
 def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats, Floats]:
     """Mean (3,) with its standard uncertainty, and the standard deviation of a sample."""
     deviation = values.std(axis=0, ddof=1)
-    # The filter takes no noise out at the lowest frequencies: a mean is worth one of unfiltered samples.
-    spread = deviation / white_gain(now.filter_m)
+    # The filter does not reduce noise at the lowest frequencies: use the noise of unfiltered samples.
+    spread = deviation / white_noise_gain(now.filter_m)
     rounding = lsb / np.sqrt(12) * np.where(deviation > lsb, 1 / np.sqrt(len(values)), 1.0)
     return values.mean(axis=0), np.hypot(spread / np.sqrt(len(values)), rounding), deviation
 
 
 SIGMAS = 4.0
-"""Limit of a difference in standard uncertainties: a sound part is accused once in 16 000 comparisons."""
+"""Limit of a difference in standard uncertainties: a good part is accused once in 16 000 comparisons."""
 SET_ANEW_U_DEG = 0.05
-"""Standard uncertainty of an angle that is set anew where the session states none: a few positions of a
-session cannot estimate it, and a vernier is read no better."""
+"""Standard uncertainty of an angle that is set again, if the session states none: a session of a few
+positions cannot estimate it, and a vernier cannot be read better."""
 LEAST_SHARE = 0.5
-"""Least share of gravity in the session's plane for its length there to say anything."""
+"""Smallest share of gravity in the session's plane for a comparison of its length."""
 
 
 @dataclass(frozen=True)
 class Agreement(JsonRecord):
-    """Measured against expected.
+    """Comparison of measured with expected figures.
 
     Attributes
     ----------
     what : str
-        What was compared, in words.
+        Text that names the compared figures.
     names : tuple of str
-        One a figure, such as `X`.
+        Name of each figure, such as `X`.
     measured, expected, u : (k,) float
-        `u` is that of the difference.
+        `u` is the standard uncertainty of the difference.
     unit : str
         `mg` or `dps`.
     """
@@ -220,12 +219,12 @@ class Agreement(JsonRecord):
 
     @property
     def off(self) -> Floats:
-        """Differences (k,) in their standard uncertainties."""
+        """Differences (k,) in units of their standard uncertainties."""
         return np.asarray((self.measured - self.expected) / self.u)
 
     @property
     def agrees(self) -> bool:
-        """True where no difference is beyond `SIGMAS`."""
+        """True if no difference exceeds `SIGMAS`."""
         return bool((np.abs(self.off) <= SIGMAS).all())
 
     def __str__(self) -> str:
@@ -278,7 +277,7 @@ class _FittedSensor:
         )
 
     def at_angle(self, angle_rad: float) -> Agreement:
-        """Readings at a declared angle against the fit."""
+        """Compare the readings at a declared angle with the fit."""
 
         def left(values: Floats, mean: Floats) -> Floats:
             return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad) - self._bias_mg(values))
@@ -289,12 +288,12 @@ class _FittedSensor:
         return Agreement(where, ("X", "Y"), predicted + value, predicted, u)
 
     def by_length(self) -> Agreement:
-        """Length of gravity by the session's calibration against local gravity.
+        """Compare the length of gravity by the session's calibration with local gravity.
 
         Raises
         ------
         FitError
-            The part does not stand in the session's plane.
+            The part is not in the session's plane.
         """
         gravity = self.session.gravity_mg
 
@@ -352,18 +351,19 @@ class _FittedSensor:
         mean = self.rest.mean_mg
         by_parameter = _slopes(lambda v: function(v, mean), self.values)
         by_reading = _slopes(lambda m: function(self.values, m), mean[: self.model.axes])
+        # Variances from the parameters, from the reading, and from the declared angle.
         variance = np.einsum("kp,pq,kq->k", by_parameter, self.covariance, by_parameter)
         variance = variance + (by_reading**2) @ self.u_mg**2 + more_u**2
         return function(self.values, mean), np.sqrt(variance)
 
 
 def _slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:
-    """∂f/∂x (k, p); the functions here are smooth on the scale of a thousandth."""
+    """∂f/∂x (k, p) by central differences; the functions here are smooth over a step of 1e-4."""
     return central_differences(function, at, 1e-4 * np.maximum(1.0, np.abs(at)))
 
 
 PRECISE_S = 30.0
-"""Length of the mean that a precision autonull takes (DS, A: about 30 s)."""
+"""Averaging time of a precision autonull (DS, A: about 30 s)."""
 
 
 @dataclass(frozen=True)
@@ -373,11 +373,11 @@ class AutonullFound(JsonRecord):
     Attributes
     ----------
     new : dict of str to int
-        Numbers that the chip put into its registers.
+        Numbers that the chip wrote to its registers.
     chip_dps, u_chip_dps : (3,) float
     session_dps, u_session_dps : (3,) float
     force_dps : (3,) float
-        Part of the session's that force makes in this pose, and that the chip takes for a zero rate.
+        Part of the session's zero rates that comes from force in this pose.
     """
 
     document_keys = (
@@ -394,22 +394,22 @@ class AutonullFound(JsonRecord):
 
     @property
     def off_dps(self) -> Floats:
-        """Chip less session (3,)."""
+        """Differences (3,) of chip and session."""
         return np.asarray(self.chip_dps - self.session_dps)
 
     @property
     def u_dps(self) -> Floats:
-        """Standard uncertainty of that (3,)."""
+        """Standard uncertainties (3,) of the differences."""
         return np.hypot(self.u_chip_dps, self.u_session_dps)
 
     @property
     def agrees(self) -> bool:
-        """True where no gyro is off by more than `SIGMAS` standard uncertainties."""
+        """True if no gyro differs by more than `SIGMAS` standard uncertainties."""
         return bool((np.abs(self.off_dps) <= SIGMAS * self.u_dps).all())
 
     @property
     def by(self) -> str:
-        """By how much each gyro is off that is off too far."""
+        """Differences of the gyros beyond the limit, as text."""
         return ", ".join(
             f"{axis.upper()} {off:+.3f} °/s (u {u:.2g} °/s)"
             for axis, off, u in zip(AXES, self.off_dps, self.u_dps, strict=True)
@@ -433,20 +433,20 @@ class AutonullFound(JsonRecord):
         return f"zero rates in this pose by the chip against the session: {'; '.join(figures)}"
 
 
-def compared(
+def compare_autonull(
     part: Gyros, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float | None
 ) -> AutonullFound:
-    """The chip's offsets against the session's zero rates in the pose of a dwell.
+    """Compare the chip's offsets with the session's zero rates in the pose of a dwell.
 
     Parameters
     ----------
     rest : Rest
-        A dwell in the same pose, with gyros.
+        A dwell in this pose, with gyros.
     nulled : mapping of str to int
-        Numbers that the chip put into its registers.
+        Numbers that the chip wrote to its registers.
     samples : float or None
-        Updates that a precision autonull takes the mean of; None for the other one, which takes what the
-        filter has.
+        Updates that a precision autonull averages; None for the quick autonull, which takes one filtered
+        sample.
 
     Raises
     ------
@@ -459,7 +459,7 @@ def compared(
     recorded = {axis.register: axis.recorded for axis in plan.axes}
     lsb = plan.axes[0].lsb
     chip = np.array([(recorded[name] - nulled[name]) * lsb for name in GYRO_OFF])
-    # White noise goes into a mean as the root of its length; the dwell before tells its size.
+    # White noise of a mean falls with the root of its length; the dwell before gives its size.
     noise = rest.sample_dps if samples is None else rest.u_dps * np.sqrt(rest.samples / samples)
     return AutonullFound(
         dict(nulled),
@@ -473,16 +473,16 @@ def compared(
 
 GYRO_NAMES = tuple(axis.upper() for axis in AXES)
 TEMPCO_DPS_PER_C = 0.02
-"""What a zero rate may follow the temperature by where the session does not tell (D, as the catalogue)."""
+"""Temperature coefficient of a zero rate if the session does not determine it (D, as the catalogue)."""
 
 
 class Accelerometers:
-    """The accelerometers of a session that is fitted.
+    """The accelerometers of a session, with its fit.
 
     Parameters
     ----------
     angle_deg : float or None
-        Declared angle at which the part stands.
+        Declared angle of the part.
     """
 
     registers, others, unit = ACCEL_OFF, GYRO_OFF, "mg"
@@ -493,22 +493,22 @@ class Accelerometers:
 
     @cached_property
     def result(self) -> FitResult:
-        """The fit whose biases are written."""
+        """Fit with the biases to write."""
         return fit(self.session, self._method)
 
     def plan(self, now: Numbers) -> WritePlan:
-        """As `plan_offsets`."""
+        """See `plan_offsets`."""
         return plan_offsets(self.session, self.result, now)
 
     def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
-        """A dwell at rest against the session's fit, with the present offsets.
+        """Compare a dwell at rest with the session's fit at the present offsets.
 
-        Both readings at the declared angle; without an angle, the length of gravity.
+        At the declared angle both readings are compared; without an angle, the length of gravity.
 
         Raises
         ------
         FitError
-            The fit lacks a parameter, or the part does not stand in the session's plane.
+            The fit lacks a parameter, or the part is not in the session's plane.
         """
         sensor = _FittedSensor(self.session, self.result, plan, rest)
         if self._angle_rad is not None and math.isfinite(self.result.fixture_sigma_deg or 0.0):
@@ -516,7 +516,7 @@ class Accelerometers:
         return sensor.by_length()
 
     def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
-        """How far the outputs moved between two dwells in the same place, against the plan."""
+        """Compare the change of the outputs between two dwells in one place with the plan."""
         figures = variant(plan.variant).performance
         rows = [AXES.index(axis.axis) for axis in plan.axes]
         # Between neighbouring dwells the bias wanders by the floor of its Allan deviation and the warmth.
@@ -545,7 +545,7 @@ class Accelerometers:
 
 
 class Gyros:
-    """The gyros of a session that calibrates them."""
+    """The gyros of a session, with their calibration."""
 
     registers, others, unit = GYRO_OFF, ACCEL_OFF, "dps"
 
@@ -559,23 +559,23 @@ class Gyros:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the fit of the gyros says: what it does not determine, what a drift would change."""
+        """Remarks of the gyros' fit on undetermined parameters and on drift."""
         return self._found.remarks
 
     @cached_property
     def gyro(self) -> GyroCalibration:
-        """The calibration, for the offsets that stood while the session was recorded."""
+        """Calibration for the offsets during the recording."""
         made = gyros_as_recorded(self.session)
         if made.covariance is None:
             raise FitError(f"{self.session.source}: nothing states the uncertainty of its zero rates")
         return made
 
     def plan(self, now: Numbers) -> WritePlan:
-        """As `plan_gyro_offsets`."""
+        """See `plan_gyro_offsets`."""
         return plan_gyro_offsets(self.session, self.gyro, now, self._found.doubts)
 
     def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
-        """Zero rates in this pose by the session, force and warmth in them, against the dwell's means."""
+        """Compare the dwell's rates with the session's zero rates for this pose and temperature."""
         mean, u = rest.of_gyros
         moved = np.array([(axis.now - axis.recorded) * axis.lsb for axis in plan.axes])
         zero, of_zero = self.zero(rest)
@@ -583,7 +583,7 @@ class Gyros:
         return Agreement("zero rates here against the session", GYRO_NAMES, mean, zero + moved, u, "dps")
 
     def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
-        """How far the gyros moved between two dwells in the same place, against the plan."""
+        """Compare the change of the gyros between two dwells in one place with the plan."""
         (first, u_first), (second, u_second) = before.of_gyros, after.of_gyros
         wander = math.hypot(
             math.sqrt(2) * self._figures.gyro_instability_dps,
@@ -595,24 +595,24 @@ class Gyros:
         return Agreement("the write moved the gyros by", GYRO_NAMES, second - first, planned, u, "dps")
 
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
-        """Zero rates (3,) of a dwell without what force adds there, and their standard uncertainties."""
+        """Zero rates (3,) of a dwell without the effect of force, and their standard uncertainties."""
         mean, u = rest.of_gyros
         force, of_force = self.by_force(rest)
         return mean - force, np.hypot(u, of_force)
 
     def zero(self, rest: Rest) -> tuple[Floats, Floats]:
-        """Zero rates (3,) in °/s in a pose at the recorded offsets, and their standard uncertainties."""
+        """Zero rates (3,) in °/s in this pose at the recorded offsets, and their standard uncertainties."""
         read = self.gyro.readings_of(
             np.zeros(3), rest.mean_mg / 1000, rest.temperatures_c, supply_v=rest.supply_v
         )
         return read.rate_dps, read.u_dps
 
     def by_force(self, rest: Rest) -> tuple[Floats, Floats]:
-        """Part of it that force makes, and its u."""
+        """Part of the zero rates that comes from force, and its standard uncertainty."""
         return self.gyro.force_part(rest.mean_mg / 1000)
 
     def wander(self, rest: Rest) -> float:
-        """Standard uncertainty of a zero rate as one of another time, temperature and supply."""
+        """Standard uncertainty of a zero rate by the change of time, temperature and supply."""
         known, then = self.gyro.needs, (self.gyro.temperature_c, self.gyro.supply_v)
         warmer = 0.0 if then[0] is None else rest.temperature_c - then[0].mean
         volts = 0.0 if then[1] is None else rest.supply_v - then[1].mean
@@ -626,12 +626,12 @@ class Gyros:
 def part_of(
     session: Session, *, gyros: bool, method: str | None = None, angle_deg: float | None = None
 ) -> Accelerometers | Gyros:
-    """The half of a session's sensor that is to be written.
+    """Half of a session's sensor to write.
 
     Raises
     ------
     UsageError
-        A method of the accelerometers' fit is named for the gyros.
+        A method for the accelerometers is given for the gyros.
     """
     if not gyros:
         return Accelerometers(session, method, angle_deg)

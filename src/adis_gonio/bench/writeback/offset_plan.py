@@ -1,12 +1,12 @@
-"""What is to be written: from a session's biases to register numbers. No sensor, no file.
+"""Plans of a write-back: register numbers from a session's biases, without a sensor or a file.
 
-The part adds the register to its output, so with o the number at which the session was recorded, b the bias
-that the fit found then and one LSB of output for one of the register,
+The part adds the register to its output. With o the number during the recording, b the bias by the fit and
+one LSB of the output for one LSB of the register,
 
     new = o − b / LSB, rounded;    bias afterwards = b + (new − o) LSB, within half an LSB of zero.
 
-The number that stands in the register now does not enter: a plan is absolute, and making it twice gives the
-same. Zero rates of gyros go the same way, in °/s.
+The present number in the register is not used, so that the plan can be repeated. Zero rates of gyros are
+planned in the same way, in °/s.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from adis_gonio.fitting import FitResult
 
 UNITS = {"mg": "mg", "dps": "°/s"}
-"""Units as people read them."""
+"""Units for messages."""
 BIASES = tuple(f"bias_{axis}" for axis in AXES)
 
 
@@ -45,15 +45,15 @@ class AxisPlan:
     axis, register : str
         `x` and `XACCL_OFF`.
     bias, u : float
-        Bias (zero rate) that was found and its standard uncertainty, at the number in `recorded`.
+        Bias (zero rate) by the fit and its standard uncertainty, at the number `recorded`.
     recorded, now, new : int
-        Number in the register while the session was recorded, as it is now, and as it is to be.
+        Number in the register during the recording, present number, and planned number.
     lsb : float
-        What one LSB of the register adds to the output.
+        Change of the output by one LSB of the register.
     clipped : bool
-        True where the register cannot hold the number that would cancel the bias.
+        True if the number that would cancel the bias is out of the range of the register.
     unit : str
-        Of all these: `mg` or `dps`.
+        Unit of these figures: `mg` or `dps`.
     """
 
     axis: str
@@ -69,17 +69,17 @@ class AxisPlan:
 
     @property
     def effect(self) -> float:
-        """By how much writing moves the output from where it is now."""
+        """Change of the output by the write."""
         return (self.new - self.now) * self.lsb
 
     @property
     def bias_now(self) -> float:
-        """Bias with the number that is in the register now."""
+        """Bias at the present number of the register."""
         return self.bias + (self.now - self.recorded) * self.lsb
 
     @property
     def bias_after(self) -> float:
-        """Bias that is left after writing."""
+        """Remaining bias after the write."""
         return self.bias + (self.new - self.recorded) * self.lsb
 
     def as_dict(self) -> dict[str, Any]:
@@ -105,18 +105,18 @@ class AxisPlan:
 
 @dataclass(frozen=True)
 class WritePlan(JsonRecord):
-    """What is to be written.
+    """Plan for all axes.
 
     Attributes
     ----------
     session : str
         File of the session.
     variant, method : str
-        Part, and the method whose biases these are.
+        Part, and method of the fit.
     axes : tuple of AxisPlan
-        Axes whose bias the session determines.
+        Axes with a bias that the session determines.
     doubts : tuple of str
-        Why the fit is no sound base, one line each; empty where it is.
+        Reasons to doubt the fit, one line each.
     """
 
     document_keys = ("session", "variant", "method", "axes", "changes", "doubts")
@@ -129,32 +129,32 @@ class WritePlan(JsonRecord):
 
     @property
     def new(self) -> dict[str, int]:
-        """Numbers by register as they are to be."""
+        """Planned numbers by register."""
         return {axis.register: axis.new for axis in self.axes}
 
     @property
     def now(self) -> dict[str, int]:
-        """Numbers by register as they are now."""
+        """Present numbers by register."""
         return {axis.register: axis.now for axis in self.axes}
 
     @property
     def carried_out(self) -> WritePlan:
-        """The same plan once the registers hold what it asks for."""
+        """Plan with the planned numbers as present numbers."""
         return replace(self, axes=tuple(replace(axis, now=axis.new) for axis in self.axes))
 
     @property
     def changes(self) -> bool:
-        """True where a register is to change."""
+        """True if a register is to be changed."""
         return self.new != self.now
 
 
 def recorded_offsets(session: Session, names: Sequence[str] = ACCEL_OFF) -> dict[str, int]:
-    """Numbers of three offset registers while a session was recorded.
+    """Numbers of three offset registers during the recording of a session.
 
     Raises
     ------
     SessionError
-        The session does not know them: not recorded by `calibrate`, or from no chip.
+        The session does not have them: it was not recorded by `calibrate`, or not from a chip.
     """
     registers = (session.facts.get("registers") or {}).get("configured")
     if session.sensor not in VARIANTS or not registers or any(name not in registers for name in names):
@@ -171,12 +171,12 @@ def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None
     Parameters
     ----------
     now : mapping of str to int or None
-        Numbers in the registers now; None as they were while the session was recorded.
+        Present numbers in the registers; None for the numbers during the recording.
 
     Raises
     ------
     SessionError
-        The session has no bias (two positions), or not the registers.
+        The session gives no bias (two positions), or does not have the registers.
     """
     recorded = recorded_offsets(session)
     held = recorded if now is None else now
@@ -198,17 +198,17 @@ def plan_gyro_offsets(
     Parameters
     ----------
     gyro : GyroCalibration
-        For the offsets that stood while the session was recorded.
+        Calibration for the offsets during the recording.
     now : mapping of str to int or None
-        Numbers in the registers now; None as they were then.
+        Present numbers in the registers; None for the numbers during the recording.
     doubts : sequence of str
-        What speaks against the calibration.
+        Reasons to doubt the calibration.
 
     Raises
     ------
     SessionError
-        The session does not hold the registers, or a zero rate is beyond what its register holds: no
-        gyro that works and is at rest has one.
+        The session does not have the registers, or a zero rate is out of the range of its register, which
+        means that the gyro is broken or was not at rest.
     """
     recorded = recorded_offsets(session, GYRO_OFF)
     held = recorded if now is None else now
@@ -234,7 +234,7 @@ def _plan(
     method: str,
     doubts: Sequence[str],
 ) -> WritePlan:
-    """Plan for the biases that were found, by register."""
+    """Plan for the biases by register."""
     axes = []
     for name, (bias, u) in found.items():
         row = BY_NAME[name]
@@ -251,7 +251,7 @@ def _plan(
 
 
 def _lacks(session: Session, result: FitResult) -> list[str]:
-    """Why the model does not describe the session."""
+    """Reasons why the model does not describe the session."""
     lacks = []
     if result.extra_mg > 0:
         lacks.append(
@@ -267,7 +267,7 @@ def _lacks(session: Session, result: FitResult) -> list[str]:
 
 
 def _unsure(axis: AxisPlan) -> list[str]:
-    """Why a bias is not known well enough: writing it would as likely do harm as good."""
+    """Reason why a bias is too uncertain to be written, or empty."""
     unit = UNITS[axis.unit]
     name = f"bias_{axis.axis}" if axis.unit == "mg" else f"gyro_bias_{axis.axis}"
     if axis.u != axis.u:
@@ -278,7 +278,7 @@ def _unsure(axis: AxisPlan) -> list[str]:
 
 
 def offsets_recorded(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floats:
-    """Offsets (3,) in mg that the part added to its outputs while a session was recorded.
+    """Offsets (3,) in mg that the part added to its outputs during the recording.
 
     Parameters
     ----------
@@ -288,21 +288,21 @@ def offsets_recorded(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floa
     Raises
     ------
     SessionError
-        The session does not hold the registers (a CSV, a generic sensor).
+        The session does not have the registers (a CSV, a generic sensor).
     """
     return _in_units(session, recorded_offsets(session, names), names)
 
 
 def offsets_in_force(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floats:
-    """Offsets (3,) that the part adds since the last write-back of a session, as its archive knows.
+    """Offsets (3,) that the part adds since the last write-back of a session, by its archive.
 
-    The recorded ones where nothing was written. Offsets that were written and not saved are in force until
-    the part's power is off. Registers and units as in `offsets_recorded`.
+    If nothing was written, these are the recorded offsets. Offsets that were not saved last until the
+    part's power is switched off. Registers and units as in `offsets_recorded`.
 
     Raises
     ------
     SessionError
-        As `offsets_recorded`; or a write was interrupted, so that only the sensor can tell.
+        See `offsets_recorded`; or a write was interrupted, so that only the sensor has the present offsets.
     """
     known = operations_of(session, names)
     if known and known[-1].open:
@@ -312,9 +312,9 @@ def offsets_in_force(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floa
 
 
 def bias_left_mg(session: Session, result: FitResult) -> dict[str, float]:
-    """Biases in mg by name (`bias_x` …) of the sensor as it is now: the fit's, less what was written since.
+    """Present biases of the sensor in mg by name (`bias_x` …): biases of the fit plus later offsets.
 
-    The fit's own where the session does not know its registers: nothing can have been written then.
+    If the session does not have the registers, nothing was written, and the biases of the fit are returned.
 
     Raises
     ------

@@ -1,14 +1,12 @@
-"""The write-back as a state machine without a screen.
+"""The write-back, without a user interface.
 
     writer = OffsetWriter(sensor, "today.session", WriteSettings(save=True), tell=print)
-    plan = writer.plan()      # reads and refuses; nothing is written, neither to the sensor nor to the file
+    plan = writer.plan()      # checks only; writes neither to the sensor nor to the file
     writer.write()            # or writer.undo()
 
-Every step stands in the archive's journal (see `journal`) before or after it is done. Whatever breaks a
-write off (an error, a Ctrl-C, a check that fails) sets back what was there where the sensor still answers,
-and says what it holds.
-
-The journal on the disk: steps into the archive of a session, and the session that holds them.
+Every step is recorded in the archive's journal (see `write_journal`) before or after it is done. If a write
+is interrupted by an error, a Ctrl-C or a failed check, the old numbers are restored if the sensor still
+answers, and a message reports the state of the sensor.
 """
 
 from __future__ import annotations
@@ -27,14 +25,13 @@ from adis_gonio.bench.writeback.offset_checks import (
     AutonullFound,
     Gyros,
     Rest,
-    compared,
+    compare_autonull,
     measure,
     part_of,
 )
 from adis_gonio.bench.writeback.offset_plan import UNITS, WritePlan, recorded_offsets
-from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354
+from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354, Undo
 from adis_gonio.device.sensor.registers import registers
-from adis_gonio.device.sensor.undo import Undo
 from adis_gonio.model.records import Session
 from adis_gonio.record.archive import Archive, ArchiveView
 from adis_gonio.record.blocks import SUPPLY_LIMITS_V
@@ -43,20 +40,19 @@ from adis_gonio.record.plans import Position
 from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.settings import Settings
 from adis_gonio.record.write_journal import (
-    AFTER,
     KIND,
     HeldOffsets,
     Operation,
     WriteStep,
+    find_undoable,
     flash_untouched,
+    held_offsets,
     operations_of,
-    standing_of,
-    to_undo,
 )
 
 
 class Logbook:
-    """Writes an operation's steps to the archive; on return a step is on the disk."""
+    """Writes the steps of an operation to the archive; on return a step is on the disk."""
 
     def __init__(self, archive: Archive, operation: Operation, now_s: Callable[[], float]) -> None:
         self._archive, self.operation, self._now_s = archive, operation, now_s
@@ -72,11 +68,8 @@ class Logbook:
         Raises
         ------
         SessionError
-            The file cannot be written, or another program goes on with the session.
+            The file cannot be written, or another program continues the session.
         """
-        last = self.steps[-1] if self.steps else None
-        if step not in AFTER[last]:
-            raise UsageError(f"'{step}' does not follow '{last}'")
         self._archive.add_record(
             KIND, {"number": self.operation.number, "step": step, **facts}, self._now_s()
         )
@@ -90,13 +83,13 @@ def load(path: Path) -> Session:
     Raises
     ------
     SessionError
-        Another kind of file (a journal of what is written needs an archive), or not from the chip.
+        The file is no archive, which the journal needs, or the session is not from the chip.
     DataError
-        As `read_session`.
+        See `read_session`.
     """
     if path.is_file() and not is_archive(path):
         raise SessionError(
-            f"{path}: is no session file of calibrate, where the undo of a write is kept: calibrate first"
+            f"{path}: is no session file, which keeps the undo of a write: run calibrate first"
         )
     session = read_session(path)
     recorded_offsets(session)
@@ -108,23 +101,23 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class WriteSettings:
-    """How to write.
+    """Settings of a write-back.
 
     Attributes
     ----------
     save : bool
-        Save to flash once the write is verified.
+        Save to flash when the write is verified.
     angle_deg : float or None
-        Declared angle at which the part stands; a stage that the program moves goes there. None compares
-        the length of gravity only, or where there is such a stage takes the first angle of the session.
+        Declared angle of the part; a stage that the program can move goes there. With None and such a stage
+        the first angle of the session is used; without a stage only the length of gravity is compared.
     dwell_s, patience_s : float
-        Length of the dwells before and after in s, and how long to wait for rest.
+        Length of the dwells before and after in s, and time to wait for rest.
     method : str or None
-        Method of the fit; None the best that the session supports.
+        Method of the fit; None for the best method for the session.
     doubtful : bool
-        Write although the fit is no sound base.
+        Write even if there are doubts about the fit.
     gyros : bool
-        The zero rates of the gyros, in place of the biases of the accelerometers.
+        Write the zero rates of the gyros instead of the biases of the accelerometers.
     """
 
     save: bool = False
@@ -138,23 +131,23 @@ class WriteSettings:
 
 @dataclass(frozen=True)
 class WriteResult:
-    """What was done.
+    """Result of a write-back.
 
     Attributes
     ----------
     standing : HeldOffsets
-        What the sensor holds now.
+        Present state of the sensor.
     endurance_before, endurance_after : int
-        Flash writes.
+        Numbers of flash writes.
     checks : tuple of Agreement
-        All agree.
+        Comparisons, which all agree.
     bias, bias_u : tuple of float
-        Biases (x, y) that the dwell after the write shows by itself, where its angle is known; zero rates
-        (x, y, z) of gyros.
+        Biases (x, y) by the dwell after the write alone, if its angle is known; zero rates (x, y, z) of
+        gyros.
     unit : str
-        Of these: `mg` or `dps`.
+        Unit of the biases: `mg` or `dps`.
     autonull : AutonullFound or None
-        What the chip's own null was, where it was asked for.
+        Comparison of the chip's autonull, if requested.
     """
 
     standing: HeldOffsets
@@ -182,21 +175,21 @@ class WriteResult:
 
 
 class OffsetWriter:
-    """Writes a session's biases (or the zero rates of its gyros) to the sensor that it was recorded from.
+    """Writes the biases (or the zero rates) of a session to the sensor of the session.
 
     Parameters
     ----------
     sensor : Adis16354
         Open; stays open afterwards.
     path : path
-        Session file; it keeps the journal.
+        Session file; the journal is written to it.
     tell : callable
-        Told each step in a line.
+        Called with one line for each step.
 
     Raises
     ------
     DataError, SessionError
-        No session file, one without the registers, or one that began with another sensor.
+        The file is no session file, has no registers, or began with another sensor.
     """
 
     def __init__(
@@ -225,7 +218,7 @@ class OffsetWriter:
 
     @property
     def known(self) -> tuple[Operation, ...]:
-        """Operations in the journal on the registers that are written here."""
+        """Operations in the journal on the registers of this half of the sensor."""
         return operations_of(self.session, self._part.registers)
 
     @property
@@ -234,22 +227,22 @@ class OffsetWriter:
         return operations_of(self.session, self._part.others)
 
     def standing(self) -> HeldOffsets:
-        """What the sensor holds, by its registers, ENDURANCE and the journal."""
+        """State of the sensor by its registers, ENDURANCE and the journal."""
         now, endurance = self._read()
-        return standing_of(self.known, now, endurance, self.others)
+        return held_offsets(self.known, now, endurance, self.others)
 
     def plan(self) -> WritePlan:
-        """What is to be written; measures a dwell, writes nothing.
+        """Make a plan and measure a dwell; no register is written.
 
         Raises
         ------
         SessionError
-            The session gives no bias; the registers are not those of the session; the part at rest is not
-            the session's; the fit is no sound base, and `doubtful` is not set.
+            The session gives no bias; the registers have unexplained numbers; the part at rest does not
+            agree with the session; or there are doubts about the fit and `doubtful` is not set.
         ChipError
-            The supply is out of range, or the flash is worn out where it is to be written.
+            The supply is out of range, or the flash is to be written and is worn out.
         FitError
-            The session cannot be fitted, or the part does not stand as in the session.
+            The session cannot be fitted, or the part is not in the session's plane.
         """
         now, endurance = self._read()
         plan = self._part.plan(now)
@@ -258,19 +251,19 @@ class OffsetWriter:
         if plan.doubts and not self.settings.doubtful:
             raise SessionError(
                 f"{self.path}: the fit is no sound base ({'; '.join(plan.doubts)}); see `adis-gonio trace`,"
-                " or write all the same with --even-if-inadequate"
+                " or write anyway with --even-if-inadequate"
             )
-        earlier = to_undo(self.known)
+        earlier = find_undoable(self.known)
         if earlier is not None and earlier.new != plan.new:
             raise SessionError(
-                f"{self.path}: other offsets of this session were written before ({_listed(earlier.new)};"
-                f" now {_listed(plan.new)}); --undo them first"
+                f"{self.path}: other offsets of this session were written before"
+                f" ({_format_numbers(earlier.new)}; now {_format_numbers(plan.new)}); --undo them first"
             )
         self._require_explained(now)
         if self.settings.save and endurance >= FLASH_LIFE:
             raise ChipError(f"ENDURANCE is {endurance}: the flash is made for {FLASH_LIFE} writes")
         if self._bench.stage is not None and self._angle_deg is not None:
-            self._bench.move_to(Position(self._angle_deg))  # once: a second move would end elsewhere
+            self._bench.move_to(Position(self._angle_deg))  # only once: two moves would not end alike
         before = self._measure("at rest, before")
         check = self._part.expected(plan, before)
         self._tell(str(check))
@@ -285,36 +278,36 @@ class OffsetWriter:
     # -- doing ----------------------------------------------------------------------------------------
 
     def write(self) -> WriteResult:
-        """Carry out the plan: write, read back, verify by a dwell, save where asked.
+        """Carry out the plan: write, read back, verify by a dwell, and save if requested.
 
         Raises
         ------
         UsageError
             `plan` was not called, or is used up.
         VerifyError
-            A register does not hold what was written, or the outputs did not move as planned.
+            A register was read back with another number, or the outputs did not change as planned.
         SessionError, ChipError, BusError, KeyboardInterrupt
-            Something broke it off. The message ends with what the sensor holds then.
+            The write was interrupted. The message ends with the state of the sensor.
         """
         plan, self._plan = self._plan, None
         if plan is None:
-            raise UsageError("make a plan first: plan() checks what is written")
+            raise UsageError("make a plan first: plan() checks the numbers before they are written")
         now, endurance = self._read()
         if {name: now[name] for name in plan.now} != plan.now:
             raise SessionError("the offset registers have changed since the plan was made; plan again")
-        standing = standing_of(self.known, now, endurance, self.others)
+        standing = held_offsets(self.known, now, endurance, self.others)
         in_flash = standing.registers == "new" and standing.saved is True
         saves = self.settings.save and not in_flash
         if not plan.changes and not saves and not standing.open:
             self._tell("nothing is to be written: the registers hold it already")
             return WriteResult(standing, endurance, endurance, tuple(self._checks))
-        earlier = to_undo(self.known)
+        earlier = find_undoable(self.known)
         held = {name: now[name] for name in plan.new}
         old = earlier.old if earlier else held
         found = old if standing.registers == "half" else held
         bias: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
         operation = Operation(0, "write", old, plan.new, found, saves, ())
-        with self._journal(operation, plan=plan.as_dict()) as journal:
+        with self._journal(operation, plan=plan.as_dict()) as journal, self._reporting_state():
             try:
                 if plan.changes:
                     self._put(plan)
@@ -328,74 +321,69 @@ class OffsetWriter:
                     self._save(journal, plan.new)
                 journal.note(WriteStep.DONE)
             except BaseException as error:
-                self._break_off(journal, error)
+                self._restore(journal, str(error) or type(error).__name__)
                 raise
         return self._outcome(endurance, bias)
 
     def undo(self) -> WriteResult:
-        """Set the old offsets back, and save them where the new ones are in flash or `save` is asked for.
+        """Restore the old offsets; save them if the new offsets are in flash or `save` is set.
 
         Raises
         ------
         SessionError
-            The session has written nothing that could be undone, or the registers are somebody else's.
+            There is no write to undo, or the registers have unexplained numbers.
         VerifyError, ChipError, BusError
-            It was broken off: call it again.
+            The undo was interrupted; it can be repeated.
         """
-        earlier = to_undo(self.known)
+        earlier = find_undoable(self.known)
         if earlier is None:
-            raise SessionError(f"{self.path}: has written nothing that stands, so there is nothing to undo")
+            raise SessionError(f"{self.path}: has no write that is in force, so there is nothing to undo")
         now, endurance = self._read()
-        standing = standing_of(self.known, now, endurance, self.others)
+        standing = held_offsets(self.known, now, endurance, self.others)
         if standing.registers == "other":
             raise SessionError(f"{self.path}: {standing.text}; nothing was written")
         saves = self.settings.save or not flash_untouched(self.known, now, endurance, self.others)
         if saves:
             self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         operation = Operation(0, "undo", earlier.old, earlier.new, earlier.old, saves, ())
-        with self._journal(operation) as journal:
-            try:
-                back = Undo(self.sensor, registers(earlier.old), _words(earlier.old))
-                back.put_back()
-                if back.left or not self._holds(earlier.old):
-                    raise VerifyError(f"{', '.join(back.left) or 'the registers'} could not be set back")
-                journal.note(WriteStep.WRITTEN)
-                self._tell(f"set back and read back: {_listed(earlier.old)}")
-                if saves:
-                    self._save(journal, earlier.old)
-                journal.note(WriteStep.DONE)
-            except AdisGonioError as error:
-                raise type(error)(f"{error}; {self._told()}") from error
-            except KeyboardInterrupt:
-                self._tell(self._told())
-                raise
+        with self._journal(operation) as journal, self._reporting_state():
+            back = Undo(self.sensor, registers(earlier.old), _words(earlier.old))
+            back.put_back()
+            if back.left or not self._holds(earlier.old):
+                raise VerifyError(f"{', '.join(back.left) or 'the registers'} could not be set back")
+            journal.note(WriteStep.WRITTEN)
+            self._tell(f"set back and read back: {_format_numbers(earlier.old)}")
+            if saves:
+                self._save(journal, earlier.old)
+            journal.note(WriteStep.DONE)
         return self._outcome(endurance, ((), ()))
 
     def autonull(self, *, precise: bool = False) -> WriteResult:
-        """Let the chip null its gyros, and keep that where it agrees with the session; else set it back.
+        """Run the chip's autonull of its gyros; undo it if it disagrees with the session.
 
-        The part must be at rest. Its null takes what force adds in this pose for a zero rate, so that it is
-        compared with the session's zero rate here. The part saves it by itself, and with it all registers
-        that have a flash copy; setting back writes the flash once more.
+        The part must be at rest. The autonull includes the effect of force in this pose, and so does the
+        zero rate of the session with which it is compared. The part saves the result to flash
+        automatically, with all registers that have a flash copy; an undo writes the flash once more.
 
         Parameters
         ----------
         precise : bool
-            Over some 30 s, in place of the filter's mean.
+            Average over some 30 s instead of one filtered sample.
 
         Raises
         ------
         UsageError
-            `plan` was not called, is used up, or is one of the accelerometers.
+            `plan` was not called, is used up, or is a plan of the accelerometers.
         VerifyError
-            It disagrees beyond the uncertainty; the message says by how much, and what the sensor holds.
+            The autonull disagrees by more than the uncertainty. The message has the difference and the
+            state of the sensor.
         SessionError, ChipError, BusError, KeyboardInterrupt
-            Something broke it off. The message ends with what the sensor holds then.
+            The autonull was interrupted. The message ends with the state of the sensor.
         """
         plan, self._plan = self._plan, None
         before, part = self._before, self._part
         if plan is None or before is None or not isinstance(part, Gyros):
-            raise UsageError("make a plan of the gyros first: plan() takes what the null is compared with")
+            raise UsageError("make a plan of the gyros first: plan() measures the dwell for the comparison")
         now, endurance = self._read()
         if endurance + 1 >= FLASH_LIFE:
             raise ChipError(f"ENDURANCE is {endurance}: the flash is made for {FLASH_LIFE} writes")
@@ -403,25 +391,20 @@ class OffsetWriter:
         operation = Operation(0, "autonull", now, now, now, True, ())
         with self._journal(operation) as journal:
             journal.note(WriteStep.SAVING, endurance=endurance, beside=self._beside())
-            try:
+            with self._reporting_state():
                 _ = self.sensor.precision_autonull() if precise else self.sensor.autonull()
                 nulled, after = self._read()
                 journal.note(WriteStep.SAVED, new=nulled, endurance_after=after)
                 journal.note(WriteStep.DONE)
-            except AdisGonioError as error:
-                raise type(error)(f"{error}; {self._told()}") from error
-            except KeyboardInterrupt:
-                self._tell(self._told())
-                raise
         self.session = load(self.path)
         rate = self.sensor.configuration().sample_rate_hz
-        found = compared(part, plan, before, nulled, PRECISE_S * rate if precise else None)
-        self._tell(f"the chip's null is {_listed(nulled)}; {found}")
+        found = compare_autonull(part, plan, before, nulled, PRECISE_S * rate if precise else None)
+        self._tell(f"the chip's autonull gives {_format_numbers(nulled)}; {found}")
         if not found.agrees:
             undone = self.undo()
             raise VerifyError(
-                f"the chip's null is not kept: it is off by {found.by} where u is that of both; "
-                f"{undone.standing.text}"
+                f"the chip's autonull is not kept: it differs from the session by {found.by};"
+                f" {undone.standing.text}"
             )
         return replace(self._outcome(endurance, ((), ())), autonull=found)
 
@@ -432,12 +415,14 @@ class OffsetWriter:
             if axis.new != axis.now:
                 self.sensor.write(axis.register, axis.new)
         if not self._holds(plan.new):
-            raise VerifyError(f"the registers do not hold what was written ({_listed(plan.new)})")
-        self._tell(f"written and read back: {_listed(plan.new)}")
+            raise VerifyError(
+                f"the registers were read back with other numbers than {_format_numbers(plan.new)}"
+            )
+        self._tell(f"written and read back: {_format_numbers(plan.new)}")
         self.sensor.bus.sleep_s(self.sensor.configuration().settling_s)
 
     def _verify(self, plan: WritePlan) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Compare a dwell after the write with the one before and with the session."""
+        """Compare a dwell after the write with the dwell before it and with the session."""
         if self._before is None:
             raise UsageError("make a plan first: plan() takes the dwell before")
         after = self._measure("at rest, after")
@@ -446,7 +431,7 @@ class OffsetWriter:
         for check in checks:
             self._tell(str(check))
             if not check.agrees:
-                raise VerifyError(f"{check}: not what was planned")
+                raise VerifyError(f"{check}: not as planned")
         self._checks += checks
         found = self._part.found(done, after)
         if found is None:
@@ -462,7 +447,7 @@ class OffsetWriter:
         return tuple(value.tolist()), tuple(u.tolist())
 
     def _save(self, journal: Logbook, numbers: dict[str, int]) -> None:
-        """Save to flash; the registers are looked at last thing before, and after it."""
+        """Save to flash; the registers are read immediately before and after it."""
         self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         now, endurance = self._read()
         _require(now, numbers, "changed by themselves before they were saved")
@@ -473,21 +458,28 @@ class OffsetWriter:
         journal.note(WriteStep.SAVED, endurance_after=after)
         self._tell(f"saved to flash: ENDURANCE {endurance} before, {after} after")
 
-    def _break_off(self, journal: Logbook, error: BaseException) -> None:
-        """After an error or a Ctrl-C: keep what is in flash, else set the old offsets back; say which."""
-        # Twice suppressed: a second Ctrl-C in the first part must not keep the second from setting back.
+    @contextlib.contextmanager
+    def _reporting_state(self) -> Iterator[None]:
+        """Add the state of the sensor to the message of an error; after a Ctrl-C tell it."""
+        try:
+            yield
+        except BaseException as error:
+            if isinstance(error, AdisGonioError):
+                raise type(error)(f"{error}; {self._state_text()}") from error
+            self._tell(self._state_text())
+            raise
+
+    def _restore(self, journal: Logbook, why: str) -> None:
+        """After an error or a Ctrl-C keep offsets that are in flash, else restore the old ones."""
+        # Two blocks: a second Ctrl-C in the first block must not prevent the restoring in the second.
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
             self._keep_what_is_saved(journal)
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
             if journal.operation.open:
-                self._set_back(journal, str(error) or type(error).__name__)
-        told = self._told()
-        if isinstance(error, AdisGonioError):
-            raise type(error)(f"{error}; {told}") from error
-        self._tell(told)
+                self._set_back(journal, why)
 
     def _keep_what_is_saved(self, journal: Logbook) -> None:
-        """Bring the journal to its end where flash and registers hold the new offsets already."""
+        """Complete the journal if flash and registers have the new offsets already."""
         if WriteStep.SAVING not in journal.steps:
             return
         self.sensor.bus.sleep_s(FLASH_UPDATE_S)
@@ -511,17 +503,18 @@ class OffsetWriter:
     def _outcome(self, endurance: int, bias: tuple[tuple[float, ...], tuple[float, ...]]) -> WriteResult:
         self.session = load(self.path)
         now, after = self._read()
-        standing = standing_of(self.known, now, after, self.others)
+        standing = held_offsets(self.known, now, after, self.others)
         return WriteResult(standing, endurance, after, tuple(self._checks), *bias, self._part.unit)
 
-    def _told(self) -> str:
-        """What the sensor holds now, as far as it still says so."""
+    def _state_text(self) -> str:
+        """Present state of the sensor, if it can be read."""
         try:
             self.session = load(self.path)
             return self.standing().text
         except AdisGonioError:
             return (
-                "what the sensor holds cannot be read now: `adis-gonio write` with --status says it later"
+                "the state of the sensor cannot be read now; `adis-gonio write` with --status"
+                " reports it later"
             )
 
     def _angle(self, view: ArchiveView) -> float | None:
@@ -538,7 +531,7 @@ class OffsetWriter:
         return rest
 
     def _read(self) -> tuple[dict[str, int], int]:
-        """Read the offset registers and ENDURANCE; two readings agree, since a supply dip spoils one."""
+        """Read the offset registers and ENDURANCE twice, since a supply dip may falsify one reading."""
         names = self._part.registers
         rows = registers((*names, "ENDURANCE"))
         words = self.sensor.read_checked(rows)
@@ -546,7 +539,7 @@ class OffsetWriter:
         return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
 
     def _beside(self) -> dict[str, int]:
-        """Offsets of the other half of the sensor, which a flash update takes along."""
+        """Offsets of the other half of the sensor, which a flash update saves too."""
         rows = registers(self._part.others)
         words = self.sensor.read_words(rows)
         return {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
@@ -556,9 +549,9 @@ class OffsetWriter:
         return all(now[name] == number for name, number in numbers.items())
 
     def _require_explained(self, now: dict[str, int]) -> None:
-        """Refuse registers that are neither the session's nor what its journal left there."""
+        """Refuse registers with numbers that neither the session nor its journal explains."""
         recorded, known = recorded_offsets(self.session, self._part.registers), self.known
-        standing = standing_of(known, now, 0)
+        standing = held_offsets(known, now, 0)
         written = set(known[-1].new) if known and standing.registers in ("old", "new", "half") else set()
         for name, number in recorded.items():
             if name not in written and now[name] != number:
@@ -599,11 +592,11 @@ def _words(numbers: dict[str, int]) -> dict[str, int]:
     return {row.name: row.word(numbers[row.name]) for row in registers(numbers)}
 
 
-def _listed(numbers: dict[str, int]) -> str:
+def _format_numbers(numbers: dict[str, int]) -> str:
     return ", ".join(f"{name} = {number}" for name, number in numbers.items())
 
 
 def _require(now: dict[str, int], numbers: dict[str, int], what: str) -> None:
     odd = [name for name, number in numbers.items() if now[name] != number]
     if odd:
-        raise VerifyError(f"{', '.join(odd)} {what}; look at the supply")
+        raise VerifyError(f"{', '.join(odd)} {what}; check the supply")

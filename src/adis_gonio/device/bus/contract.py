@@ -9,8 +9,8 @@ Replies
     knows nothing of pipelining, of registers or of units: those are the sensor's.
 Who waits
     The bus. Between frames it keeps chip select high for at least `SpiTiming.stall_us`, starts frames
-    at least `period_us` apart and never clocks faster than `clock_hz`; that holds between the last
-    frame of one batch and the first of the next too. Slower is always allowed.
+    at least `period_us` apart and never clocks faster than `clock_hz`; this also applies between the last
+    frame of one batch and the first frame of the next. Slower is always allowed.
 Timing is configuration
     `configure(timing)` sets it once and returns what the bus will do; calls carry no delays. A bus
     that cannot keep a timing, such as a clock below its slowest, raises `UsageError` and leaves the old
@@ -46,7 +46,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing
 from adis_gonio.base.errors import BusClosedError, CapabilityError, ProtocolError, UsageError
 
 Words = NDArray[np.uint16]
@@ -56,10 +56,10 @@ RESERVED_BIT = 1 << 14
 
 
 class Capability(StrEnum):
-    """What a bus may offer besides `exchange`."""
+    """Optional function of a bus in addition to `exchange`."""
 
     STREAM = "stream"
-    """Runs a list of read frames by itself at each data-ready edge and delivers blocks."""
+    """Runs a list of read frames at each data-ready edge and delivers blocks."""
     HARD_RESET = "hard-reset"
     """Can pull the chip's RST line."""
     EVENT_COUNTER = "event-counter"
@@ -104,11 +104,11 @@ class FrameBlock:
 
 
 class SpiBus(Closing):
-    """Base of every bus: checks, locking and closing live here, one file a bridge adds the rest.
+    """Base class of every bus, with checks, locking and closing.
 
-    A subclass implements `_exchange`, `_configure` and `_close`, sets `url`, and overrides
-    `capabilities` with the methods of the capabilities that it has. See the module's text for what it
-    promises; `adis_gonio.testing.BusContract` is the test class that proves it.
+    A subclass implements `_exchange`, `_configure` and `_close`, sets `url`, and for its capabilities sets
+    `capabilities` and implements `_start_stream`, `_pull_reset` and `_count_edges`. The module's text has
+    the contract; `adis_gonio.testing.BusContract` is the test class that proves it.
     """
 
     url: str = ""
@@ -116,14 +116,14 @@ class SpiBus(Closing):
     edge_rises: bool = False
     """Which edge of data-ready starts a scan of a stream: the rising one, or else the falling one."""
     unbroken_frames: int | None = None
-    """Frames of a batch that follow each other without a pause; None where any number does."""
+    """Most frames that follow each other without a pause; None for any number."""
 
     def __init__(self, timing: SpiTiming) -> None:
         self._timing = timing
         self._closed = False
         self._lock = threading.RLock()
 
-    # -- what users call ------------------------------------------------------------------------
+    # -- public methods --------------------------------------------------------------------------
 
     @property
     def timing(self) -> SpiTiming:
@@ -136,7 +136,7 @@ class SpiBus(Closing):
         return self._closed
 
     def configure(self, timing: SpiTiming) -> SpiTiming:
-        """Set the timing; return what the bus will do (never faster than asked)."""
+        """Set the timing and return the achieved one (never faster than requested)."""
         with self._lock:
             self._require_open()
             self._timing = self._configure(timing)
@@ -155,7 +155,7 @@ class SpiBus(Closing):
         return [int(reply) for reply in self.exchange_array(_as_words(frames))]
 
     def exchange_array(self, frames: Words) -> Words:
-        """`exchange` for (n,) uint16 arrays, which is what drivers use for long batches."""
+        """`exchange` for (n,) uint16 arrays, for long batches."""
         if frames.dtype != np.uint16 or frames.ndim != 1:
             raise UsageError("frames must be a one-dimensional array of uint16")
         reserved = np.flatnonzero(frames & RESERVED_BIT)
@@ -185,7 +185,7 @@ class SpiBus(Closing):
         return there.astype(np.uint16)
 
     def close(self) -> None:
-        """Give the device back. A second call does nothing."""
+        """Release the device. A second call does nothing."""
         with self._lock:
             if not self._closed:
                 self._closed = True
@@ -204,26 +204,45 @@ class SpiBus(Closing):
     # -- optional capabilities --------------------------------------------------------------------
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start `Capability.STREAM`: run the read frames once at each data-ready edge."""
-        raise self._lacks(Capability.STREAM)
+        """Start `Capability.STREAM`: run the read frames once at each data-ready edge.
+
+        Raises
+        ------
+        UsageError
+            The list is empty, too long or contains a write, or a stream is running.
+        """
+        with self._lock:
+            self._require(Capability.STREAM)
+            if not frames or any(not 0 <= frame < RESERVED_BIT for frame in frames):
+                raise UsageError("a stream takes at least one read frame and no writes")
+            if block_scans < 1:
+                raise UsageError(f"a block of {block_scans} scans is not possible; give at least 1")
+            return self._start_stream(frames, block_scans)
 
     def hard_reset(self) -> None:
         """Pull the RST line (`Capability.HARD_RESET`); the caller waits for the start-up."""
-        raise self._lacks(Capability.HARD_RESET)
+        with self._lock:
+            self._require(Capability.HARD_RESET)
+            self._pull_reset()
 
     def read_event_counter(self) -> int:
-        """Data-ready edges since the last call (`Capability.EVENT_COUNTER`)."""
-        raise self._lacks(Capability.EVENT_COUNTER)
+        """Data-ready edges since the last call (`Capability.EVENT_COUNTER`).
+
+        Some counters have 16 bits, so call it at least once a minute.
+        """
+        with self._lock:
+            self._require(Capability.EVENT_COUNTER)
+            return self._count_edges()
 
     def count_events(self) -> tuple[int, float]:
-        """`read_event_counter`, and when that was in s, for a rate.
+        """`read_event_counter` with its time in s, for a rate.
 
-        The time is on the clock of whoever counts, where the bridge has one, else on the host's, which
-        does not know how long the answer was under way: only differences of it mean something.
+        The time is on the clock of the bridge if it has one, else on the clock of the host, which does not
+        know the delay of the answer: use only differences.
         """
         return self.read_event_counter(), self.now_s()
 
-    # -- what a bridge implements -----------------------------------------------------------------
+    # -- methods of a bridge -----------------------------------------------------------------------
 
     @abstractmethod
     def _exchange(self, frames: Words) -> Words:
@@ -237,12 +256,26 @@ class SpiBus(Closing):
     def _close(self) -> None:
         """Release the device; called once."""
 
+    def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
+        """Start a stream of valid read frames; called with the lock held."""
+        raise NotImplementedError
+
+    def _pull_reset(self) -> None:
+        """Pull RST low for a moment; called with the lock held."""
+        raise NotImplementedError
+
+    def _count_edges(self) -> int:
+        """Return the data-ready edges since the last call; called with the lock held."""
+        raise NotImplementedError
+
     def _require_open(self) -> None:
         if self._closed:
             raise BusClosedError(f"{self.url or type(self).__name__}: the bus is closed")
 
-    def _lacks(self, capability: Capability) -> CapabilityError:
-        return CapabilityError(f"{self.url or type(self).__name__} has no capability '{capability}'")
+    def _require(self, capability: Capability) -> None:
+        self._require_open()
+        if capability not in self.capabilities:
+            raise CapabilityError(f"{self.url or type(self).__name__} has no capability '{capability}'")
 
 
 class FrameStream(Closing):

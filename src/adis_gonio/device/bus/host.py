@@ -1,4 +1,4 @@
-"""What all bridges on the host need: a clock, the pace of frames, options of URLs, words for failures."""
+"""Common parts of the bridges on the host: clock, pace of frames, URL options, udev rules, messages."""
 
 from __future__ import annotations
 
@@ -6,13 +6,36 @@ import contextlib
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Protocol
 
 from adis_gonio.base.errors import CannotOpenError, UsageError
-from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiBus, SpiTiming
+from adis_gonio.device.bus.contract import FRAME_BITS, SpiBus, SpiTiming
 from adis_gonio.device.bus.opening import BusUrl, Device
-from adis_gonio.device.bus.udev import rule_for
+
+RULES_FILE = "70-adis-gonio.rules"
+"""Name of the rules, here and in /etc/udev/rules.d; below 73, where uaccess tags are acted upon."""
+
+
+def udev_rules() -> str:
+    """The rules file as text."""
+    return files("adis_gonio.device.bus").joinpath(RULES_FILE).read_text(encoding="utf-8")
+
+
+def udev_rule(words: str) -> str:
+    """First rule that contains all of some words, such as `hidraw 04d8`.
+
+    Raises
+    ------
+    LookupError
+        No rule does.
+    """
+    for line in udev_rules().splitlines():
+        if not line.startswith("#") and line and all(word in line for word in words.split()):
+            return line
+    raise LookupError(f"no udev rule contains '{words}'")
+
 
 SAFE_TIMING = SpiTiming(clock_hz=250e3, stall_us=75.0, period_us=160.0)
 """Slow enough for both of the chip's modes; every bus starts with it."""
@@ -47,10 +70,10 @@ WALL = WallClock()
 
 
 class Pace:
-    """When the next frame may start, where the host itself keeps stall and period.
+    """Time of the next frame if the host keeps stall and period.
 
-    The host knows when it heard that a frame was over, which is later than the rise of chip select; from
-    there both limits are counted, so that they hold whatever the bridge's latency is.
+    The host knows the time at which it got the report of the end of a frame, which is later than the rise
+    of chip select. Both limits count from this time, so that they are kept for any latency of the bridge.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -64,15 +87,13 @@ class Pace:
             self._clock.sleep_s(left)
 
     def done(self, timing: SpiTiming) -> None:
-        """A frame is known to be over now."""
+        """Note that a frame has ended by now."""
         self._over_s = self._clock.now_s()
         self._start_s = self._over_s - FRAME_BITS / timing.clock_hz
 
 
 class HostBus(SpiBus):
-    """Base of the bridges on the host: their clock, their pace, and what comes before a capability.
-
-    A bridge implements `_pull_reset` and `_count_edges` if it has these capabilities.
+    """Base class of the bridges on the host: their clock and their pace.
 
     Parameters
     ----------
@@ -99,44 +120,19 @@ class HostBus(SpiBus):
         """Wait on this bus's clock."""
         self._clock.sleep_s(seconds)
 
-    def hard_reset(self) -> None:
-        """Pull RST low for a moment."""
-        with self._lock:
-            self._require(Capability.HARD_RESET)
-            self._pull_reset()
-
-    def read_event_counter(self) -> int:
-        """Data-ready edges since the last call; some counters have 16 bits, so ask once a minute."""
-        with self._lock:
-            self._require(Capability.EVENT_COUNTER)
-            return self._count_edges()
-
-    def _require(self, capability: Capability) -> None:
-        self._require_open()
-        if capability not in self.capabilities:
-            raise self._lacks(capability)
-
-    def _pull_reset(self) -> None:
-        """Pull RST low for `RESET_PULSE_S`; called with the lock held."""
-        raise NotImplementedError
-
-    def _count_edges(self) -> int:
-        """Edges since the last call; called with the lock held."""
-        raise NotImplementedError
-
     def _close(self) -> None:
         self._release()
 
 
 def require_separate_pins(url: str, cs: int, reset: int | None, event: int | None, event_name: str) -> None:
-    """Refuse a pin with two duties; None is a duty that the board does not have."""
+    """Refuse a pin with two functions; None for a function that the board does not have."""
     pins = [pin for pin in (cs, reset, event) if pin is not None]
     if len(set(pins)) != len(pins):
         raise UsageError(f"{url}: cs, reset_gpio and the event counter ({event_name}) need pins apart")
 
 
 class UrlOptions:
-    """Options of a URL, taken one by one; what is left over is an error that names what exists."""
+    """Options of a URL, read one by one; an unknown option is an error that lists the known ones."""
 
     def __init__(self, url: BusUrl, names: Sequence[str]) -> None:
         self._url = url
@@ -145,7 +141,7 @@ class UrlOptions:
                 raise UsageError(f"'{url.text}': no option '{name}'; there is {', '.join(names)}")
 
     def text(self, name: str, default: str = "") -> str:
-        """An option as it stands."""
+        """An option as text."""
         return self._url.options.get(name, default)
 
     def number(self, name: str, default: int, low: int, high: int) -> int:
@@ -154,7 +150,7 @@ class UrlOptions:
         return default if found is None else found
 
     def number_or_none(self, name: str, low: int, high: int) -> int | None:
-        """A whole number within limits; None where it was not given."""
+        """A whole number within limits; None if not given."""
         text = self._url.options.get(name)
         if text is None:
             return None
@@ -175,11 +171,11 @@ class UrlOptions:
 
 
 def no_permission(url: str, what: str, rule: str) -> CannotOpenError:
-    """Permission is missing; the message carries the udev rule that gives it (see `bus.udev`)."""
+    """Permission is missing; the message carries the udev rule that gives it (see `udev_rule`)."""
     return CannotOpenError(
         f"{url}: no permission for {what}: run 'adis-gonio devices --udev | sudo tee"
         f" /etc/udev/rules.d/70-adis-gonio.rules', then 'sudo udevadm control --reload' and plug it in"
-        f" again (rule: {rule_for(rule)})"
+        f" again (rule: {udev_rule(rule)})"
     )
 
 
@@ -194,28 +190,28 @@ def gone(url: str) -> CannotOpenError:
 
 
 def missing(url: str, what: str, others: Sequence[Device] = ()) -> CannotOpenError:
-    """The device is not connected; the message lists what is."""
+    """The device is not connected; the message lists the connected devices."""
     there = f"connected: {', '.join(d.url for d in others)}" if others else "see 'adis-gonio devices'"
     return CannotOpenError(f"{url}: no {what} is connected; {there}")
 
 
 def several(url: str, devices: Sequence[Device]) -> UsageError:
-    """More than one device fits: the first one found is never taken."""
+    """More than one device fits; none is chosen automatically."""
     return UsageError(f"{url}: {len(devices)} devices fit; choose {' or '.join(d.url for d in devices)}")
 
 
 @contextlib.contextmanager
 def claimed(path: str, url: str) -> Iterator[None]:
-    """Hold a device file for this process alone, as long as the block lasts.
+    """Lock a device file for this process during the block.
 
-    Nodes such as /dev/hidraw0 can be opened many times, and answers would go to whoever reads first.
-    The lock is advisory: it keeps two programs of this package apart. Where the file or the system has
-    no locks it does nothing.
+    Nodes such as /dev/hidraw0 can be opened many times, and an answer would go to the first reader. The
+    lock is advisory: it separates two programs of this package. Without locks of the file or the system it
+    does nothing.
 
     Raises
     ------
     CannotOpenError
-        Another holder has it.
+        Another program has the lock.
     """
     try:
         import fcntl

@@ -14,7 +14,7 @@ from adis_gonio.device.bus.contract import SpiBus
 
 ENTRY_POINT_GROUP = "adis_gonio.bus"
 SOURCE_GROUP = "adis_gonio.source"
-"""Entry points of what gives samples and no frames (see `adis_gonio.record.source`)."""
+"""Entry points of sources of samples without frames (see `adis_gonio.record.source`)."""
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,11 @@ class BusUrl:
     Attributes
     ----------
     scheme : str
-        Which kind of bridge: `sim`, `serial`, …
+        Kind of bridge: `sim`, `serial`, …
     place : str
-        Which one of that kind: a port, a serial number; may be empty.
+        Device of that kind: a port, a serial number; may be empty.
     options : mapping of str to str
-        What stood behind the question mark.
+        Options behind the question mark.
     """
 
     text: str
@@ -38,7 +38,7 @@ class BusUrl:
 
     @classmethod
     def parse(cls, text: str) -> BusUrl:
-        """Take a URL apart; `UsageError` says what is wrong with it."""
+        """Parse a URL; `UsageError` explains a mistake in it."""
         scheme, colon, rest = text.partition(":")
         if not colon or not scheme:
             raise UsageError(f"'{text}' is no bus URL: write scheme:place, such as sim:?seed=1")
@@ -50,7 +50,7 @@ class BusUrl:
         options: dict[str, str] = {}
         for name, value in pairs:
             if name in options:
-                raise UsageError(f"'{text}': option '{name}' stands twice")
+                raise UsageError(f"'{text}': option '{name}' is given twice")
             options[name] = value
         return cls(text, scheme.lower(), place, options)
 
@@ -120,8 +120,8 @@ class Device(JsonRecord):
 def find_devices() -> list[Device]:
     """Devices of every installed bus (entry points of group `adis_gonio.devices`), one row each.
 
-    A bus whose library is not installed is listed with the extra that it needs, and one whose finder
-    fails with the function that did: one package's mistake does not hide what the others have found.
+    A bus without its library is listed with the extra that it needs, and a finder that fails with the name
+    of its function, so that a mistake in one package does not hide the devices of the others.
     """
     devices: list[Device] = []
     for point in sorted(entry_points(group=DEVICE_GROUP), key=lambda point: point.name):
@@ -132,7 +132,7 @@ def find_devices() -> list[Device]:
             devices.append(Device(f"{point.name}:", need))
         except (BusError, NotInstalledError) as error:
             devices.append(Device(f"{point.name}:", f"not usable: {error}"))
-        except Exception as error:  # whatever a package of somebody else's may raise
+        except Exception as error:  # another package may raise anything
             devices.append(Device(f"{point.name}:", f"not usable: {_blamed(point, error)}"))
     return devices
 
@@ -147,7 +147,7 @@ def _found(point: EntryPoint) -> list[Device]:
 
 
 def _blamed(point: EntryPoint, error: Exception) -> str:
-    """Whose function failed and how, in one line."""
+    """Function that failed, its package and its error, in one line."""
     package = f" of package '{point.dist.name}'" if point.dist is not None else ""
     what = " ".join(str(error).split())
     return f"{point.value}{package} failed: {type(error).__name__}{': ' if what else ''}{what}"

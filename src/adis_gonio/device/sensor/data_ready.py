@@ -1,13 +1,13 @@
-"""The chip's data-ready line: lent to a stream or a session, and checked before it is believed.
+"""The chip's data-ready line: enabled for a stream or a session, and checked before use.
 
-An input that nothing drives, or that something else drives, may show edges too. The line is therefore used
-only where the bridge counts about one edge an update, and where no update falls into the scans that start
-at the edge; where no edge comes at all, as without the wire, scans are polled.
+An input may show edges even if nothing or something else drives it. The line is therefore used only if the
+bridge counts about one edge for each update, and if no update falls into the scans that start at the edge.
+Without edges, as without the wire, scans are polled.
 
-ND of a scan's own words does not show an update that falls into it: every register has one update between
-two reads, wherever in the scan it comes. A trial therefore reads the scan's first register once more at its
-end. At an edge that leads the update the first read finds new data and the last one none; where the update
-comes within the scan it is the other way round.
+ND in the words of one scan does not show an update during the scan: every register has one update between
+two reads, at any place in the scan. A trial therefore reads the first register of the scan once more at its
+end. At an edge before the update the first read finds new data and the last read none; if the update
+comes within the scan it is the opposite.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ import numpy as np
 
 from adis_gonio.base.errors import AdisGonioError, ChipError, VerifyError
 from adis_gonio.device.bus import Capability, SpiBus
-from adis_gonio.device.sensor.frames import read_frames, write_frames
-from adis_gonio.device.sensor.registers import BY_NAME, ND, Register
+from adis_gonio.device.sensor.registers import BY_NAME, ND, Register, read_frames, write_frames
 
 if TYPE_CHECKING:
     from adis_gonio.device.sensor.driver import Adis16354
@@ -33,25 +32,25 @@ USED_BY = frozenset({Capability.STREAM, Capability.EVENT_COUNTER})
 UpdateEdge = Literal["first", "last"]
 
 UPDATE_EDGE: UpdateEdge = "first"
-"""Edge of the pulse that leads the update: from there on the outputs are new. That the pulse tells of new
-data is A (MSC_CTRL[2]); that its beginning does and not its end is inferred, neither sheet nor code says so
-(C). `leads` checks it, and `DataReadyLoan` takes the other edge where the declared one proves wrong."""
+"""Edge of the pulse at which the outputs are new. The pulse announces new data (MSC_CTRL[2], A); the choice
+of its first edge is inferred, without support in data sheet or code (C). `edge_at_update` checks it, and
+`DataReadyLoan` takes the other edge if the declared one is wrong."""
 
 _PERIODS = 2.5
-"""Updates for which edges are counted at least: two of them fall into it."""
+"""Minimum duration of the count in updates, so that two edges fall into it."""
 _COUNT_S = 0.1
-"""Time for which edges are counted at least."""
+"""Minimum duration of the count."""
 _RATE_TOLERANCE = 0.25
-"""Relative difference between edges and updates up to which the rates agree. The chip's clock is off by
-some percent, and a bridge without a clock of its own is timed by the host."""
+"""Tolerance of the rate of edges relative to the rate of updates. The chip's clock is off by some percent,
+and the host times a bridge without its own clock."""
 _EDGES_TOLERANCE = 1.5
-"""Edges that may be too many or too few at the two ends of the count."""
+"""Tolerance in edges for the two ends of the count."""
 _TRIAL_SCANS = (4, 32)
-"""Least and most scans that are tried for ND."""
+"""Smallest and largest number of trial scans."""
 _LEADS_SHARE = 0.9
-"""Share of trial scans without an update in them from which on their edge leads it; true ones have all."""
+"""Minimum share of trial scans without an update in them for a correct edge, which has all."""
 _MOST_BEFORE = 30
-"""Registers of a trial before its last; a bridge's list holds 32."""
+"""Most registers of a trial before the repeated one; the list of a bridge has 32."""
 
 _ROW = BY_NAME["MSC_CTRL"]
 _POLARITY = _ROW.field("polarity").mask
@@ -59,8 +58,8 @@ MASK = _ROW.field("data_ready").mask | _POLARITY | _ROW.field("line").mask
 """Bits of MSC_CTRL that belong to data-ready."""
 
 
-def arrives(bus: SpiBus, period_s: float) -> bool:
-    """Whether the bridge sees a data-ready edge at each update, or cannot tell; False where it sees none.
+def edges_arrive(bus: SpiBus, period_s: float) -> bool:
+    """True if the bridge counts one data-ready edge for each update, or cannot count; False for no edges.
 
     Takes 0.1 s or 2.5 updates of `period_s`, whichever is longer.
 
@@ -79,13 +78,13 @@ def arrives(bus: SpiBus, period_s: float) -> bool:
         raise ChipError(
             f"{bus.url}: {edges / (end_s - begin_s):.4g} edges a second on the data-ready line, but the"
             f" sensor samples {1 / period_s:.4g} times a second: wire the line to DIO1 and to nothing else,"
-            " or hold it high where there is no wire (docs/hardware.md)"
+            " or hold it high if there is no wire (docs/hardware.md)"
         )
     return edges > 0
 
 
-def leads(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
-    """Whether no update falls into scans of these registers that start at the data-ready edge.
+def edge_at_update(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
+    """True if no update falls into scans of these registers that start at the data-ready edge.
 
     Takes 0.1 s or 4 updates, whichever is longer.
     """
@@ -96,14 +95,14 @@ def leads(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
     rows = table if len(table) > _MOST_BEFORE + 1 else [*table[first:], table[first]]
     frames = [int(frame) for frame in read_frames(rows)]
     with contextlib.closing(bus.stream(frames, block_scans=scans)) as stream:
-        new = (next(stream).words[1:, [0, -1]] & ND).astype(bool)  # before the first scan nobody had read
+        new = (next(stream).words[1:, [0, -1]] & ND).astype(bool)  # the first scan has no read before it
     takes_s = len(frames) * bus.timing.frame_s
     within = new[:, 1] if takes_s < period_s else np.zeros(len(new), bool)
     return bool((new[:, 0] & ~within).mean() >= _LEADS_SHARE)
 
 
-def refusal(bus: SpiBus) -> ChipError:
-    """Error of edges into whose scans updates fall."""
+def wrong_edge_error(bus: SpiBus) -> ChipError:
+    """Error for edges with updates during their scans."""
     return ChipError(
         f"{bus.url}: the sensor's updates fall into scans that start at the data-ready edges (bit ND of a"
         " register read twice): the edges are not the updates', or MSC_CTRL[1] selects the wrong end of the"
@@ -112,31 +111,31 @@ def refusal(bus: SpiBus) -> ChipError:
 
 
 class DataReadyLoan:
-    """Data-ready on DIO1, where the bridges' wiring has it, until what stood there is set back.
+    """Data-ready on DIO1, which the bridges are wired to, until the old setting is restored.
 
-    The polarity is taken so that the edge which the bus waits for leads the update. Only the low byte
-    of MSC_CTRL is written, and of that only the three bits of data-ready change.
+    The polarity is chosen so that the edge used by the bus comes at the update. Only the low byte
+    of MSC_CTRL is written, and only its three bits of data-ready change.
 
     Parameters
     ----------
     sensor : Adis16354
-        Whose line it is.
+        Sensor with the line.
     table : sequence of Register
-        What the scans will hold.
+        Registers of the scans.
     edge : {"first", "last"}
-        Edge of the pulse that should lead the update.
+        Edge of the pulse expected at the update.
 
     Attributes
     ----------
     edge : {"first", "last"}
-        The one that does.
+        Edge that is used.
     wired : bool
-        False where no edge arrives; what stood in MSC_CTRL is then set back already.
+        False if no edge arrives; MSC_CTRL is then already restored.
 
     Raises
     ------
     VerifyError
-        What was read back differs.
+        A value read back differs.
     ChipError
         Edges arrive, but they are not the chip's updates. MSC_CTRL is set back.
     """
@@ -150,7 +149,7 @@ class DataReadyLoan:
         self._ours = self._before
         try:
             self._enable()
-            self.wired = arrives(sensor.bus, period_s)
+            self.wired = edges_arrive(sensor.bus, period_s)
             if self.wired:
                 self._find_edge(table, period_s)
             else:
@@ -161,21 +160,21 @@ class DataReadyLoan:
             raise
 
     def give_back(self) -> None:
-        """Set the bits back, unless somebody else has changed them meanwhile; may be called twice."""
+        """Restore the bits, unless another program has changed them; may be called twice."""
         if self._ours != self._before and self._sensor.read(_ROW) & MASK == self._ours:
             self._set(self._before)
         self._ours = self._before
 
     def _find_edge(self, table: Sequence[Register], period_s: float) -> None:
-        """Take the edge that leads the update; the declared one where it does."""
+        """Use the declared edge if it is at the update, else the other edge."""
         if Capability.STREAM not in self._sensor.bus.capabilities:
             return  # nothing starts at an edge
         for _ in range(2):
-            if leads(self._sensor.bus, table, period_s):
+            if edge_at_update(self._sensor.bus, table, period_s):
                 return
             self.edge = "last" if self.edge == "first" else "first"
             self._enable()
-        raise refusal(self._sensor.bus)
+        raise wrong_edge_error(self._sensor.bus)
 
     def _enable(self) -> None:
         ours = _ROW.field("data_ready").mask

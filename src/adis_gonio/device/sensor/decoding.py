@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import ChipError, UsageError
 from adis_gonio.device.bus import Words
 from adis_gonio.device.sensor.registers import (
@@ -23,10 +24,8 @@ from adis_gonio.device.sensor.registers import (
 )
 from adis_gonio.device.sensor.variants import Variant, variant
 
-Floats = NDArray[np.float64]
-
 _IN_CACHE = 32_768
-"""Words that are handled at a time: long rows for numpy's inner loops, short enough for the cache."""
+"""Words in one step: long enough for numpy's inner loops, short enough for the cache."""
 
 
 def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]:
@@ -64,7 +63,7 @@ def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]
 def _masks_and_signs(layout: tuple[tuple[int, bool], ...]) -> tuple[Words, Words]:
     """Rows of masks and sign bits for as many scans as are handled at a time.
 
-    (word & mask ^ sign) - sign masks the flags off and extends the sign; sign is 0 where there is none.
+    (word & mask ^ sign) - sign masks the flags off and extends the sign; sign is 0 for unsigned registers.
     """
     mask = np.array([(1 << bits) - 1 for bits, _ in layout], np.uint16)
     sign = np.array([1 << bits - 1 if signed else 0 for bits, signed in layout], np.uint16)
@@ -86,7 +85,7 @@ def scales(
     for row in table:
         if row.kind is Kind.GYRO and gyro_range_dps is None:
             raise ChipError(
-                f"{row.name}: SENS_AVG holds no valid gyro range, so its scale is unknown;"
+                f"{row.name}: SENS_AVG has no valid gyro range, so its scale is unknown;"
                 " set one (configure(gyro_range_dps=300))"
             )
         a, b, unit = part.lsb(row.kind, gyro_range_dps or 300)
@@ -105,18 +104,17 @@ class ScanBlock:
     registers : tuple of str
         Names of the k registers.
     words : (n, k) uint16
-        Words as they came, flags included.
+        Words as read, including flags.
     time_s : (n,) float
         Time of each scan on the bus's clock, in s.
     lost : int
-        Updates of the chip since the previous block, up to the end of this one, that were missed.
+        Missed updates of the chip from the end of the previous block to the end of this one.
     variant, gyro_range_dps
-        What the words have to be read with.
+        Variant and gyro range that decode the words.
     missed : (n,) int or None
-        Where `lost` happened: updates missed just before each scan, where that is known.
+        Missed updates just before each scan, if known.
     dropped : int
-        Scans that were made besides and left out: a word lacked ND, so that the edge which started the scan
-        was no update's.
+        Omitted scans: a word lacked ND, so that the edge that started the scan was not an update.
     """
 
     registers: tuple[str, ...]
@@ -156,7 +154,7 @@ class ScanBlock:
         return self.select((name,)).values()[:, 0]
 
     def select(self, names: Sequence[str]) -> ScanBlock:
-        """The same scans with some of their registers only."""
+        """Copy with some of the registers only."""
         try:
             columns = [self.registers.index(name) for name in names]
         except ValueError:
@@ -165,7 +163,7 @@ class ScanBlock:
         return replace(self, registers=tuple(names), words=self.words[:, columns])
 
     def first(self, count: int) -> ScanBlock:
-        """The first scans of the block; `lost` goes with them as far as `missed` tells where it was."""
+        """The first scans of the block, with the part of `lost` that `missed` assigns to them."""
         missed = None if self.missed is None else self.missed[:count]
         return replace(
             self,
@@ -199,19 +197,19 @@ class ScanBlock:
 
     @property
     def fresh(self) -> NDArray[np.bool_]:
-        """True (n, k) where a word carries ND: data that had not been read before."""
+        """True (n, k) for words with ND: data that had not been read before."""
         return (self.words & ND).astype(bool)
 
     @property
     def alarm(self) -> NDArray[np.bool_]:
-        """True (n,) where a word carries EA: an error or alarm stands in STATUS."""
+        """True (n,) for scans with EA: STATUS has an error or alarm."""
         outputs = [k for k, row in enumerate(self.table) if row.flags]
         flags: NDArray[np.bool_] = np.any((self.words[:, outputs] & EA).astype(bool), axis=1)
         return flags
 
 
 def join(blocks: Sequence[ScanBlock]) -> ScanBlock:
-    """One block of several that were scanned alike and follow one another."""
+    """Join successive blocks of the same registers."""
     first = blocks[0]
     missed = [block.missed for block in blocks if block.missed is not None]
     return replace(

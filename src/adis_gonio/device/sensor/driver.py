@@ -1,24 +1,27 @@
 """The driver: registers, configuration, scans and commands of an ADIS16354 over any bus.
 
 Rules that it keeps
-    * A frame with the write bit leaves only from a method that was asked to write; `stream` may enable
-      data-ready while it runs, and its argument `leave_registers` forbids it.
+    * Only methods that write send frames with the write bit; `stream` may enable data-ready while it runs,
+    unless `leave_registers` is set.
     * Every write is read back, and a flash update is proved by the endurance counter.
-    * The bus's clock follows SMPL_PRD, and is slow whenever the mode is not known.
+    * The bus's clock follows SMPL_PRD, and is slow if the mode is not known.
     * After a reset, restore, self-test or flash update nothing is sent until the part has recovered.
-    * Nothing is taken for data that does not say so: silence, a wrong variant and STATUS are errors.
+    * Silence, a wrong variant and faults in STATUS are errors, not data.
+
+Registers are put back and verified, also after an error or an interruption.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing
 from adis_gonio.base.errors import (
+    AdisGonioError,
     ChipError,
     SilentChipError,
     StatusError,
@@ -32,22 +35,26 @@ from adis_gonio.device.sensor.data_ready import (
     USED_BY,
     DataReadyLoan,
     UpdateEdge,
-    arrives,
-    leads,
-    refusal,
+    edge_at_update,
+    edges_arrive,
+    wrong_edge_error,
 )
 from adis_gonio.device.sensor.decoding import ScanBlock, join, scales
-from adis_gonio.device.sensor.frames import IDLE, NORMAL, read_frames, timing_for, write_frames
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
     ACCEL_OUT,
     BY_NAME,
     GYRO_OFF,
     GYRO_OUT,
+    IDLE,
+    NORMAL,
     REGISTERS,
     Register,
+    read_frames,
     register,
     registers,
+    timing_for,
+    write_frames,
 )
 from adis_gonio.device.sensor.scanning import (
     LONGEST_EXCHANGE_S,
@@ -70,7 +77,7 @@ from adis_gonio.device.sensor.settings import (
 from adis_gonio.device.sensor.variants import VARIANTS, Variant, variant
 
 DEFAULT_SCAN = (*ACCEL_OUT, *GYRO_OUT, "XTEMP_OUT", "SUPPLY_OUT")
-"""What a scan holds unless told: accelerometers, gyros, one temperature, supply."""
+"""Registers of a scan by default: accelerometers, gyros, one temperature, supply."""
 
 START_UP_S = 0.3
 """Silence after power-on and reset; 150 ms typical (DS, B), a reset's recovery is not given."""
@@ -87,14 +94,14 @@ FLASH_LIFE = 10_000
 ENDURANCE_WRAP = 32_768
 
 MOST_READINGS = 4
-"""Readings of a register among which two in a row have to agree."""
+"""Readings of a register, of which two successive ones must agree."""
 
 _STUCK_WORDS = frozenset({0x0000, 0xFFFF})
 """Replies of a line that is stuck at one level."""
 
 PLAUSIBLE = 0.15
-"""Relative distance of |a| at rest from 1 g up to which a variant is believed: ±2 % of scale and a bias
-of tens of mg fit in, the next variant is 5.4 times away."""
+"""Tolerance of |a| at rest relative to 1 g for a variant: it allows ±2 % of scale and a bias of tens of mg;
+the next variant differs by a factor of 5.4."""
 CHECK_SCANS = 32
 MANUAL_SCANS = 64
 
@@ -122,8 +129,8 @@ def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> 
     variant : str
         `adis16354`, `adis16350` or `adis16355`.
     check : bool
-        Prove on opening that something answers and that the acceleration at rest is 1 g for this variant:
-        no identification register exists, so this is the only check there is.
+        Check on opening that the chip answers and that the acceleration at rest is 1 g for this variant. No
+        other check exists, because the chip has no identification register.
 
     Raises
     ------
@@ -146,13 +153,13 @@ class Adis16354(Closing):
     Parameters
     ----------
     bus : SpiBus
-        Belongs to the sensor from now on: `close` closes it.
+        Bus of the sensor; `close` also closes it.
     variant : str or Variant
-        Which part of the family.
+        Part of the family.
     check : bool
         See `open_sensor`.
     update_edge : {"first", "last"}
-        Edge of the data-ready pulse that is taken for the update's (see `data_ready.UPDATE_EDGE`).
+        Edge of the data-ready pulse at the update (see `data_ready.UPDATE_EDGE`).
     """
 
     def __init__(
@@ -184,7 +191,7 @@ class Adis16354(Closing):
     # -- registers --------------------------------------------------------------------------------
 
     def read_words(self, names: Sequence[str | Register]) -> list[int]:
-        """Words as they come, flags included; k registers in k + 1 frames."""
+        """Words as read, including flags; k registers in k + 1 frames."""
         frames = np.append(read_frames(registers(names)), np.uint16(IDLE))
         return [int(word) for word in self.bus.exchange_array(frames)[1:]]
 
@@ -211,7 +218,7 @@ class Adis16354(Closing):
         Parameters
         ----------
         number : int
-            Signed where the register is.
+            Value, signed if the register is.
 
         Raises
         ------
@@ -243,7 +250,7 @@ class Adis16354(Closing):
             field = row.field(field_name)
             if not 0 <= value <= field.mask >> field.low:
                 raise UsageError(
-                    f"{row.name}.{field_name} holds 0 to {field.mask >> field.low}, not {value}"
+                    f"{row.name}.{field_name} takes 0 to {field.mask >> field.low}, not {value}"
                 )
             word = word & ~field.mask | value << field.low
         self.write(row, word)
@@ -256,16 +263,16 @@ class Adis16354(Closing):
         Raises
         ------
         SilentChipError
-            As `read_checked`: no period or length is taken from a line that is stuck.
+            As `read_checked`: a stuck line gives no values.
         """
         smpl_prd, sens_avg, msc_ctrl = self.read_checked(["SMPL_PRD", "SENS_AVG", "MSC_CTRL"])
         return Configuration.from_words(smpl_prd, sens_avg, msc_ctrl)
 
     def read_checked(self, names: Sequence[str | Register]) -> list[int]:
-        """Return words that two successive readings agree on, with SENS_AVG before and behind them.
+        """Return words that agree in two successive readings, with SENS_AVG read before and after them.
 
-        SENS_AVG is never 0x0000 or 0xFFFF (its range code is 4, 2 or 1), so these replies come from a stuck
-        line. For registers whose value a program relies on, such as SMPL_PRD and ENDURANCE.
+        SENS_AVG is never 0x0000 or 0xFFFF (its range code is 4, 2 or 1), so such replies come from a stuck
+        line. Use it for registers that a program relies on, such as SMPL_PRD and ENDURANCE.
 
         Raises
         ------
@@ -307,7 +314,7 @@ class Adis16354(Closing):
         linear_g: bool | None = None,
         origin: bool | None = None,
     ) -> Configuration:
-        """Change what is named, leave the rest, and wait until the filter has settled.
+        """Change the given settings only, and wait until the filter has settled.
 
         Parameters
         ----------
@@ -356,21 +363,21 @@ class Adis16354(Closing):
         leave_registers: bool = False,
         data_ready: bool | None = None,
     ) -> ScanStream:
-        """Fresh scans, one after another, by the best that the bus can do (see `sensor.scanning`).
+        """Successive new scans by the best method of the bus (see `sensor.scanning`).
 
-        The bus streams by itself at each data-ready edge where it can; else scans are polled, and what was
-        missed is counted by the bus's event counter where it has one, else by time.
+        If the bus can, it streams at each data-ready edge; else scans are polled, and missed updates are
+        counted by the event counter of the bus, or by time without one.
 
-        Where the bus can use data-ready and MSC_CTRL does not enable it, it is enabled on DIO1 and set back
-        when the stream is closed; where no edge arrives then, as without the wire, scans are polled.
+        If the bus can use data-ready and MSC_CTRL does not enable it, it is enabled on DIO1 and restored
+        when the stream is closed; if no edge arrives then, as without the wire, scans are polled.
 
         Parameters
         ----------
         leave_registers : bool
-            Write nothing: data-ready is used only where it is enabled already.
+            Write nothing: use data-ready only if it is already enabled.
         data_ready : bool or None
-            True uses data-ready as it is, without a look whether edges arrive (a `DataReadyLoan` has
-            looked); False polls. Neither writes a register.
+            True uses data-ready as set, without a check for edges (a `DataReadyLoan` has checked); False
+            polls. Neither writes a register.
 
         Raises
         ------
@@ -384,7 +391,7 @@ class Adis16354(Closing):
         table = registers(names)
         if not any(row.flags for row in table):
             raise UsageError(
-                "a scan needs an output register (XACCL_OUT and its like): they tell what is new"
+                "a scan needs an output register, such as XACCL_OUT, because only these mark new data"
             )
         if block_scans < 1:
             raise UsageError(f"block_scans is {block_scans}: take 1 or more")
@@ -395,10 +402,10 @@ class Adis16354(Closing):
         ready, at_end = bool(data_ready), contextlib.ExitStack()
         with contextlib.ExitStack() as failed:
             if looks and leave_registers:
-                ready = arrives(self.bus, period_s)
+                ready = edges_arrive(self.bus, period_s)
                 streams = ready and Capability.STREAM in self.bus.capabilities
-                if streams and not leads(self.bus, table, period_s):
-                    raise refusal(self.bus)
+                if streams and not edge_at_update(self.bus, table, period_s):
+                    raise wrong_edge_error(self.bus)
             elif looks:
                 loan = DataReadyLoan(self, table, period_s, self.update_edge)
                 failed.callback(loan.give_back)
@@ -421,7 +428,7 @@ class Adis16354(Closing):
     def lend_data_ready(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> DataReadyLoan | None:
         """Enable data-ready for streams of these registers until the loan is given back.
 
-        None where the bus cannot use it. Errors as `DataReadyLoan`.
+        Returns None if the bus cannot use it. Errors as `DataReadyLoan`.
         """
         if not USED_BY & self.bus.capabilities:
             return None
@@ -457,11 +464,11 @@ class Adis16354(Closing):
     # -- health -----------------------------------------------------------------------------------
 
     def status(self) -> Status:
-        """Read STATUS, which clears it; a condition that stands comes back with the next update."""
+        """Read STATUS, which clears it; a condition that persists returns with the next update."""
         return Status(self.read("STATUS"))
 
     def self_test(self) -> SelfTest:
-        """Run the internal self-test (35 ms, outputs unavailable meanwhile) and read its outcome.
+        """Run the internal self-test (35 ms, outputs unavailable meanwhile) and read its result.
 
         Raises
         ------
@@ -472,7 +479,7 @@ class Adis16354(Closing):
         """
         row = BY_NAME["MSC_CTRL"]
         busy = row.field("self_test").mask
-        # The high byte alone: the low byte holds settings that a self-test has no business with.
+        # Only the high byte: the low byte has settings that a self-test must not change.
         self.bus.exchange_array(write_frames(row, busy, byte_mask=0xFF00))
         self.bus.sleep_s(SELF_TEST_S)
         if self.read_checked([row])[0] & busy:
@@ -480,9 +487,9 @@ class Adis16354(Closing):
         return SelfTest(self.status())
 
     def manual_self_test(self) -> ManualSelfTest:
-        """Apply the self-test's stimulus by hand, of either sign, and measure what it moves.
+        """Apply the self-test's stimulus with each sign, and measure the change of the outputs.
 
-        The part must be at rest. MSC_CTRL is set back at the end, however it ends.
+        The part must be at rest. MSC_CTRL is always restored at the end.
 
         Raises
         ------
@@ -522,12 +529,12 @@ class Adis16354(Closing):
     ) -> Offsets:
         """Write offsets (x, y, z), which the part adds to its outputs; volatile until `save_to_flash`.
 
-        Returns what stands afterwards: the values asked for, rounded to an LSB.
+        Returns the new offsets: the requested values, rounded to an LSB.
 
         Raises
         ------
         UsageError
-            Not three values, or one that the register cannot hold; nothing was written.
+            Not three values, or a value outside the range of the register; nothing was written.
         VerifyError
             What was read back differs.
         """
@@ -544,7 +551,7 @@ class Adis16354(Closing):
                 low, high = row.range
                 if not low <= number <= high:
                     raise UsageError(
-                        f"{row.name} holds {low * size:.4g} to {high * size:.4g} {unit}, not {value:.4g}"
+                        f"{row.name} takes {low * size:.4g} to {high * size:.4g} {unit}, not {value:.4g}"
                     )
                 writes.append((row, number))
         for row, number in writes:
@@ -583,7 +590,7 @@ class Adis16354(Closing):
         return self.offsets()
 
     def restore_factory(self, *, force: bool = False) -> Offsets:
-        """Zero the six offsets. Ends in a flash update by itself.
+        """Set the six offsets to zero; this ends in a flash update.
 
         Raises
         ------
@@ -612,8 +619,8 @@ class Adis16354(Closing):
         Raises
         ------
         UsageError
-            No such alarm or source, or a threshold outside the source's range; or of a change that is less
-            than half an LSB a sample, which the register cannot hold.
+            Unknown alarm or source; a threshold outside the source's range; or a threshold for a change of
+            less than half an LSB a sample.
         """
         if number not in (1, 2):
             raise UsageError(f"alarm {number} does not exist: 1 or 2")
@@ -633,7 +640,7 @@ class Adis16354(Closing):
         if alarm.rate_samples and alarm.threshold and not threshold:
             raise UsageError(
                 f"threshold {alarm.threshold:g} {unit[0]} a sample is too small for {source.name}:"
-                f" the least is {lsb[0]:.4g} {unit[0]} a sample, whatever rate_samples is"
+                f" the least is {lsb[0]:.4g} {unit[0]} a sample, for any rate_samples"
             )
         self.write(f"ALM_MAG{number}", int(alarm.above) << 15 | threshold & source.data_mask)
         self.write(f"ALM_SMPL{number}", alarm.rate_samples)
@@ -747,3 +754,77 @@ class Adis16354(Closing):
             f" ({norm_lsb:.0f} LSB, no known variant): keep the part still while opening, or open it"
             " without the check"
         )
+
+
+_TRIES = 4
+"""A Ctrl-C or a single failure of the bus must not prevent the restoration."""
+
+
+class Undo:
+    """Records registers; `put_back` restores changed ones and verifies them.
+
+    Parameters
+    ----------
+    sensor : Adis16354
+        Open.
+    rows : sequence of Register
+        Writable registers to record.
+    before : mapping of str to int or None
+        Words by name to restore; None records the present words.
+
+    Attributes
+    ----------
+    before : dict of str to int
+        Words to restore, limited to the writable bits.
+    left : tuple of str
+        Registers that `put_back` could not restore.
+    """
+
+    def __init__(
+        self, sensor: Adis16354, rows: Sequence[Register], before: Mapping[str, int] | None = None
+    ) -> None:
+        self._sensor = sensor
+        self.rows = tuple(rows)
+        self.before = (
+            self._read() if before is None else {r.name: before[r.name] & r.write_mask for r in rows}
+        )
+        self.left: tuple[str, ...] = ()
+
+    def put_back(self) -> None:
+        """Restore every changed register; `left` names the registers that failed.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            The operator interrupted it; raised after the restoration.
+        """
+        interrupted = False
+        self.left = tuple(row.name for row in self.rows)
+        for _ in range(_TRIES):
+            try:
+                self.left = tuple(row.name for row in self._restore())
+                if not self.left:
+                    break
+            except KeyboardInterrupt:
+                interrupted = True
+            except AdisGonioError:
+                continue
+        if interrupted:
+            raise KeyboardInterrupt
+
+    def _restore(self) -> list[Register]:
+        """Try once; return rows that still differ."""
+        bus = self._sensor.bus
+        bus.configure(NORMAL)  # keeps the limits of both modes
+        now = self._read()
+        for row in self.rows:
+            if now[row.name] != self.before[row.name]:
+                bus.exchange_array(write_frames(row, self.before[row.name]))
+        now = self._read()
+        left = [row for row in self.rows if now[row.name] != self.before[row.name]]
+        self._sensor._follow()
+        return left
+
+    def _read(self) -> dict[str, int]:
+        words = self._sensor.read_words(self.rows)
+        return {row.name: word & row.write_mask for row, word in zip(self.rows, words, strict=True)}

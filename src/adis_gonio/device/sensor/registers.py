@@ -1,24 +1,30 @@
-"""The register table of the ADIS16350 family: one row a register, read by code, docs and tests.
+"""The register table of the ADIS16350 family, one row for each register, and read and write frames.
 
-Sources: DS is the data sheet of the ADIS16350/ADIS16355, Rev. B. Confidence says how surely a row holds
+Sources: DS is the data sheet of the ADIS16350/ADIS16355, Rev. B. The confidence rates the validity of a row
 for the ADIS16354: A, the data sheet and independent code for this part agree; B, the sibling's data
 sheet only; C, derived, or code only; D, an estimate.
+
+A frame is bit 15 write, bit 14 zero, bits 13:8 byte address, bits 7:0 data (DS, A). Replies are
+pipelined: the word of frame k is shifted out during frame k + 1. Only `write_frames` sets the write bit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
+import numpy as np
+
 from adis_gonio.base.errors import UsageError
+from adis_gonio.device.bus import SpiTiming, Words
 
 Confidence = Literal["A", "B", "C", "D"]
 
 
 class Access(StrEnum):
-    """What may be done to a register."""
+    """Allowed access to a register."""
 
     READ = "r"
     READ_WRITE = "rw"
@@ -26,7 +32,7 @@ class Access(StrEnum):
 
 
 class Kind(StrEnum):
-    """What a register's number means; the variant gives the size of its LSB."""
+    """Meaning of a register's number; the variant gives the size of its LSB."""
 
     ACCEL = "accel"
     GYRO = "gyro"
@@ -70,9 +76,9 @@ class Register:
     bits : int
         Width of the number, right-justified in the 16-bit word.
     signed : bool
-        True where the number is in two's complement.
+        True if the number is in two's complement.
     flags : bool
-        True for output registers, whose bit 15 is ND (new data) and bit 14 EA (error or alarm).
+        True for output registers: bit 15 is ND (new data), bit 14 EA (error or alarm).
     flash_mask : int
         Bits that have a flash copy, saved by COMMAND[3] alone.
     write_mask : int
@@ -101,12 +107,12 @@ class Register:
 
     @property
     def readable(self) -> bool:
-        """True where reading gives data."""
+        """True if reading gives data."""
         return self.access is not Access.WRITE
 
     @property
     def writable(self) -> bool:
-        """True where a write is allowed."""
+        """True if a write is allowed."""
         return self.access is not Access.READ
 
     def number(self, word: int) -> int:
@@ -115,15 +121,15 @@ class Register:
         return data - (1 << self.bits) if self.signed and data >> (self.bits - 1) else data
 
     def word(self, number: int) -> int:
-        """Word to write for a number; `UsageError` where it does not fit."""
+        """Word to write for a number; `UsageError` if it does not fit."""
         low, high = self.range
         if not low <= number <= high:
-            raise UsageError(f"{self.name} holds {low} to {high}, not {number}")
+            raise UsageError(f"{self.name} takes {low} to {high}, not {number}")
         return number & self.data_mask
 
     @property
     def range(self) -> tuple[int, int]:
-        """Smallest and largest number that the register holds."""
+        """Smallest and largest number of the register."""
         if self.signed:
             return -(1 << (self.bits - 1)), (1 << (self.bits - 1)) - 1
         return 0, self.data_mask
@@ -263,8 +269,8 @@ def _control() -> list[Register]:
                 Field("self_test", 10, 10, "1 start the internal self-test; clears itself"),
                 Field("negative", 9, 9, "1 manual self-test, negative"),
                 Field("positive", 8, 8, "1 manual self-test, positive"),
-                Field("linear_g", 7, 7, "1 take off what the factory knew of the gyros' g-sensitivity"),
-                Field("origin", 6, 6, "1 take off what turns add at the accelerometers' places"),
+                Field("linear_g", 7, 7, "1 compensate the gyros' g-sensitivity by factory data"),
+                Field("origin", 6, 6, "1 compensate turns at the accelerometers' positions"),
                 Field("data_ready", 2, 2, "1 data-ready on a DIO line"),
                 Field("polarity", 1, 1, "1 active high"),
                 Field("line", 0, 0, "1 DIO2, 0 DIO1"),
@@ -348,7 +354,7 @@ READING_BITS: dict[str, int] = {
 
 
 def changed_settings(then: Mapping[str, int], now: Mapping[str, int]) -> dict[str, tuple[int, int]]:
-    """Return the registers of `READING_BITS` whose bits differ: number then and number now.
+    """Return the changed registers of `READING_BITS`: number then and number now.
 
     A register that is missing on one side is not compared.
     """
@@ -366,7 +372,7 @@ WRITE = 1 << 15
 
 
 def register(name: str | Register) -> Register:
-    """Row by name, in either case (`SENS/AVG` too); `UsageError` names the nearest where unknown."""
+    """Row by name, in either case (`SENS/AVG` too); `UsageError` names the nearest if unknown."""
     if isinstance(name, Register):
         return name
     key = name.strip().upper().replace("/", "_")
@@ -383,3 +389,61 @@ def register(name: str | Register) -> Register:
 def registers(names: Iterable[str | Register]) -> tuple[Register, ...]:
     """Rows by name."""
     return tuple(register(name) for name in names)
+
+
+IDLE = 0x0000
+"""Read of ENDURANCE, harmless. Never idle with ones: 0xFFFF looks like a write to COMMAND."""
+
+FAST = SpiTiming(clock_hz=1_000_000, stall_us=9.0, period_us=40.0)
+"""Fast mode, SMPL_PRD <= 0x09: up to 2 MHz, frame period at least 40 µs, stall at least 9 µs (DS, A)."""
+
+NORMAL = SpiTiming(clock_hz=250_000, stall_us=75.0, period_us=160.0)
+"""Normal mode, SMPL_PRD >= 0x0A: up to 300 kHz, period at least 160 µs, stall at least 75 µs (DS, A).
+
+It also keeps the limits of fast mode, so it is safe if the mode is unknown."""
+
+FAST_UP_TO = 0x09
+"""Largest SMPL_PRD, time-base bit included, that runs in fast mode (DS, A)."""
+
+
+def timing_for(smpl_prd: int) -> SpiTiming:
+    """Timing that a value of SMPL_PRD asks for; the whole byte counts, not only N."""
+    return FAST if (smpl_prd & 0xFF) <= FAST_UP_TO else NORMAL
+
+
+def read_frame(register: Register) -> int:
+    """Frame that reads a register."""
+    if not register.readable:
+        raise UsageError(f"{register.name} cannot be read")
+    return (register.address & 0x3F) << 8
+
+
+def read_frames(registers: Sequence[Register]) -> Words:
+    """Frames (k,) uint16 that read registers; one more frame is needed to fetch the last reply."""
+    return np.array([read_frame(register) for register in registers], np.uint16)
+
+
+def write_frames(register: Register, word: int, *, byte_mask: int = 0xFFFF) -> Words:
+    """Frames that write a register: low byte, then high byte.
+
+    Bytes in which the register has no writable bit are left out, and so are bytes outside `byte_mask`
+    (0x00FF low, 0xFF00 high).
+
+    Raises
+    ------
+    UsageError
+        The register is read-only, or `word` sets bits that it has not.
+    """
+    if not register.writable:
+        raise UsageError(f"{register.name} is read-only")
+    if word & ~register.write_mask:
+        raise UsageError(
+            f"{register.name} has no bits 0x{word & ~register.write_mask:04X}"
+            f" (writable: 0x{register.write_mask:04X})"
+        )
+    frames = []
+    for shift in (0, 8):
+        if (register.write_mask & byte_mask) >> shift & 0xFF:
+            address = (register.address & 0x3F) + (shift >> 3)
+            frames.append(WRITE | address << 8 | word >> shift & 0xFF)
+    return np.array(frames, np.uint16)

@@ -1,19 +1,20 @@
-"""Scans one after another, by the best that the bus can do.
+"""Successive scans, by the best method of the bus.
 
-Two ways, behind one iterator of `ScanBlock`:
+One iterator of `ScanBlock` has two implementations:
 
-* the bus streams by itself at each data-ready edge (`Capability.STREAM`, and data-ready enabled);
-* polling: the list of reads runs again and again, and the chip's ND bit says which words are new. What
-  was missed follows from the time between the scans; where the bus counts data-ready edges, they hold the
-  count to the chip's own clock, which may differ from the nominal rate.
+* the bus streams at each data-ready edge (`Capability.STREAM`, and data-ready enabled);
+* polling: the list of reads runs again and again, and the chip's ND bit marks new words. Missed updates
+follow
+  from the time between scans; if the bus counts data-ready edges, they correct the count to the chip's own
+  clock, which may differ from the nominal rate.
 
 Polling without tearing. An update may fall between two reads of one pass, so that the pass mixes two
-updates. Each *column*, however, tells by ND whether an update came since it was read last: ND is set by an
-update and cleared by the read of that very register. Where as many reads in a row as there are columns find
-no news, the latest fresh words of all columns therefore belong to one update, whatever pauses lay between
-the reads before. That is a row; fresh words that are followed by others before such a silence are not
-used, and what was missed follows from the time. A bus that needs more than half a period for a pass cannot
-do this: there each pass is a scan.
+updates. In each *column*, however, ND shows if an update came since the last read: an update sets ND, and
+the read of that register clears it. If as many successive reads as there are columns find no new data, the
+latest new words of all columns therefore belong to one update, independent of pauses between the reads
+before. They are one row. New words that are followed by others before such a silence are not used, and the
+number of missed updates follows from the time. If a bus needs more than half a period for a pass this is
+not possible, and each pass is a scan.
 """
 
 from __future__ import annotations
@@ -26,49 +27,49 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.closing import Closing
+from adis_gonio.base import Closing
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, ChipError, ProtocolError, SilentChipError
 from adis_gonio.device.bus import FrameStream, SpiBus, Words
-from adis_gonio.device.sensor.decoding import Floats, ScanBlock
-from adis_gonio.device.sensor.frames import IDLE, read_frames
-from adis_gonio.device.sensor.registers import ND, Register
+from adis_gonio.device.sensor.decoding import ScanBlock
+from adis_gonio.device.sensor.registers import IDLE, ND, Register, read_frames
 
 SILENT_PERIODS = 20
-"""Updates in a row that may fail to appear before the chip is called silent."""
+"""Successive missing updates after which the chip counts as silent."""
 
 ALIGNABLE = 0.45
-"""Longest pass, in periods of the update, that leaves a silence between two updates: as many reads without
-news as a pass has, behind as many with news, and a tenth to spare."""
+"""Longest pass, in periods of the update, with a silence between two updates: as many reads without new
+data as a pass has, after as many with new data, and a margin of a tenth."""
 
 LONGEST_EXCHANGE_S = 1.0
-"""Time that one exchange may take: a slow sample rate means more exchanges, and a stop is heard soon."""
+"""Longest exchange: a slow sample rate means more exchanges, so that a stop acts soon."""
 
 STUCK_HIGH = 0xFFFF
 STUCK_SCANS, STUCK_REGISTERS = 8, 3
-"""So many scans of so many output registers are all ones if the data line is stuck, never by chance:
-three registers would hold -1 LSB together, with an error flagged, while gravity acts."""
+"""Number of scans and of output registers with all ones that prove a stuck data line: by chance three
+registers would read -1 LSB together, with an error flag, although gravity acts."""
 
 LEAST_PASSES = 4
-"""Passes in a batch, and those that are kept for the next one: an update and its silence take three."""
+"""Minimum passes in a batch, and passes kept for the next batch: an update and its silence take three."""
 
 
 JUDGED_SCANS = 32
 FRESH_SHARE = 0.75
-"""Latest scans of a stream at data-ready edges, and the share of them that must hold new data."""
+"""Number of latest scans at data-ready edges, and the minimum share of them with new data."""
 
 COUNTER_SLACK = 2.0
-"""Updates by which edges and scans may disagree: some lie between a scan and the counter's reading."""
+"""Tolerance between edges and scans: some updates come between a scan and the reading of the counter."""
 
 
 @dataclass(frozen=True)
 class ScanLayout:
-    """What a scan holds, and what is to be done when the stream ends.
+    """Registers of a scan, their decoding, and the action at the end of the stream.
 
     Attributes
     ----------
     table : registers of a scan
     variant, gyro_range_dps
-        What the words have to be read with.
+        Variant and gyro range that decode the words.
     period_s : float
         Time between two updates of the chip.
     at_end : callable
@@ -88,14 +89,14 @@ class ScanStream(Closing):
     Attributes
     ----------
     how : str
-        How the scans are got, in words.
+        Description of the method.
     """
 
     how: str = ""
 
     @property
     def caveat(self) -> str:
-        """What has to be known of the rows, in words; empty where nothing has."""
+        """Warning about the rows; empty without one."""
         return ""
 
     def __init__(self, layout: ScanLayout) -> None:
@@ -115,7 +116,7 @@ class ScanStream(Closing):
         return self._next()
 
     def close(self) -> None:
-        """Stop, and set back what was changed for the stream; may be called twice.
+        """Stop and restore the changed settings; may be called twice.
 
         Raises
         ------
@@ -130,7 +131,7 @@ class ScanStream(Closing):
                 self._layout.at_end()
 
     def __exit__(self, *error: object) -> None:
-        # The first error counts: if the bus is gone, setting back fails as well.
+        # The first error counts: if the bus is gone, the restoration fails too.
         with contextlib.nullcontext() if error[0] is None else contextlib.suppress(AdisGonioError):
             self.close()
 
@@ -138,7 +139,7 @@ class ScanStream(Closing):
     def _next(self) -> ScanBlock: ...
 
     def _stop(self) -> None:
-        """End what runs on the bus."""
+        """End the activity on the bus."""
 
     def _block(
         self, words: Words, time_s: Floats, lost: int, missed: NDArray[np.int64] | None = None
@@ -148,7 +149,7 @@ class ScanStream(Closing):
 
 
 class StreamedScans(ScanStream):
-    """Scans that the bus runs by itself at each data-ready edge."""
+    """Scans that the bus runs at each data-ready edge."""
 
     how = "the bridge reads each sample at its data-ready edge"
 
@@ -167,7 +168,7 @@ class StreamedScans(ScanStream):
                 f" {len(self._names)} registers were expected"
             )
         self._refuse_stuck_line(block.words)
-        # A scan with a word without ND repeats an older one, at least in part: its edge was no update's.
+        # A scan with a word without ND repeats old data, at least in part: its edge was not an update.
         new: NDArray[np.bool_] = np.all(block.words[:, self._flags] & ND, axis=1)
         dropped = len(new) - int(new.sum())
         self._judged = np.append(self._judged, new)[-JUDGED_SCANS:]
@@ -181,7 +182,7 @@ class StreamedScans(ScanStream):
         return replace(self._block(block.words[new], block.time_s[new], block.lost), dropped=dropped)
 
     def _refuse_stuck_line(self, words: Words) -> None:
-        """Raise `SilentChipError` if the latest scans hold nothing but ones, which look like new data."""
+        """Raise `SilentChipError` if the latest scans are all ones, which look like new data."""
         if self._flags.sum() < STUCK_REGISTERS:
             return
         ones = (words[:, self._flags] == STUCK_HIGH).all(axis=1)
@@ -254,22 +255,22 @@ class PolledScans(ScanStream):
 
     @property
     def caveat(self) -> str:
-        """That a row may hold words of two updates, once passes were too slow to tell them apart."""
+        """Warning that a row may mix words of two updates, after passes that were too slow."""
         if not self._may_mix:
             return ""
         return (
-            "scans were polled, too slowly to tell the sensor's updates apart: the words of a row may stem"
+            "scans were polled too slowly to separate the sensor's updates: the words of a row may come"
             " from two or more neighbouring updates"
         )
 
     def _heed_counter(self) -> None:
-        """Let the next block mend what time has counted too few or too many by the edges."""
+        """Correct the count of missed updates by the counted edges in the next block."""
         if self._edges is None or self._last_s is None:
             return
         begin_s = self._bus.now_s()
         self._edges += self._bus.read_event_counter()
         end_s = self._bus.now_s()
-        # As late as it may have been read, where the request was repeated: see `_poll`.
+        # Assume the latest possible reading if the request was repeated: see `_poll`.
         self._ask_s = min(self._ask_s, end_s - begin_s)
         counted_s = end_s - self._ask_s / 2
         since = (counted_s - self._last_s) / self._period_s
@@ -302,9 +303,9 @@ class PolledScans(ScanStream):
         if self._in_bursts:  # the board keeps the timing; when in the exchange the frames ran is not known
             took_s = min(took_s, frames.size * self._bus.timing.frame_s)
         else:
-            self._pass_s = took_s / passes  # what the bus really took
-        # The least time that a frame spends on its way; what a repeated request adds does not tell when the
-        # frames ran. As early as they may have: so nothing is counted as lost before it was.
+            self._pass_s = took_s / passes  # real duration on the bus
+        # Use the shortest delay of a frame; the additional time of a repeated request does not show when
+        # the frames ran. Assume the earliest possible time, so that no update is counted as lost too early.
         self._way_s = min(self._way_s, (end_s - begin_s - took_s) / frames.size)
         # In bursts counts are right on the average only, and a late time does no harm.
         self._late = not self._in_bursts and begin_s + self._pass_s - self._polled_s > self._period_s
@@ -314,20 +315,23 @@ class PolledScans(ScanStream):
         return replies[1:].reshape(shape), times[:-1].reshape(shape)
 
     def _match(self, words: Words, times: Floats) -> ScanBlock:
-        """Rows of one update each: the latest fresh words before as many reads without news as columns."""
+        """Rows of one update: the latest new words before a silence of as many reads as columns."""
         held = len(self._open[0])
         words, times = np.concatenate([self._open[0], words]), np.concatenate([self._open[1], times])
         news = (words & ND).astype(bool)[:, self._flags]
         width = news.shape[1]
+        # A gap of more than `width` reads without new data ends a row.
         at = np.flatnonzero(news)  # reads in their order
         ends = np.flatnonzero(np.diff(at, append=news.size) > width)
         # The latest fresh pass of each column up to each read with news, -1 before the first one.
         latest = np.full((at.size, width), -1)
         latest[np.arange(at.size), at % width] = at // width
         latest = np.maximum.accumulate(latest, axis=0)[ends]
+        # A row is complete if every column has new data since the previous silence.
         begins = np.append(0, ends[:-1] + 1)[: ends.size]
         rows = latest[(latest >= (at[begins] // width)[:, np.newaxis]).all(axis=1)]
         left = at[ends[-1] + 1 :] if ends.size else at
+        # Keep the passes with unfinished rows for the next batch.
         cut = max(left[0] // width, len(words) - LEAST_PASSES) if left.size else len(words)
         self._open = (words[cut:], times[cut:])
         if self._late:  # the first update was read late: by its time nothing can be counted
@@ -339,11 +343,12 @@ class PolledScans(ScanStream):
         return self._counted(words[passes, columns], times[passes, columns][:, 0])
 
     def _counted(self, words: Words, time_s: Floats) -> ScanBlock:
-        """Block with the updates that were missed, which the gaps in time tell."""
+        """Block with the number of missed updates from the gaps in time."""
         if not len(time_s):
             return self._block(words, time_s, 0)
         before = time_s[0] - self._period_s if self._last_s is None else self._last_s
         self._last_s = float(time_s[-1])
+        # Number of periods between successive rows.
         gaps = np.diff(time_s, prepend=before) / self._period_s
         poll = self._pass_s / self._period_s
         if poll < ALIGNABLE and not self._in_bursts:  # known to less than half a period: the count is exact
@@ -352,8 +357,9 @@ class PolledScans(ScanStream):
             missed = np.floor(gaps - poll)
         else:  # right on the average
             missed = gaps - 1
-        # In bursts the times jitter: what one gap has too much another has too little.
+        # In bursts the times jitter: an excess in one gap is missing in another.
         total = self._missed + np.cumsum(missed if self._in_bursts else np.maximum(missed, 0))
+        # Whole missed updates up to each row; the fraction is carried to the next block.
         whole = np.floor(np.maximum.accumulate(np.maximum(total, 0))).astype(np.int64)
         self._missed = float(total[-1] - whole[-1])
         counts = np.diff(whole, prepend=0)

@@ -1,4 +1,4 @@
-"""What the control registers mean, as data: configuration, offsets, alarms, status."""
+"""Configuration, offsets, alarms and status as data, and the digital filter of the sensor."""
 
 from __future__ import annotations
 
@@ -7,10 +7,71 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE
+
+
+def filter_weights(m: int) -> Floats:
+    """Weights of the filter: two cascaded boxcars of 2^M taps (DS, A)."""
+    box = np.full(1 << min(m, 6), 1.0 / (1 << min(m, 6)))
+    return np.convolve(box, box)
+
+
+def white_noise_gain(m: int) -> float:
+    """Gain for white noise, rms: 1, 0.612, 0.415 … (DS, A)."""
+    return float(np.sqrt(np.sum(filter_weights(m) ** 2)))
+
+
+def filter_response(m: int, frequency: Floats) -> Floats:
+    """|H|² of the filter at frequencies in cycles a sample."""
+    taps = 1 << m
+    with np.errstate(invalid="ignore", divide="ignore"):
+        box = np.sin(np.pi * frequency * taps) / (taps * np.sin(np.pi * frequency))
+    return np.where(frequency == 0, 1.0, box**4)
+
+
+def rounding_covariance(m: int, sigma: float) -> Floats:
+    """Autocovariance (lags,) of the rounding of filtered noise, in LSB²; zero beyond.
+
+    A slow signal is rounded the same way for several samples: the error is not white. With ρ the signal's
+    correlation and σ its rms in LSB the error's is Σ exp(−4π²n²σ²(1 − ρ)) / (2π²n²) (Widrow and Kollár,
+    Quantization Noise, for Gaussian signals of half an LSB and more).
+
+    Parameters
+    ----------
+    sigma : float
+        Rms before the filter, in LSB.
+    """
+    weights = filter_weights(m)
+    rho = np.correlate(weights, weights, "full")[len(weights) - 1 :]
+    turn = (2 * np.pi * sigma * white_noise_gain(m)) ** 2 * (1 - rho / rho[0])
+    order = np.arange(1, 65)[:, None]
+    error = np.sum(np.exp(-(order**2) * turn) / (2 * np.pi**2 * order**2), axis=0)
+    error[0] = 1 / 12
+    return np.asarray(error, np.float64)
+
+
+def rounding_spectrum(m: int, sigma: float, frequency: Floats) -> Floats:
+    """Level (n,) in a periodogram of the rounding of filtered noise, in LSB².
+
+    Parameters
+    ----------
+    sigma : float
+        As in `rounding_covariance`.
+    frequency : (n,) float
+        In cycles a sample.
+    """
+    error = rounding_covariance(m, sigma)
+    level: Floats = (
+        error[0] + 2 * np.cos(2 * np.pi * np.outer(frequency, np.arange(1, len(error)))) @ error[1:]
+    )
+    return np.maximum(level, 0.0)
+
 
 FAST_BASE_S = 0.61035e-3
 SLOW_BASE_S = 18.921e-3
@@ -29,7 +90,7 @@ def sample_period_s(smpl_prd: int) -> float:
 
 
 def smpl_prd_for(sample_rate_hz: float) -> int:
-    """SMPL_PRD whose rate is nearest to the one asked for.
+    """SMPL_PRD with the rate nearest to the requested one.
 
     Raises
     ------
@@ -52,7 +113,7 @@ def low_pass_3db_hz(filter_m: int, sample_rate_hz: float) -> float:
     """Frequency in Hz at which the filter has halved the power (the table's column -3 dB; DS, A).
 
     Two boxcars of N = 2^M taps pass (sin(N x) / (N sin x))² of an amplitude, with x = π f / rate. Without
-    them (M = 0) the analog pole is what is left.
+    them (M = 0) only the analog pole remains.
     """
     if filter_m == 0:
         return ANALOG_POLE_HZ
@@ -69,7 +130,7 @@ def low_pass_3db_hz(filter_m: int, sample_rate_hz: float) -> float:
 
 @dataclass(frozen=True)
 class Configuration:
-    """How the sensor measures, as its registers say.
+    """Configuration of the sensor from its registers.
 
     Attributes
     ----------
@@ -78,7 +139,7 @@ class Configuration:
     filter_m : int
         M of the Bartlett filter: two boxcars of 2^M taps.
     gyro_range_dps : int or None
-        300, 150 or 75 °/s; None where SENS_AVG holds a code that is not defined.
+        300, 150 or 75 °/s; None if SENS_AVG has an undefined code.
     data_ready : bool
         Data-ready pulses on a DIO line.
     linear_g, origin : bool
@@ -117,7 +178,7 @@ class Configuration:
 
     @property
     def settling_s(self) -> float:
-        """Time in s until the filter has forgotten what was before."""
+        """Settling time of the filter in s."""
         return filter_settling_samples(self.filter_m) * self.sample_period_s
 
     def as_dict(self) -> dict[str, Any]:
@@ -126,12 +187,12 @@ class Configuration:
 
 
 def compensations(configuration: Mapping[str, Any]) -> tuple[str, ...]:
-    """What the chip takes off its own readings, in words.
+    """Compensations that the chip applies to its readings, in words.
 
     Parameters
     ----------
     configuration : mapping
-        JSON form of a `Configuration`, or of something else that measures; nothing is known then.
+        JSON form of a `Configuration`; another source has no known compensations.
     """
     known = {
         "linear_g": "gyros for linear acceleration (MSC_CTRL[7])",
@@ -184,7 +245,7 @@ class Status:
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """What stands, in words."""
+        """Present faults and alarms, in words."""
         return tuple(field.meaning for field in BY_NAME["STATUS"].fields if field.of(self.word))
 
     def __str__(self) -> str:
@@ -199,12 +260,12 @@ class SelfTest:
 
     @property
     def passed(self) -> bool:
-        """True where neither the error bit nor a sensor's bit stands."""
+        """True if neither the error bit nor a sensor's bit is set."""
         return not self.failures
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """What failed, in words."""
+        """Failures, in words."""
         return tuple(
             field.meaning
             for field in BY_NAME["STATUS"].fields
@@ -214,17 +275,17 @@ class SelfTest:
 
 @dataclass(frozen=True)
 class ManualSelfTest:
-    """What the manual self-test moved: change of the mean output under the stimulus of either sign.
+    """Result of the manual self-test: change of the mean output under the stimulus of each sign.
 
-    The gyros answer to both signs, the accelerometers to the positive one alone (DS p. 19, B). How far is
-    not given, so only whether and which way is judged.
+    The gyros answer to both signs, the accelerometers to the positive sign only (DS p. 19, B). The size is
+    not specified, so only presence and direction are judged.
 
     Attributes
     ----------
     accel_positive_mg, accel_negative_mg : tuple of 3 float
     gyro_positive_dps, gyro_negative_dps : tuple of 3 float
     accel_noise_mg, gyro_noise_dps : tuple of 3 float
-        Standard deviation of a sample at rest; a sensor has moved where its mean did by four of them.
+        Standard deviation of a sample at rest; a change of the mean by four of them is an answer.
     """
 
     accel_positive_mg: tuple[float, float, float]
@@ -236,12 +297,12 @@ class ManualSelfTest:
 
     @property
     def passed(self) -> bool:
-        """True where every sensor answers as the data sheet says."""
+        """True if every sensor answers as in the data sheet."""
         return not self.failures
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """What did not, in words."""
+        """Missing or wrong answers, in words."""
         found = []
         for k, axis in enumerate("XYZ"):
             most = 4 * self.accel_noise_mg[k]

@@ -1,15 +1,12 @@
-"""The variants table: all that differs between the parts of the family is one row here."""
+"""The table of variants: one row contains all differences between the parts of the family."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import Kind
-
-GyroRange = Literal[300, 150, 75]
 
 GYRO_LSB_DPS: dict[int, float] = {300: 0.07326, 150: 0.03663, 75: 0.018315}
 """°/s per LSB by range in °/s (DS, A)."""
@@ -23,7 +20,7 @@ LEAST_M: dict[int, int] = {300: 0, 150: 2, 75: 4}
 
 @dataclass(frozen=True)
 class Performance:
-    """Figures the simulator starts from; all D on the ADIS16354: estimates, never the maker's.
+    """Figures for the simulator; all D for the ADIS16354: estimates, not from the maker.
 
     Attributes
     ----------
@@ -40,7 +37,7 @@ class Performance:
     gyro_noise_dps : float
         rms in °/s.
     gyro_g_sensitivity_dps_per_g, gyro_supply_sensitivity_dps_per_v : float
-        What acceleration and supply add to a gyro.
+        Sensitivity of a gyro to acceleration and supply.
     gyro_instability_dps : float
         Allan floor in °/s.
     """
@@ -60,7 +57,7 @@ class Performance:
 
     @property
     def skew_u_rad(self) -> float:
-        """Standard uncertainty in rad of an angle between axes that nobody has measured: uniform."""
+        """Standard uncertainty in rad of an unmeasured angle between axes: uniform distribution."""
         return math.radians(self.non_orthogonality_deg) / math.sqrt(3)
 
 

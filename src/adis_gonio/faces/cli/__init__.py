@@ -16,67 +16,57 @@ from pathlib import Path
 
 import click
 
+from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.base.version import __version__
-from adis_gonio.faces.cli.characters import make_readable, message_line
-from adis_gonio.faces.cli.interrupt import Insistent
-from adis_gonio.faces.cli.lazy import LazyGroup
+from adis_gonio.faces.cli.command_groups import Home, LazyGroup
+from adis_gonio.faces.cli.terminal import RepeatedInterrupt, format_message, replace_missing_letters
 
-# Commands are imported when they are called: `adis-gonio --help` answers at once.
-COMMANDS = {
-    "plan": (
-        "adis_gonio.faces.cli.plan",
-        "Say what a plan of positions will reach, and find the best one.",
-    ),
-    "calibrate": ("adis_gonio.faces.cli.calibrate", "Calibrate a sensor on a stage, position by position."),
-    "fit": ("adis_gonio.faces.cli.fit", "Compute ΔK, Δφ and the other parameters of a recorded session."),
-    "trace": ("adis_gonio.faces.cli.trace", "Find the physical effects behind the residual of a session."),
-    "allan": (
-        "adis_gonio.faces.cli.allan",
-        "Say the noise of gyros or accelerometers at rest, with the Allan plot.",
-    ),
-    "report": ("adis_gonio.faces.cli.report", "Write the calibration report as one HTML page."),
-    "archive": (
-        "adis_gonio.faces.cli.archive",
-        "List the sessions in folders, by serial number and stage.",
-    ),
-    "history": ("adis_gonio.faces.cli.history", "Show what became of a sensor over its sessions."),
-    "due": ("adis_gonio.faces.cli.due", "Say when a sensor is to be calibrated next, and why."),
-    "fleet": ("adis_gonio.faces.cli.fleet", "Fit and trace many sessions, and summarise them."),
-    "simulate": ("adis_gonio.faces.cli.simulate", "Record a session from the simulated sensor."),
-    "export": ("adis_gonio.faces.cli.export", "Hand a session over: C header, JSON, CSV, certificate, …"),
-    "template": ("adis_gonio.faces.cli.template", "Make an empty samples CSV to fill in by hand."),
-    "stream": ("adis_gonio.faces.cli.stream", "Show or record what the sensor measures."),
-    "angle": (
-        "adis_gonio.faces.cli.angle",
-        "Show the live angle, raw and corrected, with its uncertainty.",
-    ),
-    "registers": ("adis_gonio.faces.cli.registers", "List, read and write registers."),
-    "write": ("adis_gonio.faces.cli.write", "Write a session's biases into the sensor's offset registers."),
-    "selftest": ("adis_gonio.faces.cli.selftest", "Run the sensor's internal self-test."),
-    "bringup": (
-        "adis_gonio.faces.cli.bringup",
-        "Check a new board step by step, and what it says of the part.",
-    ),
-    "serve": ("adis_gonio.faces.cli.serve", "Serve the sensor as an IIO device over the network."),
-    "paper": ("adis_gonio.faces.cli.paper", "Reproduce the seed paper: its table, its figure, its claim."),
-    "devices": ("adis_gonio.faces.cli.devices", "List the buses and the devices that are connected."),
+# A command's module is imported when the command is called, so that `adis-gonio --help` answers at once.
+GROUPS = {
+    "Bench commands": {
+        "devices": Home("device_commands", "List the buses and the connected devices."),
+        "bringup": Home("board_commands", "Check a new board step by step."),
+        "calibrate": Home("calibrate_command", "Calibrate a sensor on a stage, position by position."),
+        "angle": Home("live_commands", "Show the live angle, raw and corrected, with u."),
+        "stream": Home("live_commands", "Show or record the sensor's readings."),
+        "registers": Home("device_commands", "List, read and write registers."),
+        "selftest": Home("device_commands", "Run the sensor's internal self-test."),
+        "write": Home("board_commands", "Write a session's biases into the offset registers."),
+    },
+    "Analysis commands": {
+        "fit": Home("fit_commands", "Compute ΔK, Δφ and the other parameters of a session."),
+        "trace": Home("trace_commands", "Find the physical effects behind the residual."),
+        "report": Home("trace_commands", "Write the calibration report as one HTML page."),
+        "allan": Home("fit_commands", "Estimate the noise at rest, with the Allan plot."),
+        "plan": Home("plan_commands", "Predict the uncertainty of a plan, or find the best plan."),
+    },
+    "Commands for many sessions": {
+        "archive": Home("archive_commands", "List the sessions in folders."),
+        "history": Home("archive_commands", "Show the parameters of one sensor over its sessions."),
+        "due": Home("archive_commands", "Compute when a sensor's next calibration is due."),
+        "fleet": Home("archive_commands", "Fit and trace many sessions, and summarise them."),
+    },
+    "Hand-over and simulation commands": {
+        "export": Home("handover_commands", "Write a C header, JSON, CSV, certificate, …"),
+        "template": Home("plan_commands", "Write an empty samples CSV to fill in by hand."),
+        "serve": Home("device_commands", "Serve the sensor as an IIO device over the network."),
+        "simulate": Home("plan_commands", "Record a session from the simulated sensor."),
+        "paper": Home("handover_commands", "Reproduce the seed paper: its table, figure and claim."),
+    },
 }
-
+COMMANDS = {name: home for group in GROUPS.values() for name, home in group.items()}
 
 _COMPUTING = frozenset({"fit", "trace", "report", "export", "paper", "plan", "fleet", "allan"})
-"""Commands that compute: they have nothing to put back when Ctrl-C ends them."""
+"""Commands that only compute: Ctrl-C can end them anywhere, because they have nothing to undo."""
 
 
-@click.group(
-    cls=LazyGroup, commands_by_name=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]}
-)
+@click.group(cls=LazyGroup, groups=GROUPS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="adis-gonio")
 def app() -> None:
     """Driver and calibration tool for the ADIS16354 inertial sensor in a goniometer.
 
-    A sensor is named by a URL such as sim:?seed=1, a SESSION is a file of `calibrate` or `simulate`, or
-    a samples CSV. Quote URLs: the shell reads ? and & itself.
+    A sensor is named by a URL such as sim:?seed=1. A SESSION is a file of `calibrate` or `simulate`, or a
+    samples CSV. Quote a URL, because the shell interprets ? and &.
     """
 
 
@@ -85,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     computing = words[:1] and words[0] in _COMPUTING
     try:
-        with Insistent() if computing else nullcontext():
+        with RepeatedInterrupt() if computing else nullcontext():
             status = app.main(args=arguments, prog_name="adis-gonio", standalone_mode=False)
         sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
@@ -98,14 +88,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, click.Abort):
         return _fail("stopped by the operator; what was recorded is kept", 130)
     except BrokenPipeError:
-        # Whoever read our output has gone; keep the interpreter from complaining at its exit.
+        # The reader of the output has gone; keep the interpreter from complaining when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except ValueError as error:
-        # Of numpy or scipy, whose import costs more than the commands that do not compute.
+        # LinAlgError of numpy or scipy, recognised by name to avoid importing them here.
         if type(error).__name__ != "LinAlgError":
             raise
-        from adis_gonio.fitting.solvable import unsolvable
+        from adis_gonio.base.arrays import unsolvable
 
         files = " ".join(word for word in words if not word.startswith("-") and Path(word).is_file())
         return _fail(str(unsolvable(files or words[0], error)), 1)
@@ -116,22 +106,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fail(message: str, status: int) -> int:
-    print(f"adis-gonio: {message_line(message)}", file=sys.stderr)  # noqa: T201
+    print(f"adis-gonio: {format_message(message)}", file=sys.stderr)  # noqa: T201
     return status
 
 
 def run() -> None:
     """Entry point of the `adis-gonio` program."""
-    make_readable()
+    replace_missing_letters()
     status = 130
-    # What the exit status says is decided: a late Ctrl-C must not turn it into a death by signal.
-    with suppress(KeyboardInterrupt):  # as main ends, while it tells of another one
+    # The exit status is decided here: a late Ctrl-C must not turn it into a death by signal.
+    with suppress(KeyboardInterrupt):  # a second one, while main reports the first
         status = main()
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if status == 130:
-        # A Ctrl-C that passed an `exec` (of a dataclass that is being imported) has marked Python to die by
-        # the signal at its end, although it was caught.
+        # If Ctrl-C passed through an `exec` (a dataclass during its import), Python would die by the signal
+        # at exit although the exception was caught. Exit by hand.
         atexit._run_exitfuncs()
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.model.gravity import checked_gravity_mps2
-from adis_gonio.model.records import ACCEL_UNITS, SENSORS
+from adis_gonio.faces.cli.command_groups import SectionedCommand
+from adis_gonio.model.records import ACCEL_UNITS, SENSORS, checked_gravity_mps2
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session
@@ -23,10 +23,38 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 Option = Callable[[F], F]
 FILE = click.Path(path_type=Path)
+POSITIVE = click.FloatRange(min=0, min_open=True)
+UNITS = f"[{'|'.join(ACCEL_UNITS)}]"
+"""Units of acceleration in the help of a command."""
+_OVERRIDDEN = ("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns")
+_SHARED_SECTIONS = {
+    "Measuring": "--dwell --settle --rate --filter --range --poll",
+    "Sensor": "--variant --no-check --sensor-part",
+    "Corrections of the file": "--gravity --fixture --angles --reverse --unit --sensor --columns",
+}
+
+
+def command(
+    name: str, first: str = "", sections: Mapping[str, str] | None = None
+) -> Callable[[Callable[..., Any]], click.Command]:
+    """Return the decorator of a command.
+
+    Parameters
+    ----------
+    first : str
+        The flags that an operator needs first, separated by spaces; without any, the help lists all options
+        in one section.
+    sections : mapping of str to str, optional
+        Further sections of the help: flags by heading, see `SectionedCommand`.
+    """
+    own = sections or {}
+    shared = {heading: flags for heading, flags in _SHARED_SECTIONS.items() if heading not in own}
+    listed = {"Main options": first, **own, **shared} if first else {}
+    return click.command(name, cls=SectionedCommand, sections=listed)
 
 
 def parse_gravity(text: str) -> float:
-    """Local gravity in m/s²; outside of Earth's only with its unit, such as `1.62mps2`."""
+    """Local gravity in m/s²; a value that no place on Earth has needs its unit, such as `1.62mps2`."""
     bare = str(text).strip().lower()
     number = bare.removesuffix("mps2").removesuffix("m/s²").removesuffix("m/s^2")
     value = _number(number)
@@ -46,23 +74,19 @@ def parse_fixture(text: str) -> float:
         return math.inf
     sigma = _number(str(text))
     if sigma is None or not 0 <= sigma < 180:
-        raise click.BadParameter(f"'{text}': give degrees, 0 or more, or free where angles are unknown")
+        raise click.BadParameter(f"'{text}': give degrees, 0 or more, or free if the angles are unknown")
     return sigma
 
 
-UNITS = f"[{'|'.join(ACCEL_UNITS)}]"
-"""The units in a command's help."""
-
-
 def parse_unit(text: str) -> str:
-    """One of `ACCEL_UNITS`; m/s² and m/s^2 are what people write for `mps2`."""
+    """One of `ACCEL_UNITS`; `m/s²` and `m/s^2` are accepted for `mps2`."""
     name = {"m/s²": "mps2", "m/s^2": "mps2"}.get(str(text).strip().lower(), str(text))
     if name not in ACCEL_UNITS:
         raise click.BadParameter(f"'{text}' is no unit: give {', '.join(ACCEL_UNITS)}")
     return name
 
 
-def _columns(text: str) -> dict[str, str]:
+def _parse_columns(text: str) -> dict[str, str]:
     """Column of the format → column of the file, from `name=column,…`."""
     columns: dict[str, str] = {}
     for pair in text.split(","):
@@ -70,7 +94,7 @@ def _columns(text: str) -> dict[str, str]:
         if not (mine and equals and theirs):
             raise click.BadParameter(f"'{pair.strip()}': write name=column, such as time=t,ax=Acc_X")
         if mine in columns:
-            raise click.BadParameter(f"'{mine}' stands there twice")
+            raise click.BadParameter(f"'{mine}' is given twice")
         columns[mine] = theirs
     return columns
 
@@ -78,7 +102,7 @@ def _columns(text: str) -> dict[str, str]:
 _ANGLE = re.compile(r"(\d+)(?:-(\d+))?\s*(\+?=)\s*(\S+)")
 
 
-def _angles(text: str) -> tuple[AngleChange, ...]:
+def _parse_angles(text: str) -> tuple[AngleChange, ...]:
     """Changes from `position=degrees,…`; `first-last+=degrees` adds, `first-last=reverse` turns back."""
     from adis_gonio.record.loading import REVERSE, AngleChange
 
@@ -90,7 +114,7 @@ def _angles(text: str) -> tuple[AngleChange, ...]:
         if found is None or not (back or (value is not None and math.isfinite(value))):
             raise click.BadParameter(
                 f"'{part.strip()}': write position=degrees, such as 7=210, 7-12+=1.5 to add to several, or"
-                f" 7-12={REVERSE} where the stage turned the other way"
+                f" 7-12={REVERSE} if the stage turned the other way"
             )
         first, last = int(found[1]), int(found[2] or found[1])
         if last < first:
@@ -106,110 +130,107 @@ def _number(text: str) -> float | None:
         return None
 
 
-url = click.argument("url")
-session = click.argument("session", type=FILE)
-places = click.argument(
-    "places", type=click.Path(path_type=Path, readable=False), nargs=-1, metavar="[DIR]..."
-)
-
-
 def file(*names: str, help: str, **more: Any) -> Option[Any]:
     """Return an option that names a file."""
-    return click.option(*names, type=FILE, help=help, **more)
+    return click.option(*names, type=FILE, help=help, **{"metavar": "FILE", **more})
 
 
 def output(help: str, **more: Any) -> Option[Any]:
-    """Return `-o`, the file to make."""
-    return file("-o", "--output", help=help, **more)
+    """Return `-o`, the file to write."""
+    return file("--output", "-o", help=help, **more)
 
 
-def shown(*names: str, default: Any, help: str, **more: Any) -> Option[Any]:
-    """Return an option whose help shows its default."""
+def flag(*names: str, help: str) -> Option[Any]:
+    """Return an option without a value."""
+    return click.option(*names, is_flag=True, help=help)
+
+
+def with_default(*names: str, default: Any, help: str, **more: Any) -> Option[Any]:
+    """Return an option with its default in the help."""
     return click.option(*names, default=default, show_default=True, help=help, **more)
 
 
 def dwell(default_s: float = 10.0) -> Option[Any]:
     """Return `--dwell`."""
-    return shown("--dwell", "dwell_s", type=float, default=default_s, help="Length of a dwell in s.")
+    help = "Length of a dwell."
+    return with_default("--dwell", "dwell_s", type=float, default=default_s, metavar="SECONDS", help=help)
 
 
-json = click.option("--json", "as_json", is_flag=True, help="One JSON document on standard output.")
-variant = shown("--variant", default="adis16354", help="adis16354, adis16350 or adis16355.")
-poll = click.option(
-    "--poll", is_flag=True, help="Poll the scans: leave the data-ready line alone, whatever is on it."
-)
-no_check = click.option(
-    "--no-check", is_flag=True, help="Open without proving that |a| is 1 g for this variant."
-)
-seconds = click.option("--seconds", type=float, help="Stop after so long; without it, at Ctrl-C.")
-positions = click.option("--positions", type=int, help="Number of angles, where the plan leaves a choice.")
-check = shown("--check", type=int, default=0, help="Extra positions kept out of the fit.")
-settle = shown("--settle", "settle_s", type=float, default=0.5, help="Wait after stillness, s.")
-rate = click.option("--rate", "rate_hz", type=float, help="Samples a second, 0.413 to 819.2 (default).")
-filter = shown("--filter", "filter_m", type=int, default=2, help="Filter: 2^M taps twice.")
-title = click.option("--title", default="", help="Title to keep with the session.")
-gravity = click.option(
-    "--gravity",
-    "gravity_mps2",
-    type=parse_gravity,
-    metavar="GRAVITY",
-    help="Local gravity in m/s² (default 9.80665).",
-)
-_OVERRIDES = (
-    click.option(
-        "--gravity",
-        "gravity_mps2",
-        type=parse_gravity,
-        metavar="M/S²",
-        help="Local gravity was this, m/s².",
-    ),
-    click.option(
-        "--fixture",
-        "fixture_sigma_deg",
-        type=parse_fixture,
-        metavar="DEGREES",
-        help="Standard uncertainty of a stage angle was this, degrees; free: angles are unknown.",
-    ),
-    click.option(
-        "--angles",
-        type=_angles,
-        metavar="POSITION=DEGREES,…",
-        help="Positions stood at other angles than declared, such as 7=210; 7-12+=1.5 adds to several,"
-        " 7-12=reverse turns them the other way, seen from the position before.",
-    ),
-    click.option("--reverse", is_flag=True, help="The stage turned the other way than declared."),
-    click.option(
-        "--unit", "accel_unit", type=parse_unit, metavar=UNITS, help="Unit of the file's accelerations."
-    ),
-    click.option("--sensor", type=click.Choice(SENSORS), help="The sensor was this one."),
-    click.option(
-        "--columns",
-        type=_columns,
-        metavar="NAME=COLUMN,…",
-        help="A CSV's own names of columns, such as time=t,ax=Acc_X,ay=Acc_Y.",
-    ),
-)
-_OVERRIDDEN = ("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns")
-
-
-def fixture(name: str = "fixture_deg", metavar: str = "FIXTURE", **more: Any) -> Option[Any]:
-    """Return `--fixture`."""
-    text = "Standard uncertainty of a stage angle, degrees."
-    return click.option("--fixture", name, type=parse_fixture, metavar=metavar, help=text, **more)
-
-
-def part(
-    default: str = "accelerometer", help: str = "Part of the sensor whose readings are taken."
+def fixture(
+    name: str = "fixture_deg", metavar: str = "DEGREES", help: str = "", **more: Any
 ) -> Option[Any]:
+    """Return `--fixture`."""
+    help = help or "Standard uncertainty of a stage angle in degrees."
+    return click.option("--fixture", name, type=parse_fixture, metavar=metavar, help=help, **more)
+
+
+def gravity(help: str = "Local gravity in m/s² (default 9.80665).", **more: Any) -> Option[Any]:
+    """Return `--gravity`."""
+    return click.option("--gravity", "gravity_mps2", type=parse_gravity, metavar="M/S²", help=help, **more)
+
+
+def part(default: str = "accelerometer", help: str = "Part of the sensor to use.") -> Option[Any]:
     """Return `--sensor-part`."""
     parts = click.Choice(sorted(("accelerometer", "gyro"), key=lambda part: part != default))
-    return shown("--sensor-part", "part", type=parts, default=default, help=help)
+    return with_default("--sensor-part", "part", type=parts, default=default, help=help)
 
 
 def time_limit(help: str) -> Option[Any]:
     """Return `--time-limit`."""
-    above_0 = click.FloatRange(min=0, min_open=True)
-    return click.option("--time-limit", type=above_0, metavar="SECONDS", help=help)
+    return click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help=help)
+
+
+url = click.argument("url")
+session = click.argument("session", type=FILE)
+places = click.argument(
+    "places", type=click.Path(path_type=Path, readable=False), nargs=-1, metavar="[DIR]..."
+)
+json = flag("--json", "as_json", help="Write one JSON document to standard output.")
+variant = with_default("--variant", default="adis16354", help="adis16354, adis16350 or adis16355.")
+poll = flag("--poll", help="Poll the scans and leave the data-ready line alone.")
+no_check = flag("--no-check", help="Open the sensor without checking that |a| is 1 g for this variant.")
+seconds = click.option(
+    "--seconds", type=float, metavar="SECONDS", help="Stop after this time (default: at Ctrl-C)."
+)
+positions = click.option(
+    "--positions", type=int, metavar="N", help="Number of positions, if the plan leaves a choice."
+)
+check = with_default(
+    "--check", type=int, default=0, metavar="N", help="Extra positions that the fit does not use."
+)
+settle = with_default(
+    "--settle", "settle_s", type=float, default=0.5, metavar="SECONDS", help="Wait after stillness."
+)
+rate = click.option(
+    "--rate", "rate_hz", type=float, metavar="HZ", help="Samples per second, 0.413 to 819.2 (default)."
+)
+filter = with_default(
+    "--filter", "filter_m", type=int, default=2, metavar="M", help="Filter: two passes of 2^M taps."
+)
+title = click.option("--title", default="", help="Title to keep with the session.")
+_OVERRIDES = (
+    gravity("Correct the local gravity to this value in m/s²."),
+    fixture(
+        "fixture_sigma_deg",
+        help="Correct the standard uncertainty of a stage angle in degrees; free: the angles are unknown.",
+    ),
+    click.option(
+        "--angles",
+        type=_parse_angles,
+        metavar="POSITION=DEGREES,…",
+        help="Correct declared angles, such as 7=210; 7-12+=1.5 adds to several positions, 7-12=reverse"
+        " turns them the other way, seen from the position before.",
+    ),
+    flag("--reverse", help="The stage turned the other way than declared."),
+    click.option("--unit", "accel_unit", type=parse_unit, metavar=UNITS, help="Unit of the accelerations."),
+    click.option("--sensor", type=click.Choice(SENSORS), help="Sensor variant."),
+    click.option(
+        "--columns",
+        type=_parse_columns,
+        metavar="NAME=COLUMN,…",
+        help="Column names of a CSV, such as time=t,ax=Acc_X,ay=Acc_Y.",
+    ),
+)
 
 
 def index(function: F) -> F:
@@ -218,17 +239,15 @@ def index(function: F) -> F:
         "--index",
         "index_path",
         metavar="FILE",
-        help="Where results are kept; by default adis-gonio.index in the first folder.",
+        help="Index of the results (default: adis-gonio.index in the first folder).",
     )
-    trace = click.option(
-        "--trace", is_flag=True, help="Look for effects too: seconds to half a minute a session, once."
-    )
+    trace = flag("--trace", help="Also look for effects: up to half a minute a session, once.")
     with_trace: F = index(trace(function))
     return with_trace
 
 
 def overrides(function: F) -> F:
-    """Add the options; the command gets them as one argument, `overrides`."""
+    """Add the corrections of a file; the command gets them as one argument, `overrides`."""
 
     @wraps(function)
     def with_overrides(**arguments: Any) -> Any:
@@ -244,19 +263,18 @@ def overrides(function: F) -> F:
     return with_overrides  # type: ignore[return-value]
 
 
-def measuring_settings(*, dwell_s: float, rate_hz: float | None, filter_m: int, **more: Any) -> Settings:
-    """Return the settings of a session by `--dwell`, `--rate`, `--filter` and others by their names."""
+def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
+    """Return the settings of a session by `--rate` and by their own names."""
     from adis_gonio.device.sensor.settings import smpl_prd_for
     from adis_gonio.record.settings import Settings
 
-    smpl_prd = 1 if rate_hz is None else smpl_prd_for(rate_hz)
-    return Settings(dwell_s=dwell_s, smpl_prd=smpl_prd, filter_m=filter_m, **more)
+    return Settings(smpl_prd=1 if rate_hz is None else smpl_prd_for(rate_hz), **more)
 
 
 def load(path: Path, overrides: Overrides) -> Session:
-    """Session of a file, with progress on standard error where it takes long."""
-    from adis_gonio.faces.cli.show import working
+    """Load a session, with progress on standard error if it takes long."""
+    from adis_gonio.faces.cli.show import report_progress
     from adis_gonio.record.loading import load_session
 
-    with working(f"reading {path.name}"):
+    with report_progress(f"reading {path.name}"):
         return load_session(path, overrides)

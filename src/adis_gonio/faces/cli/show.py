@@ -1,4 +1,4 @@
-"""Output that commands share: JSON, tables, pages, numbers with their uncertainty, progress."""
+"""Output that the commands share: JSON, tables, pages and progress."""
 
 from __future__ import annotations
 
@@ -23,27 +23,30 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 WIDTH = 100
-"""Widest text: longer lines are hard to read."""
+"""Widest text in columns; longer lines are hard to read."""
 
 
 def console(*, stderr: bool = False, most: int = 0) -> Console:
-    """Console without automatic colours; wide where a program reads it, so that no row is folded.
+    """Console without automatic colours and markup; 200 columns for a program, so that no row is folded.
 
-    Text is shown as it stands: brackets and colons in it are no markup. With `most` it is at most so wide.
+    Parameters
+    ----------
+    most : int
+        Largest width in columns; 0 for no limit.
     """
 
-    def made(width: int | None = None) -> Console:
+    def make(width: int | None = None) -> Console:
         return Console(stderr=stderr, highlight=False, markup=False, emoji=False, width=width)
 
-    screen = made()
+    screen = make()
     width = screen.width if screen.is_terminal else 200
     if most:
         width = min(width, most)
-    return screen if screen.width == width else made(width)
+    return screen if screen.width == width else make(width)
 
 
 LEAST_TEXT = 16
-"""Width down to which a column of text is folded."""
+"""Smallest width of a folded column of text."""
 
 
 def table_of(
@@ -55,14 +58,14 @@ def table_of(
     number: Mapping[str, Any] | None = None,
     text: Mapping[str, Any] | None = None,
 ) -> Table:
-    """Return rows below their head, without lines.
+    """Return a table without lines.
 
     Parameters
     ----------
-    texts : numbers of columns
-        Columns of text, to the left; the others are numbers, to the right.
+    texts : container of int
+        Indices of the columns of text, aligned left; the others hold numbers, aligned right.
     bold : container of str
-        First cells of the rows that stand out.
+        First cells of the rows in bold.
     number, text : mapping, optional
         Further options of rich for the columns of numbers and of text.
     """
@@ -70,10 +73,8 @@ def table_of(
 
     table = Table(box=None, padding=(0, 2, 0, 0))
     for k, name in enumerate(head):
-        if k in texts:
-            table.add_column(name, **(text or {}))
-        else:
-            table.add_column(name, justify="right", **(number or {}))
+        more = text if k in texts else {"justify": "right", **(number or {})}
+        table.add_column(name, **(more or {}))
     for row in rows:
         table.add_row(*row, style="bold" if row[0] in bold else None)
     return table
@@ -82,25 +83,25 @@ def table_of(
 def print_table(
     screen: Console, head: Sequence[str], rows: Sequence[Sequence[str]], texts: Container[int]
 ) -> None:
-    """Rows below their head; one after the other, each value by its name, where the screen is too narrow.
+    """Print a table; on a screen too narrow for it, print each row as `name value; name value; …`.
 
     Parameters
     ----------
-    texts : numbers of columns
-        Those of text, which may be folded; the others are numbers.
+    texts : container of int
+        Indices of the columns of text, which may be folded; the others hold numbers.
     """
     widths = [max(cell_len(row[k]) for row in (head, *rows)) for k in range(len(head))]
     least = sum(min(w, LEAST_TEXT) if k in texts else w for k, w in enumerate(widths)) + 2 * len(head)
     if least > screen.width:
         for row in rows:
-            told = [f"{name} {cell}" for name, cell in zip(head, row, strict=True) if cell not in ("", "–")]
-            screen.print("; ".join(told))
+            pairs = zip(head, row, strict=True)
+            screen.print("; ".join(f"{name} {cell}" for name, cell in pairs if cell not in ("", "–")))
         return
     screen.print(table_of(head, rows, texts, number={"no_wrap": True}, text={"overflow": "fold"}))
 
 
 def check_page(output: Path | None) -> None:
-    """Refuse a page, if one is wanted, that could not be written; a page that is there is replaced."""
+    """Raise an error if a page is wanted and cannot be written; an existing page is replaced later."""
     if output is None:
         return
     from adis_gonio.base.output import check_output
@@ -114,35 +115,37 @@ def write_page(output: Path, text: str) -> None:
     """Write a page and report its size on standard error."""
     from adis_gonio.base.output import replacing, write_utf8
 
-    with replacing(output) as beside:
-        size = write_utf8(beside, text)
+    with replacing(output) as temporary:
+        size = write_utf8(temporary, text)
     click.echo(f"{output}: {size // 1024 + 1} kB", err=True)
 
 
 def json_text(document: Any, *, ascii_only: bool = False) -> str:
-    """One JSON document as text; what is not finite becomes null."""
+    """JSON text of a document; numbers that are not finite become null."""
     return json.dumps(finite(document), ensure_ascii=ascii_only, indent=2, allow_nan=False)
 
 
 def print_json(document: Any) -> None:
-    """Write one JSON document to standard output, in pure ASCII where that is not UTF."""
+    """Write one JSON document to standard output, in pure ASCII unless its encoding is a UTF."""
     unicode = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
     click.echo(json_text(document, ascii_only=not unicode))
 
 
 def report_times_s() -> Iterator[float]:
-    """When a log gets a line, in s from the beginning: seldom, and more seldom as the work goes on."""
+    """Times of the lines in a log, in s from the beginning, at growing intervals."""
     yield from (1.0, 10.0, 30.0, 60.0, 120.0)
     yield from (300.0 * k for k in count(1))
 
 
 class Work:
-    """Where a piece of work is.
+    """Progress of a piece of work.
 
-    Attributes
+    Parameters
     ----------
     what : str
-        Such as `tracing 24 dwells of today.session`.
+        Description, such as `tracing 24 dwells of today.session`.
+    changed : callable, optional
+        Called after each change.
     """
 
     def __init__(self, what: str, changed: Callable[[Work], None] | None = None) -> None:
@@ -153,12 +156,12 @@ class Work:
         self._begun = time.monotonic()
 
     def tell(self, stage: str) -> None:
-        """A stage begins."""
+        """Begin a stage."""
         self._stage, self._share = stage, None
         self._show()
 
     def share(self, done: float) -> None:
-        """So much of the stage is done, 0 to 1."""
+        """Set the finished share of the stage, 0 to 1."""
         self._share = min(max(done, 0.0), 1.0)
         self._show()
 
@@ -168,27 +171,28 @@ class Work:
 
     @property
     def elapsed_s(self) -> float:
-        """Seconds since it began."""
+        """Seconds since the work began."""
         return time.monotonic() - self._begun
 
     def __str__(self) -> str:
-        """What, stage and share, without the time."""
+        """Description, stage and share, without the time."""
         share = "" if self._share is None else f"{100 * self._share:.0f} %"
         stage = ", ".join(part for part in (self._stage, share) if part)
         return f"{self.what}: {stage}" if stage else self.what
 
 
 @contextmanager
-def working(what: str) -> Iterator[None]:
-    """Tell on standard error what goes on: on a terminal in place, in a log by a line now and then.
+def report_progress(what: str) -> Iterator[None]:
+    """Report the progress of a block on standard error.
 
-    What is done within a second says nothing in a log.
+    A terminal gets one line that changes, a log gets lines at growing intervals; work of less than a second
+    leaves no line in a log.
     """
     from adis_gonio.base.budget import Budget, within
 
     screen = console(stderr=True)
-    place = _on_terminal(what, screen) if screen.is_terminal else _in_log(what)
-    with place as work, within(Budget(tell=work.tell, share=work.share)):
+    progress = _on_terminal(what, screen) if screen.is_terminal else _in_log(what)
+    with progress as work, within(Budget(tell=work.tell, share=work.share)):
         yield
 
 

@@ -1,10 +1,9 @@
 """The sensor as an IIO device over the network protocol of libiio's iiod.
 
-`protocol` is the grammar, `device` the channels, attributes and the XML, `queues` a client's scans: these
-three do no I/O. `sampler` is the one reader of the sensor, `hub` deals its scans out, `client` answers one
-connection, `server` joins them.
+`iiod_protocol` is the grammar and `iio_device` the channels, attributes and XML; neither does I/O.
+`scan_sampler` is the only reader of the sensor and distributes its scans, `iio_server` answers the clients.
 """
 
-from adis_gonio.faces.serve.server import PORT, IioServer, ServeSettings
+from adis_gonio.faces.serve.iio_server import PORT, IioServer, ServeSettings
 
 __all__ = ["PORT", "IioServer", "ServeSettings"]

@@ -1,5 +1,5 @@
-"""The bench screen: what a running session tells, at a glance, and keys that answer it.
+"""The bench screen: the state of a running session, and keys that answer its questions.
 
-`state` collects events, `words` says them as lines, `glyphs` draws the large angle; these three know no
-screen. `bench` (the screen), `dialogs` and `face` need textual, the extra `bench`.
+`bench_state` collects events and `screen_text` describes the state; neither needs a screen. `bench_screen`
+(the screen) and `dialogs` need textual, the extra `bench`.
 """

@@ -1,8 +1,8 @@
-"""What the screen asks: guards, offers, the end, a note; and its help. Keys alone are enough for all."""
+"""Dialogs of the bench screen: guards, offers, the end, a note, and help; all work by keys alone."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, TypeVar
 
@@ -15,12 +15,12 @@ from textual.screen import ModalScreen
 from textual.widgets import Input, Static
 
 from adis_gonio.bench import events
-from adis_gonio.faces.tui.words import measured
+from adis_gonio.faces.tui.screen_text import format_measured
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One answer of a dialog: what it does, the letter for it, and its words."""
+    """One answer of a dialog: its name for the runner, its letter and its label."""
 
     answer: str
     key: str
@@ -32,7 +32,7 @@ CHOICES = {
     for choice in (
         Choice("retake", "t", "go back: ask for the position again"),
         Choice("keep", "k", "keep it as it is"),
-        Choice("reverse", "r", "the stage counts the other way: take the whole session so"),
+        Choice("reverse", "r", "the stage counts the other way: reverse the whole session"),
         Choice("confirm", "c", "take it"),
         Choice("skip", "s", "skip this position"),
         Choice("undo", "u", "withdraw the last dwell"),
@@ -42,13 +42,13 @@ CHOICES = {
         Choice("stop", "q", "quit here; the session can be resumed"),
     )
 }
-"""Answers of the runner in the words of a dialog."""
+"""Answers to the runner's questions."""
 
 ON_TABLE = {
     "retake": Choice("retake", "t", "go back to the mark and turn again"),
-    "reverse": Choice("reverse", "r", "take it so, and turn the next one the other way"),
+    "reverse": Choice("reverse", "r", "keep it, and turn the next one the other way"),
 }
-"""The same where whole turns are asked for."""
+"""Answers with other labels for whole turns on a table."""
 
 STAY = Choice("stay", "g", "go on with the session")
 QUIT = Choice("stop", "q", "quit here")
@@ -58,7 +58,7 @@ Result = TypeVar("Result")
 
 
 class _Finishing(ModalScreen[Result]):
-    """A dialog that closes once, however quickly keys follow one another."""
+    """A dialog that closes only once, even if keys follow quickly."""
 
     _has_result = False
 
@@ -70,17 +70,17 @@ class _Finishing(ModalScreen[Result]):
 
 
 class Dialog(_Finishing[str]):
-    """A question with its answers, one of them chosen beforehand: Enter takes it.
+    """A question with its answers; Enter gives the selected one.
 
     Parameters
     ----------
     heading, text : str
-        What is asked, and why.
-    rows : sequence of (str, str)
-        Numbers behind it.
+        The question and its reason.
     choices : sequence of Choice
     default : str
-        Answer that Enter gives.
+        Answer that is selected at first.
+    rows : sequence of (str, str)
+        Names and values of the measured numbers.
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -106,7 +106,7 @@ class Dialog(_Finishing[str]):
         self._at = answers.index(default) if default in answers else 0
 
     def compose(self) -> ComposeResult:
-        """The box with its texts."""
+        """Build the box with its texts."""
         with Vertical(id="box"):
             yield Static(Text(self._heading, style="bold"), id="heading")
             yield Static(Text(self._text), id="text")
@@ -133,16 +133,16 @@ class Dialog(_Finishing[str]):
         self.query_one("#choices", Static).update(text)
 
     def action_move(self, step: int) -> None:
-        """Choose the next or the previous answer."""
+        """Select the next or the previous answer."""
         self._at = (self._at + step) % len(self._choices)
         self._show()
 
     def action_choose(self) -> None:
-        """Give the answer that is chosen."""
+        """Give the selected answer."""
         self.finish(self._choices[self._at].answer)
 
     def on_key(self, event: Key) -> None:
-        """Give the answer of a letter."""
+        """Give the answer with this letter."""
         for choice in self._choices:
             if event.character == choice.key:
                 event.stop()
@@ -151,7 +151,7 @@ class Dialog(_Finishing[str]):
 
 
 class NoteDialog(_Finishing[str]):
-    """A line of the operator's own; empty where it is given up."""
+    """A dialog for a note; the result is empty if the operator cancels."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape", "give_up", show=False),
@@ -159,10 +159,10 @@ class NoteDialog(_Finishing[str]):
     ]
 
     def compose(self) -> ComposeResult:
-        """The box with its line."""
+        """Build the box with its input line."""
         with Vertical(id="box"):
             yield Static(Text("Note", style="bold"), id="heading")
-            yield Input(placeholder="kept with the session, with its time and position", id="note")
+            yield Input(placeholder="saved in the session with its time and position", id="note")
             yield Static(Text("Enter keeps it, Esc gives it up", style="dim"))
 
     def action_give_up(self) -> None:
@@ -175,10 +175,10 @@ class NoteDialog(_Finishing[str]):
 
 
 class HelpDialog(_Finishing[None]):
-    """Something to read: keys and signs, or how the part is held; any key closes it."""
+    """A text to read: keys and signs, or how to hold the part; any key closes it."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True),
+        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True)
     ]
 
     def __init__(self, heading: str, text: str) -> None:
@@ -186,7 +186,7 @@ class HelpDialog(_Finishing[None]):
         self._heading, self._text = heading, text
 
     def compose(self) -> ComposeResult:
-        """The box with its text."""
+        """Build the box with its text."""
         with Vertical(id="box"):
             yield Static(Text(self._heading, style="bold"), id="heading")
             yield Static(Text(self._text), id="text")
@@ -199,28 +199,24 @@ class HelpDialog(_Finishing[None]):
 
 
 def guard_dialog(event: events.GuardRaised) -> Dialog:
-    """The question of a guard, with its numbers."""
+    """Dialog of a guard, with its measured numbers."""
     known = CHOICES | (ON_TABLE if event.position.turned_deg is not None else {})
     choices = [known[name] for name in event.answers if name != "stop"] + [CHOICES["stop"]]
     heading = f"{event.position}: {event.kind.replace('_', ' ')}"
-    return Dialog(heading, event.message, choices, event.default, values_of(event.values))
-
-
-def values_of(values: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Numbers by names that end in their unit, as rows."""
-    return [measured(name, value) for name, value in values.items()]
+    rows = [format_measured(name, value) for name, value in event.values.items()]
+    return Dialog(heading, event.message, choices, event.default, rows)
 
 
 def repetition_dialog(event: events.RepetitionOffered) -> Dialog:
-    """Whether dwells with a fault are made again."""
+    """Dialog that asks whether to repeat dwells with a fault."""
     where = ", ".join(str(position) for position in event.positions)
-    text = f"An error or alarm stood at {where}. Make them again? Else they are kept as they are."
+    text = f"An error or alarm occurred at {where}. Repeat these dwells? Otherwise they are kept."
     answers = [CHOICES["accept"], CHOICES["decline"], CHOICES["stop"]]
     return Dialog("Faults within dwells", text, answers, "accept")
 
 
 def extension_dialog(event: events.ExtensionOffered, positions: int) -> Dialog:
-    """Whether the session goes on with further positions."""
+    """Dialog that asks whether to go on with further positions."""
     more = event.plan.positions[positions:]
     where = ", ".join(str(position) for position in more)
     reasons = [event.blindness.message] if event.blindness is not None else list(event.reasons)
@@ -230,6 +226,6 @@ def extension_dialog(event: events.ExtensionOffered, positions: int) -> Dialog:
 
 
 def quit_dialog(resume_by: str) -> Dialog:
-    """Whether the session ends here."""
-    text = f"All that is recorded stays. Go on later with\n  {resume_by}"
+    """Dialog that asks whether to end the session."""
+    text = f"The recorded data stay. Go on later with\n  {resume_by}"
     return Dialog("Quit the session?", text, [STAY, QUIT], "stay")

@@ -1,7 +1,4 @@
-"""What of a session is at rest: equally spaced records of three gyros or accelerometers.
-
-From a session to the noise of its gyros or accelerometers: `fit_allan`.
-"""
+"""From a session to the noise of its gyros or accelerometers: `fit_allan` on the records at rest."""
 
 from __future__ import annotations
 
@@ -9,21 +6,23 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal, get_args
 
 import numpy as np
 from scipy import fft, stats
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.intervals import NORMAL_95
-from adis_gonio.base.levels import INADEQUATE, SLOW_NOISE
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.values import Value
-from adis_gonio.device.sensor.bartlett import bartlett, response, rounding_covariance, white_gain
+from adis_gonio.base.uncertainty import INADEQUATE, NORMAL_95, SLOW_NOISE, Value
+from adis_gonio.device.sensor.settings import (
+    filter_response,
+    filter_weights,
+    rounding_covariance,
+    white_noise_gain,
+)
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.allan.allan_result import AllanResult, AxisNoise, notes_of, parameters
+from adis_gonio.fitting.allan.allan_result import PARTS, AllanResult, AxisNoise, Part, notes_of, parameters
 from adis_gonio.fitting.allan.noise_processes import KINDS, Kind, curve
 from adis_gonio.fitting.allan.spectral_likelihood import (
     Likelihood,
@@ -32,31 +31,29 @@ from adis_gonio.fitting.allan.spectral_likelihood import (
     SpectralLine,
     ordinates,
     profile,
+    subtract_sinusoids,
     together,
-    without_lines,
 )
-from adis_gonio.fitting.estimation.converter import steps_of
-from adis_gonio.fitting.solvable import solvable
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
-
-Part = Literal["gyro", "accelerometer"]
-PARTS: tuple[Part, ...] = get_args(Part)
+from adis_gonio.fitting.estimation.readings import mg_per_unit
+from adis_gonio.fitting.estimation.screening import steps_of
+from adis_gonio.fitting.gyros.turn_integration import dps_per_unit
+from adis_gonio.model.records import Dwell, Session
 
 LEAST = 128
-"""Samples of a record that says something of its noise."""
+"""Fewest samples of a record with information on its noise."""
 _GAP = 2.5
 """Sample periods between two samples that end a record."""
 _EVEN = 1.5
 _MANY_LOST = 1e-3
 _SHORT = 4
-"""Part of the longest record below which another takes no part."""
+"""Largest ratio of the longest record to a record that counts."""
 _FAST = 100_000
-"""Samples from which a record is cut to a length that transforms quickly (less than 2 % is lost)."""
+"""Samples from which a record is cut to a length with a fast transform (less than 2 % is lost)."""
 
 
 @dataclass(frozen=True)
 class Rests:
-    """Records at rest of one part.
+    """Equally spaced records at rest of three gyros or accelerometers.
 
     Attributes
     ----------
@@ -66,7 +63,7 @@ class Rests:
     period_s : float
         Time between samples.
     filter_m : int or None
-        The chip's filter; None where the file does not know it.
+        The chip's filter; None if the file does not state it.
     records : tuple of (n, axes) float
         Samples in `unit`, each record about its first sample.
     positions : tuple of int
@@ -74,7 +71,7 @@ class Rests:
     step : (axes,) float
         Step of the converter in `unit`; 0 unknown.
     notes : tuple of str
-        What there is to say of them.
+        Remarks for the user.
     """
 
     part: Part
@@ -92,81 +89,103 @@ class Rests:
         return int(self.records[0].shape[1])
 
     @property
-    def duration_s(self) -> float:
-        """Time of all records together."""
-        return self.period_s * sum(len(record) for record in self.records)
-
-    @property
     def longest_s(self) -> float:
-        """Time of the longest one."""
+        """Time of the longest record."""
         return self.period_s * max(len(record) for record in self.records)
 
 
 def rests_of(session: Session, part: Part) -> Rests:
-    """Records at rest of a session: its dwells, which of a continuous recording are what stood still.
+    """Records at rest of a session: its dwells, or the still parts of a continuous recording.
 
     Raises
     ------
     UsageError
         No such part.
     DataError
-        No gyros, no rest that is long enough, times that stand still, an axis that never changes.
+        No gyros, no rest that is long enough, constant times, an axis that never changes.
     """
     where = session.source or session.title or "session"
     if part not in PARTS:
         raise UsageError(f"'{part}' is no part of the sensor: give {' or '.join(PARTS)}")
-    held = [(dwell, series) for dwell in session.dwells if (series := _series(dwell, part)) is not None]
+    held = [
+        (dwell, series)
+        for dwell in session.dwells
+        if (series := dwell.gyro if part == "gyro" else dwell.accel) is not None
+    ]
     if not held:
         if session.dwells:
             raise DataError(f"{where}: there are no gyros (gx, gy, gz): give --sensor-part accelerometer")
         raise DataError(f"{where}: nothing in it is at rest; record the part lying still")
     unit, scale = _unit(session, part, where)
     period_s = _period([dwell for dwell, _ in held], where)
-    records, positions, lost = [], [], 0
-    for dwell, series in held:
-        if not np.isfinite(series).all():
-            raise DataError(f"{where}: dwell {dwell.position} holds NaN or infinity")
-        for rows in _pieces(dwell.time_s, period_s):
-            lost += _lost(dwell.time_s[rows], period_s)
-            if rows.stop - rows.start >= LEAST:
-                records.append(np.asarray(series[_quick(rows)], np.float64))
-                positions.append(dwell.position)
-    _refuse_short(records, [series for _, series in held], period_s, where)
-    _refuse_stuck(records, where)
-    records, positions, notes = _long(records, positions)
+    records, positions, lost = _records(held, period_s, where)
+    if not records:
+        longest = max(len(series) for _, series in held)
+        raise DataError(
+            f"{where}: the longest rest without a gap has {counted(longest, 'sample')} at most"
+            f" ({longest * period_s:.3g} s): noise needs {LEAST}; let the part lie still for longer"
+        )
+    still = [axis for axis in range(records[0].shape[1]) if all(not np.ptp(r[:, axis]) for r in records)]
+    if still:
+        names = ", ".join("xyz"[axis] for axis in still)
+        raise DataError(
+            f"{where}: {names} never changes at rest: a dead axis, or noise below the converter"
+        )
+    # Records that are short against the longest show no slow noise.
+    least = max(len(record) for record in records) / _SHORT
+    kept = [k for k, record in enumerate(records) if len(record) >= least]
+    short = len(records) - len(kept)
+    notes = [f"{counted(short, 'rest')} shorter than a quarter of the longest left out"] if short else []
+    records, positions = [records[k] for k in kept], [positions[k] for k in kept]
     step = scale * steps_of(records)
     samples = sum(len(record) for record in records)
     if lost > _MANY_LOST * samples:
         notes.append(f"{counted(lost, 'sample')} of {samples} are missing: high frequencies are less sure")
-    kept = tuple((record - record[0]) * scale for record in records)
-    return Rests(part, unit, period_s, _filter(session), kept, tuple(positions), step, tuple(notes))
+    filter_m = (session.facts.get("configuration") or {}).get("filter_m")
+    return Rests(
+        part,
+        unit,
+        period_s,
+        None if filter_m is None else int(filter_m),
+        tuple((record - record[0]) * scale for record in records),
+        tuple(positions),
+        step,
+        tuple(notes),
+    )
 
 
-def _series(dwell: Dwell, part: Part) -> Floats | None:
-    return dwell.gyro if part == "gyro" else dwell.accel
+def _records(
+    held: list[tuple[Dwell, Floats]], period_s: float, where: str
+) -> tuple[list[Floats], list[int], int]:
+    """Records between gaps, the position of each, and the number of lost samples."""
+    records, positions, lost = [], [], 0
+    for dwell, series in held:
+        if not np.isfinite(series).all():
+            raise DataError(f"{where}: dwell {dwell.position} holds NaN or infinity")
+        gaps = np.flatnonzero(np.diff(dwell.time_s) > _GAP * period_s) + 1
+        for first, last in pairwise([0, *gaps.tolist(), len(dwell)]):
+            time_s, size = dwell.time_s[first:last], last - first
+            lost += max(0, round(float(time_s[-1] - time_s[0]) / period_s) + 1 - size)
+            if size >= LEAST:
+                records.append(np.asarray(series[first : first + _quick(size)], np.float64))
+                positions.append(dwell.position)
+    return records, positions, lost
 
 
 def _unit(session: Session, part: Part, where: str) -> tuple[str, float]:
-    """Unit in which results stand, and by what the file's numbers are multiplied."""
+    """Unit of the result, and the factor from the file's numbers to it."""
+    unit = session.gyro_unit if part == "gyro" else session.accel_unit
+    if unit == "counts":
+        return "counts", 1.0
     if part == "gyro":
-        return {"dps": ("dps", 1.0), "radps": ("dps", 180 / np.pi), "counts": ("counts", 1.0)}[
-            session.gyro_unit
-        ]
-    if session.accel_unit == "lsb":
-        if session.sensor not in VARIANTS:
-            raise DataError(f"{where}: the LSB of sensor '{session.sensor}' is not known; give --unit")
-        return "mg", VARIANTS[session.sensor].accel_mg_per_lsb
-    known = {"mg": 1.0, "g": 1000.0, "mps2": 1000.0 / STANDARD_GRAVITY_MPS2}
-    return ("mg", known[session.accel_unit]) if session.accel_unit in known else ("counts", 1.0)
-
-
-def _filter(session: Session) -> int | None:
-    found = (session.facts.get("configuration") or {}).get("filter_m")
-    return None if found is None else int(found)
+        return "dps", dps_per_unit(session)
+    if unit == "lsb" and session.sensor not in VARIANTS:
+        raise DataError(f"{where}: the LSB of sensor '{session.sensor}' is not known; give --unit")
+    return "mg", mg_per_unit(session)
 
 
 def _period(dwells: list[Dwell], where: str) -> float:
-    """Time between samples, by the whole of the longest dwell: coarse times may stand still between two."""
+    """Time between samples by the whole of the longest dwell, because coarse times may repeat."""
     longest = max(dwells, key=len)
     if len(longest) < 2:
         raise DataError(
@@ -175,85 +194,47 @@ def _period(dwells: list[Dwell], where: str) -> float:
     steps = np.diff(longest.time_s)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     if not usual > 0:
-        raise DataError(f"{where}: the times of the samples stand still; without them there is no rate")
-    # Beyond it a sample is missing; coarse times that stand still count.
+        raise DataError(f"{where}: the times of the samples do not increase, so the rate is unknown")
+    # A longer step is a missing sample; a step of zero comes from coarse times and counts.
     return float(steps[steps < _EVEN * usual].mean())
 
 
-def _pieces(time_s: Floats, period_s: float) -> list[slice]:
-    """Rows between gaps."""
-    gaps = np.flatnonzero(np.diff(time_s) > _GAP * period_s) + 1
-    edges = [0, *gaps.tolist(), len(time_s)]
-    return [slice(a, b) for a, b in pairwise(edges)]
-
-
-def _lost(time_s: Floats, period_s: float) -> int:
-    return max(0, round(float(time_s[-1] - time_s[0]) / period_s) + 1 - len(time_s))
-
-
-def _long(records: list[Floats], positions: list[int]) -> tuple[list[Floats], list[int], list[str]]:
-    """Without the records that are short against the longest: they say nothing of slow noise."""
-    least = max(len(record) for record in records) / _SHORT
-    kept = [k for k, record in enumerate(records) if len(record) >= least]
-    left = len(records) - len(kept)
-    notes = [f"{counted(left, 'rest')} shorter than a quarter of the longest left out"] if left else []
-    return [records[k] for k in kept], [positions[k] for k in kept], notes
-
-
-def _quick(rows: slice) -> slice:
-    size = rows.stop - rows.start
+def _quick(size: int) -> int:
+    """Largest length up to `size` with a fast transform; short records stay whole."""
     if size < _FAST:
-        return rows
-    kept = next(n for n in range(size, 0, -1) if fft.next_fast_len(n, real=True) == n)
-    return slice(rows.start, rows.start + kept)
-
-
-def _refuse_short(records: list[Floats], series: list[Floats], period_s: float, where: str) -> None:
-    if not records:
-        longest = max(len(rows) for rows in series)
-        raise DataError(
-            f"{where}: the longest rest without a gap has {counted(longest, 'sample')} at most"
-            f" ({longest * period_s:.3g} s): noise needs {LEAST}; let the part lie still for longer"
-        )
-
-
-def _refuse_stuck(records: list[Floats], where: str) -> None:
-    still = [axis for axis in range(records[0].shape[1]) if all(not np.ptp(r[:, axis]) for r in records)]
-    if still:
-        names = ", ".join("xyz"[axis] for axis in still)
-        raise DataError(
-            f"{where}: {names} never changes at rest: a dead axis, or noise below the converter"
-        )
+        return size
+    return next(n for n in range(size, 0, -1) if fft.next_fast_len(n, real=True) == n)
 
 
 MOST_M = 6
 _PASSED = 0.01
-"""Least |H|² of the chip's filter that is fitted: beyond it rounding and the ends of a record show."""
+"""Least |H|² of the chip's filter that is fitted: above that frequency, rounding and the ends of a
+record show."""
 _FINE = 0.5
-"""Noise in steps of the converter from which rounding adds to it and no more."""
+"""Noise in steps of the converter above which rounding is additive noise."""
 _BANDS = ((0.04, 0.3), (0.3, 1.0))
-"""Parts of the band in which records are compared: above their slow noise."""
+"""Parts of the band, above the slow noise, in which records are compared."""
 _LOUDER = 1.1
 _TRIAL = 1 << 16
-"""Samples by which a filter that nobody stated is told."""
+"""Number of samples that determine an unstated filter."""
 
 
 @solvable
 def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = None) -> AllanResult:
-    """Noise of a part at rest by restricted maximum likelihood, beside its Allan deviation.
+    """Fit the noise of a part at rest by restricted maximum likelihood, with its Allan deviation.
 
-    White noise (angle or velocity random walk), flicker (bias instability), rate random walk, and where no
-    filter is known or set quantization, of IEEE Std 952-1997, Annex C: each with a profile-likelihood
-    interval, or with a limit where the data do not refuse that it is absent.
+    The processes are white noise (angle or velocity random walk), flicker (bias instability), rate random
+    walk, and without a filter also quantization, of IEEE Std 952-1997, Annex C. Each has a
+    profile-likelihood interval, or a limit if it may be absent.
 
     Parameters
     ----------
     session : Session
-        With dwells, or continuous with rests: each is a record with a mean and a line of its own.
+        With dwells, or continuous with rests: each is a record with its own mean and slope.
     part : {"gyro", "accelerometer"}
     filter_m : int, optional
-        M of the chip's filter, 0 to 6; by default the session's, or what the spectrum of a known sensor
-        says. Other sensors count as unfiltered in the band where their spectrum is one of these noises.
+        M of the chip's filter, 0 to 6; by default the session's, or, of a known sensor, by the spectrum.
+        Other sensors count as unfiltered in the band in which these noises explain their spectrum.
 
     Raises
     ------
@@ -266,10 +247,15 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
         raise UsageError(f"filter M is {filter_m}: give 0 to {MOST_M}")
     rests = rests_of(session, part)
     stated = rests.filter_m if filter_m is None else filter_m
-    m = stated if stated is not None else _filter_seen(rests, session.sensor in VARIANTS)
-    notes = list(rests.notes)
-    if stated is None:
-        notes.append(_of_filter(m, session.sensor in VARIANTS))
+    chip = session.sensor in VARIANTS
+    m, notes = stated, list(rests.notes)
+    if m is None:
+        m = _filter_seen(rests) if chip else 0
+        notes.append(
+            f"the file does not state the chip's filter: M = {m} by the spectrum; --filter states it"
+            if chip
+            else "no filter is known: fitted in the band that these noises explain"
+        )
     share = current().share
     found = []
     for axis in range(rests.axes):
@@ -292,14 +278,9 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
     )
 
 
-def _of_filter(m: int, chip: bool) -> str:
-    if chip:
-        return f"the file does not say the chip's filter: M = {m} by the spectrum; --filter says it"
-    return "no filter is known: fitted in the band whose spectrum these noises explain"
-
-
 def _flat(record: Floats) -> Floats:
-    """Samples (n,) without their mean and slope."""
+    """Subtract mean and linear slope from samples (n,)."""
+    # Least squares slope against sample numbers about their middle.
     at = np.arange(len(record)) - (len(record) - 1) / 2
     centred = record - record.mean()
     return np.asarray(centred - at * float(at @ centred) / float(at @ at), np.float64)
@@ -307,30 +288,29 @@ def _flat(record: Floats) -> Floats:
 
 def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool]:
     """Autocovariance of the rounding, and whether the converter is too coarse for one."""
-    # What changes within the filter's window is white noise: slow noise does not count.
+    # Changes within the filter's window are white noise, without the slow noise.
     lag = 1 << m
-    weights = bartlett(m)
+    weights = filter_weights(m)
     shape = np.correlate(weights, weights, "full")[len(weights) - 1 :]
+    # Share of white noise in front of the filter that such a difference shows.
     kept = float(shape[0] - (shape[lag] if lag < len(shape) else 0.0))
     change = float(np.median([np.mean((record[lag:] - record[:-lag]) ** 2) / 2 for record in flat]))
     sigma = math.sqrt(max(change - step**2 / 12, 0.0) / kept)
-    if step <= 0 or sigma * white_gain(m) < _FINE * step:
+    if step <= 0 or sigma * white_noise_gain(m) < _FINE * step:
         return np.zeros(1), step > 0
     return step**2 * rounding_covariance(m, sigma / step), False
 
 
 def _highest(m: int) -> float:
-    """Frequency in cycles a sample up to which the filter lets enough pass."""
+    """Highest frequency in cycles per sample that the filter passes sufficiently."""
     if m == 0:
         return 0.5
     grid = np.linspace(0.0, 0.5**m, 2049)
-    return float(grid[response(m, grid) >= _PASSED].max())
+    return float(grid[filter_response(m, grid) >= _PASSED].max())
 
 
-def _filter_seen(rests: Rests, chip: bool) -> int:
-    """M by which the whole spectrum is most likely; 0 for sensors that have another filter or none."""
-    if not chip:
-        return 0
+def _filter_seen(rests: Rests) -> int:
+    """M of the filter that makes the whole spectrum most likely."""
     record = max(rests.records, key=len)[:_TRIAL]
     losses = np.zeros(MOST_M + 1)
     for axis in range(rests.axes):
@@ -361,12 +341,12 @@ def _fitted(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
 
 
 def _kinds(m: int) -> Sequence[Kind]:
-    """Processes that a record may have: behind the chip's filter no angle is counted any more."""
+    """Processes of a record; behind the chip's filter there is no quantization of the angle."""
     return KINDS if m == 0 else KINDS[1:]
 
 
 def _widest(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
-    """Fit in the widest band, halved from the whole one, that the noises explain; the best one of none."""
+    """Fit the widest band, halved from the whole one, that the noises explain; else the best band."""
     tried = []
     while True:
         inside = data.below(band)
@@ -388,12 +368,15 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
     lines: list[list[SpectralLine]] = []
     parts = []
     for record in flat:
-        clean, own, masked = without_lines(record, period_s, highest)
+        clean, own, masked = subtract_sinusoids(record, period_s, highest)
         lines.append(own)
         parts.append(ordinates(_flat(clean) if own else record, m, period_s, rounding, masked))
     quiet = _quiet(parts, highest)
     fitted = _widest(together([parts[k] for k in quiet]), highest, _kinds(m))
-    profiles = _profiles(fitted, _kinds(m))
+    profiles = {
+        kind: profile(fitted.likelihood, fitted.theta, fitted.deviance, KINDS.index(kind))
+        for kind in _kinds(m)
+    }
     slow = _slow(fitted)
     ramp = _ramp(fitted, [slopes[k] for k in quiet], period_s, rests.unit)
     found = AxisNoise(
@@ -418,9 +401,10 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
 
 
 def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
-    """Records as quiet as the quietest: a hand or a shaken table makes others louder.
+    """Records as quiet as the quietest, because a hand or a shaken table makes others louder.
 
-    From the quietest on, each that is not louder than those before it together, in either of two bands.
+    Starting with the quietest, each record counts that is not louder than the earlier ones together in
+    either of two bands.
     """
     bands = [(low * highest, high * highest) for low, high in _BANDS]
     level = np.empty((len(parts), len(bands)))
@@ -430,6 +414,7 @@ def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
             inside = (part.frequency > low) & (part.frequency <= high)
             weight[row, column] = max(float(part.weight[inside].sum()), 1e-9)
             level[row, column] = part.weight[inside] @ part.power[inside] / weight[row, column]
+    # From the quietest record on, by the product of both levels.
     order = np.argsort(level.prod(axis=1), kind="stable")
     kept = [int(order[0])]
     for k in order[1:].tolist():
@@ -441,14 +426,8 @@ def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
     return sorted(kept)
 
 
-def _profiles(fitted: _Fitted, kinds: Sequence[Kind]) -> dict[Kind, Profile]:
-    return {
-        kind: profile(fitted.likelihood, fitted.theta, fitted.deviance, KINDS.index(kind)) for kind in kinds
-    }
-
-
 def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
-    """Squared coefficients of the curve: without what is not present, unless the data need one of both."""
+    """Squared coefficients for the curve: without absent processes, but with slow noise if it is needed."""
     lacking = [kind for kind, found in profiles.items() if not found.present and kind != "white"]
     absent = {KINDS.index(kind): 0.0 for kind in lacking}
     if {2, 3} <= absent.keys() and _slow(fitted) < SLOW_NOISE:
@@ -458,8 +437,9 @@ def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
 
 
 def _slow(fitted: _Fitted) -> float:
-    """That neither flicker nor walk is there: a bound, two coefficients on their boundary."""
+    """p-value of the absence of both flicker and walk: a bound for two coefficients on their boundary."""
     _, without = fitted.likelihood.maximum(fitted.theta.copy(), {2: 0.0, 3: 0.0})
+    # Mixture of χ² with one and two degrees of freedom, an upper bound on the boundary.
     ratio = max(without - fitted.deviance, 0.0)
     if ratio <= 0:
         return 1.0
@@ -469,6 +449,7 @@ def _slow(fitted: _Fitted) -> float:
 def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> Value:
     """Weighted mean of the records' slopes, per second."""
     rest = fitted.likelihood.slopes(fitted.theta)
+    # Weighted mean of the slopes, each corrected by the slope of the likelihood.
     weight = np.array([1 / u**2 if u > 0 else 0.0 for _, u in rest])
     if not weight.sum() > 0:
         return Value(float(np.mean(slopes)) / period_s, None, f"{unit}/s")
@@ -478,7 +459,7 @@ def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> V
 
 
 def _joined(lines: list[SpectralLine]) -> tuple[SpectralLine, ...]:
-    """Lines of all records; those within 1 % of each other are one, with the largest amplitude."""
+    """Lines of all records; of those within 1 % of each other the one with the largest amplitude."""
     kept: list[SpectralLine] = []
     for line in sorted(lines, key=lambda one: -one.amplitude):
         if all(abs(line.frequency_hz / other.frequency_hz - 1) > 0.01 for other in kept):

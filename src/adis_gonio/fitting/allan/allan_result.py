@@ -1,7 +1,4 @@
-"""What the noise of a part at rest is: coefficients with uncertainties, or limits of what is not there.
-
-The noise of a part at rest in words and as a table.
-"""
+"""Result of a noise fit: coefficients with uncertainties or limits, as JSON, a table and notes."""
 
 from __future__ import annotations
 
@@ -9,39 +6,32 @@ import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.levels import INADEQUATE, SLOW_NOISE
 from adis_gonio.base.numbers import counted, format_number, format_unit
-from adis_gonio.base.values import Value, finite_or_none
+from adis_gonio.base.uncertainty import INADEQUATE, SLOW_NOISE, Value, finite_or_none
 from adis_gonio.fitting.allan.noise_processes import FLOOR_OF_B, KINDS, AllanCurve, Kind
 from adis_gonio.fitting.allan.spectral_likelihood import Profile, SpectralLine
 
-_NAMES: dict[str, dict[Kind, str]] = {
-    "gyro": {
-        "quantization": "quantization",
-        "white": "angle_random_walk",
-        "flicker": "bias_instability",
-        "walk": "rate_random_walk",
-    },
-    "accelerometer": {
-        "quantization": "quantization",
-        "white": "velocity_random_walk",
-        "flicker": "bias_instability",
-        "walk": "acceleration_random_walk",
-    },
+Part = Literal["gyro", "accelerometer"]
+PARTS: dict[Part, str] = {"gyro": "gyros", "accelerometer": "accelerometers"}
+_NAMES: dict[Part, tuple[str, ...]] = {
+    "gyro": ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk"),
+    "accelerometer": (
+        "quantization",
+        "velocity_random_walk",
+        "bias_instability",
+        "acceleration_random_walk",
+    ),
 }
-_UNITS: dict[str, dict[Kind, str]] = {
-    "dps": {"quantization": "deg", "white": "dps/√Hz", "flicker": "dps", "walk": "dps/√s"},
-    "mg": {"quantization": "mg·s", "white": "mg/√Hz", "flicker": "mg", "walk": "mg/√s"},
-    "counts": {
-        "quantization": "counts·s",
-        "white": "counts/√Hz",
-        "flicker": "counts",
-        "walk": "counts/√s",
-    },
+"""Names of `noise_processes.KINDS` by part."""
+_UNITS = {
+    "dps": ("deg", "dps/√Hz", "dps", "dps/√s"),
+    "mg": ("mg·s", "mg/√Hz", "mg", "mg/√s"),
+    "counts": ("counts·s", "counts/√Hz", "counts", "counts/√s"),
 }
+"""Their units by the unit of the samples."""
 _MPS_PER_MG_S = 9.80665e-3
 _ALSO: dict[tuple[str, Kind], tuple[str, float]] = {
     ("dps", "white"): ("deg/√h", 60.0),
@@ -63,7 +53,7 @@ class NoiseParameter:
         Such as `angle_random_walk`. `bias_instability` is the floor of the Allan deviation.
     unit : str
     profile : Profile
-        What the likelihood says, in `unit`.
+        Likelihood of the coefficient, in `unit`.
     """
 
     kind: Kind
@@ -71,7 +61,7 @@ class NoiseParameter:
     unit: str
     profile: Profile
     also: tuple[str, float] | None = None
-    """Another unit that the field uses, and its size."""
+    """A second unit in common use, and its size."""
 
     @property
     def present(self) -> bool:
@@ -80,7 +70,7 @@ class NoiseParameter:
 
     @property
     def value(self) -> Value | None:
-        """Value with u, ν, k and U, the longer arm of the interval; None where it may be absent."""
+        """Value with u, ν, k and U, the longer arm of the interval; None if it may be absent."""
         if not self.present:
             return None
         found = self.profile
@@ -89,11 +79,11 @@ class NoiseParameter:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Profile-likelihood interval of 95 %; begins at 0 where the process may be absent."""
+        """Profile-likelihood interval of 95 %; begins at 0 if the process may be absent."""
         return self.profile.low, self.profile.high
 
     def as_dict(self) -> dict[str, Any]:
-        """Value, u, ν, k, U (null where it is not there), interval, upper limit, what would have shown."""
+        """Value, u, ν, k, U (null if absent), interval, upper limit, and the detectable size."""
         value, found = self.value, self.profile
         empty = {"value": None, "u": None, "dof": None, "k": None, "U": None, "unit": self.unit}
         document: dict[str, Any] = {
@@ -117,13 +107,12 @@ class NoiseParameter:
         return document
 
 
-def parameters(part: str, unit: str, profiles: dict[Kind, Profile]) -> tuple[NoiseParameter, ...]:
-    """The processes of an axis under the names that a part's have."""
+def parameters(part: Part, unit: str, profiles: dict[Kind, Profile]) -> tuple[NoiseParameter, ...]:
+    """Noise processes of an axis under the names and units of a part."""
+    named = zip(KINDS, _NAMES[part], _UNITS[unit], strict=True)
     return tuple(
-        NoiseParameter(
-            kind, _NAMES[part][kind], _UNITS[unit][kind], profiles[kind], _ALSO.get((unit, kind))
-        )
-        for kind in KINDS
+        NoiseParameter(kind, name, own, profiles[kind], _ALSO.get((unit, kind)))
+        for kind, name, own in named
         if kind in profiles
     )
 
@@ -137,22 +126,22 @@ class AxisNoise:
     axis : str
         `x`, `y` or `z`.
     parameters : tuple of NoiseParameter
-        In the order of `processes.KINDS`; without quantization behind the chip's filter.
+        In the order of `noise_processes.KINDS`; without quantization behind the chip's filter.
     ramp : Value
         Slope of the records' lines, weighted mean, per second: a drift that is no noise.
     slow_p_value : float
-        That neither flicker nor walk is there.
+        p-value of the absence of both flicker and walk.
     adequacy : float
-        Chance of a spectrum so far from the fitted one.
+        Probability of a spectrum at least this far from the fitted one.
     band_hz : (float, float)
-        Frequencies that were fitted.
+        Fitted frequencies.
     lines : tuple of SpectralLine
-        Sinusoids that were taken off.
+        Subtracted sinusoids.
     step : float
-        Step of the converter; its rounding is accounted for and no part of the coefficients. 0 unknown.
+        Step of the converter; its rounding is no part of the coefficients. 0 unknown.
     curve : AllanCurve
     notes : tuple of str
-        What a reader has to know, one line each.
+        Remarks for the user, one line each.
     """
 
     axis: str
@@ -175,7 +164,7 @@ class AxisNoise:
 
     @property
     def ramps(self) -> bool:
-        """The line is more than noise."""
+        """The slope is larger than the noise explains."""
         return self.ramp.U is not None and abs(self.ramp.value) > self.ramp.U
 
     def as_dict(self) -> dict[str, Any]:
@@ -205,13 +194,13 @@ class AllanResult:
     title, sensor, source : str
         Of the session.
     simulated : bool
-        The file says that nothing was measured.
+        The file states that it is simulated.
     period_s : float
         Time between samples.
     filter_m : int
-        The chip's filter that the densities are behind.
+        The chip's filter in front of the densities.
     filter_known : bool
-        False where the file does not say and the spectrum chose it.
+        False if the spectrum and not the file determines it.
     positions : tuple of int
         Dwell of each record.
     samples : tuple of int
@@ -220,7 +209,7 @@ class AllanResult:
     notes : tuple of str
     """
 
-    part: str
+    part: Part
     unit: str
     title: str
     sensor: str
@@ -253,26 +242,26 @@ class AllanResult:
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON document of `adis-gonio allan`."""
-        return {
-            "part": self.part,
-            "unit": self.unit,
-            "title": self.title,
-            "sensor": self.sensor,
-            "source": self.source,
-            "sample_rate_hz": 1 / self.period_s,
-            "filter_m": self.filter_m,
-            "filter_known": self.filter_known,
-            "records": [
+        return json_object(
+            part=self.part,
+            unit=self.unit,
+            title=self.title,
+            sensor=self.sensor,
+            source=self.source,
+            sample_rate_hz=1 / self.period_s,
+            filter_m=self.filter_m,
+            filter_known=self.filter_known,
+            records=[
                 {"position": position, "samples": n, "duration_s": n * self.period_s}
                 for position, n in zip(self.positions, self.samples, strict=True)
             ],
-            "duration_s": self.duration_s,
-            "axes": {found.axis: found.as_dict() for found in self.axes},
-            "notes": list(self.notes),
-        }
+            duration_s=self.duration_s,
+            axes={found.axis: found for found in self.axes},
+            notes=self.notes,
+        )
 
     def summary(self) -> str:
-        """Table of 80 columns with what there is to say, as `adis-gonio allan` prints it."""
+        """Table of at most 80 columns with notes, as `adis-gonio allan` prints it."""
         return "\n".join(table_lines(self))
 
     def __repr__(self) -> str:
@@ -284,7 +273,6 @@ class AllanResult:
         return f"AllanResult({self.part}, {math.floor(self.duration_s)} s at rest; {held})"
 
 
-PARTS = {"gyro": "gyros", "accelerometer": "accelerometers"}
 _FEW_DOF = 3.0
 HEAD = ("", "value", "u", "95 % interval", "ν", "unit")
 _WIDTHS = (26, 9, 9, 18, 7)
@@ -297,19 +285,19 @@ def name_shown(parameter: NoiseParameter) -> str:
 
 
 def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[int]) -> Iterator[str]:
-    """What a reader of an axis has to know; `loud` are the positions of records that were left out."""
+    """Remarks on an axis; `loud` are the positions of records that were left out."""
     if loud:
         which = ", ".join(map(str, loud[:8])) + (", …" if len(loud) > 8 else "")
         yield f"{counted(len(loud), 'record')} left out, louder than the quietest (positions {which})"
     if coarse:
         yield (
-            f"the noise is below half a step of the converter ({format_number(axis.step)}): what is seen is"
+            f"the noise is below half a step of the converter ({format_number(axis.step)}): it shows"
             " its rounding"
         )
     if narrowed and axis.adequacy >= INADEQUATE:
         yield f"above {format_number(axis.band_hz[1])} Hz the spectrum is of another kind and was left out"
     if axis.adequacy < INADEQUATE:
-        yield f"the spectrum is not that of these noises (p = {axis.adequacy:.1g}): u is too small"
+        yield f"these noises do not explain the spectrum (p = {axis.adequacy:.1g}): u is too small"
     for line in axis.lines:
         yield (
             f"a sinusoid of {format_number(line.frequency_hz, 4)} Hz, amplitude"
@@ -318,8 +306,8 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[in
     flicker, walk = axis["flicker"], axis["walk"]
     if not flicker.present and not walk.present and axis.slow_p_value < SLOW_NOISE:
         yield (
-            "there is slow noise, and the records are too short to tell bias instability from random walk:"
-            " let it lie still for four times as long"
+            "there is slow noise, and the records are too short to separate bias instability from random"
+            " walk: record four times as long at rest"
         )
     for parameter in (flicker, walk):
         if parameter.present and parameter.profile.dof < _FEW_DOF:
@@ -332,7 +320,7 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[in
 
 
 def missing(parameter: NoiseParameter) -> str:
-    """What stands for a value that is not there: the limit, and what the records would have shown."""
+    """Text in the place of an absent value: its limit, and the size that the records would show."""
     found = parameter.profile
     limit = f"not present: at most {format_number(found.high)} (95 %)"
     if parameter.kind == "white":
@@ -341,8 +329,9 @@ def missing(parameter: NoiseParameter) -> str:
 
 
 def cells(parameter: NoiseParameter) -> Sequence[tuple[str, ...]]:
-    """Rows of `HEAD` for a process that is present: in its unit, and in the other one of the field."""
+    """Rows of `HEAD` for a process that is present: in its unit, and in the second unit in use."""
     found, rows = parameter.profile, []
+    dof_text = f"> {_MANY_DOF}" if found.dof > _MANY_DOF else format_number(found.dof, 2)
     for unit, size in ((parameter.unit, 1.0), *((parameter.also,) if parameter.also else ())):
         rows.append(
             (
@@ -350,19 +339,15 @@ def cells(parameter: NoiseParameter) -> Sequence[tuple[str, ...]]:
                 format_number(size * found.value, 4),
                 format_number(size * found.u, 2),
                 f"{format_number(size * found.low)} … {format_number(size * found.high)}",
-                _dof_shown(found.dof) if size == 1.0 else "",
+                "" if size != 1.0 else dof_text,
                 format_unit(unit),
             )
         )
     return rows
 
 
-def _dof_shown(dof: float) -> str:
-    return f"> {_MANY_DOF}" if dof > _MANY_DOF else format_number(dof, 2)
-
-
 def headline(result: AllanResult) -> str:
-    """What was recorded, in a line."""
+    """Length, number and rate of the records, in a line."""
     records = counted(len(result.samples), "record")
     rate_hz = format_number(1 / result.period_s, 4)
     held = f"{format_number(result.duration_s, 4)} s in {records} at {rate_hz} Hz"
@@ -370,7 +355,7 @@ def headline(result: AllanResult) -> str:
 
 
 def table_lines(result: AllanResult) -> Iterator[str]:
-    """The result as lines of at most 80 columns."""
+    """Lines of the result, at most 80 columns wide."""
     name = result.title or result.source or "session"
     yield from _folded(f"Noise at rest of the {PARTS[result.part]} of {name} ({result.sensor})", "")
     for text in (headline(result), *result.notes):

@@ -1,7 +1,8 @@
-"""The noise processes of IEEE Std 952-1997, Annex C, as a sampled and filtered record shows them.
+"""Noise processes of IEEE Std 952-1997, Annex C, in a sampled and filtered record; its Allan deviation.
 
-Coefficients are squared standard deviations, so that every density is linear in them. With T the sampling
-period, the Allan variance at τ and the two-sided density at f of each, per squared coefficient:
+Coefficients are squared standard deviations, so every density is linear in them. T is the sampling
+period. The Allan variance at τ and the two-sided density at f of each process, per squared coefficient,
+are:
 
 ==============  ==================  ======================
 process         Allan variance      density
@@ -13,15 +14,13 @@ walk K          τ/3                 1/(2πf)²
 ==============  ==================  ======================
 
 F is the floor of the Allan deviation, 0.664 times the standard's B. The likelihood works in the basis of
-the DCT-II without its first vector: there white noise and a random walk of any mean are independent
-exactly, since those vectors are the eigenvectors of the differences' normal matrix; correlations of flicker
-are at most 0.12, those of the squares that a likelihood uses 0.015.
+the DCT-II without its first vector. In this basis white noise and a random walk of any mean are exactly
+independent, because its vectors are the eigenvectors of the differences' normal matrix. The correlations of
+flicker are at most 0.12, the correlations of the squares in the likelihood 0.015.
 
-Overlapping Allan deviation, and how surely a record shows it.
-
-The variance of the estimate follows from the noise that the record has (its variogram), not from an assumed
-kind: for Gaussian noise Var σ̂² = 2/M² Σ (M − |l|) R(l)², with R the autocovariance of the M overlapping
-differences, and the degrees of freedom are 2 (σ²)²/Var σ̂².
+The variance of the Allan deviation follows from the fitted noise of the record (its variogram), not from an
+assumed kind: for Gaussian noise Var σ̂² = 2/M² Σ (M − |l|) R(l)², with R the autocovariance of the M
+overlapping differences, and the degrees of freedom are 2 (σ²)²/Var σ̂².
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ from scipy import signal, special, stats
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.device.sensor.bartlett import bartlett, response
+from adis_gonio.device.sensor.settings import filter_response, filter_weights
 
 Kind = Literal["quantization", "white", "flicker", "walk"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -54,16 +53,17 @@ def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
     """Variances (len(k), 4) of the DCT-II ordinates k of n samples, per squared coefficient of `KINDS`."""
     angle = np.pi * k / n
     frequency = k / (2 * n)
-    passed = response(filter_m, frequency)
-    white = ordinate_variances(_autocovariance(bartlett(filter_m)), n, k)
-    angles = ordinate_variances(_autocovariance(np.convolve(bartlett(filter_m), [1.0, -1.0])), n, k)
+    passed = filter_response(filter_m, frequency)
+    white = ordinate_variances(_autocovariance(filter_weights(filter_m)), n, k)
+    # Quantization of the angle is white noise of its differences.
+    angles = ordinate_variances(_autocovariance(np.convolve(filter_weights(filter_m), [1.0, -1.0])), n, k)
     flicker = passed * _edge(k) / frequency / _FLICKER_ALLAN
     walk = passed / (4 * np.sin(angle / 2) ** 2)
     return np.stack([angles / period_s**2, white / period_s, flicker, walk * period_s], axis=1)
 
 
 def ordinate_variances(autocovariance: Floats, n: int, k: Floats) -> Floats:
-    """Variances (len(k),) of DCT-II ordinates k of n samples of a process that forgets after some lags.
+    """Variances (len(k),) of DCT-II ordinates k of n samples of a process with a short autocovariance.
 
     Exact, ends included: Σ_t φ_k(t) φ_k(t+l) = ((n − l) cos(la) − sin(la)/sin(a))/n with a = πk/n.
     """
@@ -85,14 +85,16 @@ def line(n: int, k: Floats) -> Floats:
 
 def variograms(filter_m: int, lags: int, period_s: float) -> Floats:
     """Half the mean squared difference (lags, 4) at lags 0, 1, …, per squared coefficient of `KINDS`."""
-    own = _autocovariance(bartlett(filter_m))
+    own = _autocovariance(filter_weights(filter_m))
     reach = len(own) - 1
     lag = np.arange(lags + reach + 1)
+    # Autocovariance of the filter at negative and positive lags.
     both = np.concatenate([own[:0:-1], own])
     made = np.empty((lags, len(KINDS)))
-    angles = _autocovariance(np.convolve(bartlett(filter_m), [1.0, -1.0]))
+    angles = _autocovariance(np.convolve(filter_weights(filter_m), [1.0, -1.0]))
     made[:, 0] = angles[0] - _padded(angles, lags)
     made[:, 1] = own[0] - _padded(own, lags)
+    # Flicker and walk: filter the variogram of the unfiltered process.
     for column, values in ((2, 2 * _cin(np.pi * lag) / _FLICKER_ALLAN), (3, lag / 2)):
         mirrored = np.concatenate([values[reach:0:-1], values])
         filtered = np.convolve(mirrored, both, "valid")[:lags]
@@ -105,8 +107,7 @@ def _autocovariance(weights: Floats) -> Floats:
 
 
 def _padded(values: Floats, size: int) -> Floats:
-    held = values[:size]
-    return np.concatenate([held, np.zeros(size - len(held))])
+    return np.pad(values[:size], (0, max(size - len(values), 0)))
 
 
 def _cin(x: NDArray[np.floating[Any]]) -> Floats:
@@ -118,10 +119,10 @@ def _cin(x: NDArray[np.floating[Any]]) -> Floats:
 
 @lru_cache(maxsize=1)
 def _edge_table() -> Floats:
-    """Variance of flicker's ordinates 1 … `_TABLE` times their frequency: the ends of the record count.
+    """Variance of flicker's ordinates 1 … `_TABLE` times their frequency, with the ends of the record.
 
     From the variogram 2h Cin(πl) of h/|f| below half the sampling rate, on a record so long that
-    its length does not matter.
+    its length has no effect.
     """
     n = 8 * _TABLE
     lag = np.arange(1, n)
@@ -141,25 +142,26 @@ def _edge(k: Floats) -> Floats:
 
 
 LEAST_DIFFERENCES = 8
-"""Differences that an Allan deviation needs to be worth a point."""
+"""Fewest differences for a point of the Allan deviation."""
 _EXACT = 512
-"""Samples of an averaging time up to which the filter counts; longer ones stand on a coarser lattice."""
+"""Largest averaging time in samples with the filter in the computation; longer ones use a coarser
+lattice."""
 _LATTICE = 32
 
 
 @dataclass(frozen=True)
 class AllanCurve(JsonRecord):
-    """Allan deviation of one axis with its intervals of 95 %, and the fitted model's.
+    """Allan deviation of one axis with its 95 % intervals, and the deviation of the fitted model.
 
     Attributes
     ----------
     tau_s : (t,) float
         Averaging times.
     deviation, low, high, dof : (t,) float
-        Overlapping estimate, pooled over the records, its interval of 95 % (χ²) and its effective
-        degrees of freedom.
+        Overlapping estimate, pooled over the records, its 95 % interval (χ²) and its effective degrees of
+        freedom.
     model : (t,) float
-        Expected by the fitted noise.
+        Expected deviation by the fitted noise.
     """
 
     tau_s: Floats
@@ -171,7 +173,7 @@ class AllanCurve(JsonRecord):
 
 
 def octaves(longest: int) -> list[int]:
-    """Averaging times in samples, an octave apart, that a record of so many samples can show."""
+    """Averaging times in samples, an octave apart, for a record of this length."""
     return [1 << j for j in range(longest.bit_length()) if 2 * (1 << j) + LEAST_DIFFERENCES <= longest]
 
 
@@ -193,6 +195,7 @@ def overlapping(samples: Sequence[Floats]) -> tuple[list[int], Floats]:
     totals = np.zeros((len(times), samples[0].shape[1]))
     counts = np.zeros(len(times))
     for part in samples:
+        # Second differences of the integrated samples at distance m, overlapping.
         sums = np.concatenate([np.zeros((1, part.shape[1])), np.cumsum(part - part.mean(axis=0), axis=0)])
         for row, m in enumerate(times):
             if len(part) < 2 * m + LEAST_DIFFERENCES:
@@ -207,7 +210,7 @@ def overlapping(samples: Sequence[Floats]) -> tuple[list[int], Floats]:
 def curve(
     records: Sequence[Floats], squares: Floats, filter_m: int, period_s: float, rounding: Floats
 ) -> AllanCurve:
-    """Allan deviation of an axis beside that of the fitted noise.
+    """Allan deviation of an axis, and the deviation of the fitted noise.
 
     Parameters
     ----------
@@ -219,15 +222,10 @@ def curve(
     """
     times, deviation = overlapping([record[:, None] for record in records])
     lengths = [len(record) for record in records]
-    expected, dof = [], []
-    for m in times:
-        variance, freedom = _expected(m, lengths, squares, filter_m, period_s, rounding)
-        expected.append(variance)
-        dof.append(freedom)
-    nu = np.array(dof)
+    expected, nu = np.array([_expected(m, lengths, squares, filter_m, period_s, rounding) for m in times]).T
     low, high = (deviation[:, 0] * np.sqrt(nu / stats.chi2.ppf(q, nu)) for q in (0.975, 0.025))
     tau = period_s * np.array(times, dtype=float)
-    return AllanCurve(tau, deviation[:, 0], low, high, nu, np.sqrt(np.array(expected)))
+    return AllanCurve(tau, deviation[:, 0], low, high, nu, np.sqrt(expected))
 
 
 def _expected(
@@ -237,6 +235,7 @@ def _expected(
     coarse = 1 if m <= _EXACT else m // _LATTICE
     step = m // coarse
     gamma = _variogram(squares, filter_m, 10 * step, period_s, coarse, rounding)
+    # The Allan difference as a filter, and its autocorrelation.
     weights = np.concatenate([np.full(step, -1.0), np.full(step, 1.0)]) / (step * np.sqrt(2))
     pairs = np.correlate(weights, weights, "full")  # lags −2m + 1 … 2m − 1
     reach = 2 * step - 1
@@ -247,7 +246,7 @@ def _expected(
         count = n - 2 * m + 1
         if n < 2 * m + LEAST_DIFFERENCES:
             continue
-        # On a lattice of `coarse` samples.
+        # Sum over all pairs of differences, on a lattice of `coarse` samples.
         shifts = np.arange(1, len(covariance))
         left = np.maximum(count / coarse - shifts, 0.0)
         squared = count / coarse * covariance[0] ** 2 + 2 * float(left @ covariance[1:] ** 2)
@@ -259,13 +258,11 @@ def _expected(
 def _variogram(
     squares: Floats, filter_m: int, lags: int, period_s: float, coarse: int, rounding: Floats
 ) -> Floats:
-    """Half the mean squared difference of means over `coarse` samples, at `lags` of those."""
+    """Half the mean squared difference of means over `coarse` samples, at `lags` of these means."""
     if coarse == 1:
         own = variograms(filter_m, lags, period_s) @ squares
-        held = np.zeros(lags)
-        held[: min(len(rounding), lags)] = rounding[:lags]
-        return np.asarray(own + rounding[0] - held, np.float64)
-    # The filter is short against such a mean; rounding then counts as white noise.
+        return np.asarray(own + rounding[0] - _padded(rounding, lags), np.float64)
+    # The filter is short against such a mean, and rounding is white noise there.
     white = squares.copy()
     white[KINDS.index("white")] += period_s * float(rounding[0] + 2 * rounding[1:].sum())
     return np.asarray(variograms(0, lags, period_s * coarse) @ white, np.float64)

@@ -1,39 +1,39 @@
-"""Sinusoids in a record at rest (a vibrating table, hum): taken off, and their surroundings masked.
+"""Restricted maximum likelihood of the noise processes on the spectrum of a record at rest.
 
-A record at rest as DCT-II ordinates: the lowest one by one, the higher ones as means of narrow bins.
+Sinusoids (a vibrating table, hum) are subtracted from the record first, and the ordinates around them are
+left out. The spectrum consists of DCT-II ordinates: the lowest ones individually, the higher ones as
+means of narrow bins.
 
-Restricted maximum likelihood of the noise processes on DCT-II ordinates, with profiles and tests.
-
-Ordinates are independent and normal with variances linear in the squared coefficients θ ≥ 0. The mean and a
-line of each record are no noise: the likelihood is that of what is orthogonal to them (REML), which for the
-line is a term of rank one. A coefficient that the noise lacks lies on the boundary θ = 0, where the
-likelihood ratio is ½χ²₀ + ½χ²₁ distributed (Self and Liang 1987).
+Ordinates are independent and normal with variances linear in the squared coefficients θ ≥ 0. The mean and
+the linear slope of each record are no noise. The likelihood therefore describes the part of the data
+orthogonal to them (REML), which is a term of rank one for the slope. An absent coefficient is on the
+boundary θ = 0, and the likelihood ratio has there the distribution ½χ²₀ + ½χ²₁ (Self and Liang 1987).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, optimize, signal, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.intervals import NORMAL_95
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.levels import LINE_IN_NOISE, SLOW_NOISE
-from adis_gonio.fitting.allan.noise_processes import KINDS, line, ordinate_variances, variances
+from adis_gonio.base.uncertainty import LINE_IN_NOISE, NORMAL_95, SLOW_NOISE
+from adis_gonio.fitting.allan.noise_processes import line, ordinate_variances, variances
 
 MOST = 12
 _LOWEST = 24
-"""Cycles a record below which a line cannot be told from slow noise."""
+"""Fewest cycles per record of a sinusoid that can be separated from slow noise."""
 _WIDTH = 48
-"""Ordinates on either side from which the level is taken."""
+"""Ordinates on either side that give the level of the noise."""
 _LEAKS = 4
-"""Ordinates on either side that a line reaches behind Hann's window."""
+"""Ordinates on either side into which a sinusoid leaks behind Hann's window."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class SpectralLine(JsonRecord):
     Attributes
     ----------
     frequency_hz : float
-        As it is sampled: a vibration above half of the rate shows as its alias.
+        Frequency after sampling: a vibration above half of the rate appears as its alias.
     amplitude : float
         In the unit of the samples, behind the sensor's filter.
     """
@@ -52,17 +52,17 @@ class SpectralLine(JsonRecord):
     amplitude: float
 
 
-def without_lines(
+def subtract_sinusoids(
     record: Floats, period_s: float, highest: float
 ) -> tuple[Floats, list[SpectralLine], NDArray[np.intp]]:
-    """The record without its sinusoids, those, and the DCT-II ordinates about them.
+    """Subtract the sinusoids of a record; return the rest, the sinusoids and the ordinates around them.
 
     Parameters
     ----------
     record : (n,) float
-        Without a line.
+        Without its linear slope.
     highest : float
-        Cycles a sample up to which sinusoids are looked for.
+        Highest frequency of a sinusoid in cycles per sample.
     """
     found: list[SpectralLine] = []
     masked: list[NDArray[np.intp]] = []
@@ -72,7 +72,7 @@ def without_lines(
         if peak is None:
             break
         place, ratio = peak
-        record, amplitude = _taken_off(record, place)
+        record, amplitude = _subtract_sinusoid(record, place)
         reach = _LEAKS + int(min(math.sqrt(ratio) / 16, len(record) / 256))
         middle = round(place)
         taken[max(0, middle - reach) : middle + reach + 1] = True
@@ -82,7 +82,7 @@ def without_lines(
 
 
 def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[float, float] | None:
-    """Cycles a record of the strongest line, and how far it stands above the noise."""
+    """Cycles per record of the strongest sinusoid, and its ratio to the noise; None without any."""
     n = len(record)
     last = int(highest * n)
     if last - _LOWEST < 4 * _WIDTH:
@@ -90,12 +90,13 @@ def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[flo
     lines = fft.rfft(record * signal.windows.hann(n, sym=False))[: last + 2]
     power = lines.real**2 + lines.imag**2
     level = _level(power[_LOWEST:last])
-    # What is left of a line that was taken off does not count again.
+    # The rest of a subtracted sinusoid does not count again.
     ratio = np.where(taken[_LOWEST:last], 0.0, power[_LOWEST:last] / level)
     at = int(ratio.argmax())
-    # Exponential about its level, which is the mean of some ninety neighbours.
+    # The power is exponential around its level, the mean of about ninety neighbours.
     if ratio[at] < 1.35 * math.log(len(ratio) / LINE_IN_NOISE):
         return None
+    # Frequency between two ordinates by the ratio of their amplitudes behind Hann's window.
     k = at + _LOWEST
     side = 1 if power[k + 1] > power[k - 1] else -1
     towards = math.sqrt(power[k + side] / power[k])
@@ -103,31 +104,32 @@ def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[flo
 
 
 def _level(power: Floats) -> Floats:
-    """Level of the noise at each ordinate: the higher one of the medians on both sides, as a mean."""
+    """Level (mean) of the noise at each ordinate: the higher one of the medians on both sides."""
     step = _WIDTH // 4
+    # Medians over four cells of `step` ordinates; the median of exponential noise is ln 2 times its mean.
     cells = power[: len(power) // step * step].reshape(-1, step)
-    medians = np.median(np.lib.stride_tricks.sliding_window_view(cells, 4, axis=0), axis=(1, 2)) / math.log(
-        2
-    )
+    windows = np.lib.stride_tricks.sliding_window_view(cells, 4, axis=0)
+    medians = np.median(windows, axis=(1, 2)) / math.log(2)
     cell = np.minimum(np.arange(len(power)) // step, len(cells) - 1)
     before = np.clip(cell - 4, 0, len(medians) - 1)
     after = np.clip(cell + 1, 0, len(medians) - 1)
-    # On a slope (the filter's, slow noise) the higher side counts.
+    # On a slope (of the filter, of slow noise) the higher side counts.
     level: Floats = np.maximum(np.maximum(medians[before], medians[after]), 1e-300)
     return level
 
 
-def _taken_off(record: Floats, place: float) -> tuple[Floats, float]:
+def _subtract_sinusoid(record: Floats, place: float) -> tuple[Floats, float]:
     phase = 2 * np.pi * place / len(record) * np.arange(len(record))
+    # Least squares of cosine and sine at this frequency.
     columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
     values = np.linalg.solve(columns.T @ columns, columns.T @ record)
     return np.asarray(record - columns @ values, np.float64), float(np.hypot(*values))
 
 
 SINGLES = 64
-"""Lowest ordinates that stand by themselves."""
+"""Number of the lowest ordinates, which are bins of one."""
 _RELATIVE, _ABSOLUTE = 1 / 32, 1 / 1024
-"""Widest bin: a part of its frequency, and in cycles a sample."""
+"""Widest bin: relative to its frequency, and in cycles per sample."""
 _POINTS = 16
 """Ordinates of a bin at which its densities are computed."""
 
@@ -139,18 +141,18 @@ class Ordinates:
     Attributes
     ----------
     frequency : (b,) float
-        Highest frequency of each bin in cycles a sample.
+        Highest frequency of each bin in cycles per sample.
     weight : (b,) float
         Number of ordinates.
     power : (b,) float
         Mean of their squares.
     shapes : (b, 4) float
-        Mean variance per squared coefficient of each of `processes.KINDS`.
+        Mean variance per squared coefficient of each of `noise_processes.KINDS`.
     rounding : (b,) float
         Mean variance of the converter's rounding.
     lines : tuple of (first, ordinate, line)
-        For each record: the bin of its first single ordinate, the (s,) single ordinates as they are, and
-        those of a line of slope 1 a sample.
+        For each record: the bin of its first single ordinate, the (s,) single ordinates, and the ordinates
+        of a line of slope 1 per sample.
     """
 
     frequency: Floats
@@ -160,28 +162,27 @@ class Ordinates:
     rounding: Floats
     lines: tuple[tuple[int, Floats, Floats], ...]
 
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Arrays with one row per bin, by name."""
+        return {name: value for name, value in vars(self).items() if name != "lines"}
+
     def below(self, frequency: float) -> Ordinates:
-        """The same without the bins above a frequency; the line is known from the lowest ones."""
+        """Leave out the bins above a frequency; the lowest bins determine the line."""
         chosen = self.frequency <= frequency
         place = np.cumsum(chosen) - 1
         lines = []
         for first, ordinate, slope in self.lines:
             kept = int(chosen[first : first + len(ordinate)].sum())
             lines.append((int(place[first]), ordinate[:kept], slope[:kept]))
-        return Ordinates(
-            self.frequency[chosen],
-            self.weight[chosen],
-            self.power[chosen],
-            self.shapes[chosen],
-            self.rounding[chosen],
-            tuple(lines),
-        )
+        columns = {name: column[chosen] for name, column in self.columns.items()}
+        return Ordinates(lines=tuple(lines), **columns)
 
 
 def ordinates(
     record: Floats, filter_m: int, period_s: float, rounding: Floats, masked: NDArray[np.intp]
 ) -> Ordinates:
-    """Ordinates of a record whose line has been taken off.
+    """Ordinates of a record without its linear slope.
 
     Parameters
     ----------
@@ -198,6 +199,7 @@ def ordinates(
     kept = np.ones(n - 1, dtype=bool)
     kept[masked[(masked >= 1) & (masked < n)] - 1] = False
     square = np.where(kept, lines**2, 0.0)
+    # Sums over the ordinates of each bin.
     weight = np.add.reduceat(kept.astype(np.float64), starts - 1)
     power = np.add.reduceat(square, starts - 1) / np.maximum(weight, 1.0)
     rounded = grid.mean(ordinate_variances(rounding, n, grid.points))
@@ -210,35 +212,29 @@ def ordinates(
 
 
 def together(parts: list[Ordinates]) -> Ordinates:
-    """Ordinates of several records as one."""
+    """Combine the ordinates of several records."""
     lines, at = [], 0
     for part in parts:
         lines += [(first + at, ordinate, slope) for first, ordinate, slope in part.lines]
         at += len(part.weight)
-    return Ordinates(
-        np.concatenate([part.frequency for part in parts]),
-        np.concatenate([part.weight for part in parts]),
-        np.concatenate([part.power for part in parts]),
-        np.concatenate([part.shapes for part in parts]).reshape(-1, len(KINDS)),
-        np.concatenate([part.rounding for part in parts]),
-        tuple(lines),
-    )
+    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
+    return Ordinates(lines=tuple(lines), **columns)
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """What the bins of records of one length have in common, whatever was recorded.
+    """Bins of records of one length and their shapes, which do not depend on the data.
 
     Attributes
     ----------
     starts : (b,) int
         First ordinate of each bin.
     highest : (b,) float
-        Highest frequency in cycles a sample.
+        Highest frequency in cycles per sample.
     points : (p,) float
-        Ordinates at which densities are computed, `_POINTS` a bin at most.
+        Ordinates at which densities are computed, `_POINTS` per bin at most.
     first, count : (b,) int
-        A bin's first point, and how many it has.
+        First point and number of points of a bin.
     shapes : (b, 4) float
     """
 
@@ -256,11 +252,12 @@ class _Grid:
 
 @lru_cache(maxsize=8)
 def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
-    """Axes, and most dwells of a session, are of one length."""
+    # Axes, and most dwells of a session, have one length.
     starts, stops = _bins(n)
     count = np.minimum(_POINTS, stops - starts)
     first = np.cumsum(count) - count
     owner = np.repeat(np.arange(len(starts)), count)
+    # Evenly spaced points within each bin.
     step = np.arange(len(owner)) - first[owner]
     points = starts[owner] + (step + 0.5) / count[owner] * (stops - starts)[owner] - 0.5
     shapes = np.add.reduceat(variances(filter_m, n, points, period_s), first, axis=0) / count[:, None]
@@ -268,7 +265,7 @@ def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
 
 
 def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First ordinate of each bin, and the one after its last."""
+    """First ordinate of each bin, and the ordinate after its last one."""
     edges = list(range(1, min(SINGLES, n - 1) + 1))
     at = edges[-1] + 1
     while at < n:
@@ -285,7 +282,7 @@ _CELLS, _LEAST_CELL = 24, 16
 
 @dataclass(frozen=True)
 class Profile:
-    """What the likelihood says of one coefficient (not squared).
+    """Likelihood of one coefficient (not squared).
 
     Attributes
     ----------
@@ -294,11 +291,11 @@ class Profile:
     u : float
         By the Fisher information; nan at zero.
     low, high : float
-        Profile-likelihood interval of 95 %; `low` is 0 where the coefficient may be absent.
+        Profile-likelihood interval of 95 %; `low` is 0 if the coefficient may be absent.
     p_value : float
-        That it is absent.
+        Probability of such data if the coefficient is absent.
     detectable : float
-        Coefficient that this record would have shown with 90 % power.
+        Coefficient that this record shows with 90 % power.
     """
 
     value: float
@@ -315,7 +312,7 @@ class Profile:
 
     @property
     def dof(self) -> float:
-        """Effective degrees of freedom of a standard deviation that is known so well."""
+        """Effective degrees of freedom of a standard deviation with this uncertainty."""
         return self.value**2 / (2 * self.u**2) if self.u > 0 else math.nan
 
 
@@ -325,9 +322,9 @@ class Likelihood:
     Parameters
     ----------
     data : Ordinates
-        Bins without ordinates are left out by their weight.
+        The weight of an empty bin is 0.
     without : collection of int
-        Indices of coefficients that the model does not have.
+        Indices of coefficients that the model lacks.
     """
 
     def __init__(self, data: Ordinates, without: Collection[int] = ()) -> None:
@@ -344,14 +341,18 @@ class Likelihood:
             np.maximum(self._data.shapes @ theta + self._data.rounding, self._least), np.float64
         )
 
+    def _lines(self, v: Floats) -> Iterator[tuple[slice, Floats, Floats, float, float]]:
+        """Of each record: single bins, squares and products of the line by variance v, and their sums."""
+        for first, c, d in self._data.lines:
+            here = slice(first, first + len(c))
+            square, product = d**2 / v[here], c * d / v[here]
+            yield here, square, product, float(np.sum(square)), float(np.sum(product))
+
     def deviance(self, theta: Floats) -> float:
-        """−2 log likelihood less a constant."""
-        data = self._data
+        """−2 log likelihood up to a constant."""
         v = self.expected(theta)
-        total = float(data.weight @ (np.log(v) + data.power / v))
-        for first, c, d in data.lines:
-            own = v[first : first + len(c)]
-            a, b = float(np.sum(d**2 / own)), float(np.sum(c * d / own))
+        total = float(self._data.weight @ (np.log(v) + self._data.power / v))
+        for _, _, _, a, b in self._lines(v):
             if a > 0:
                 total += math.log(a) - b**2 / a
         return total
@@ -363,24 +364,23 @@ class Likelihood:
         relative = data.shapes / v[:, None]
         slope = relative.T @ (data.weight * (1 - data.power / v))
         information = relative.T @ (data.weight[:, None] * relative)
-        for first, c, d in data.lines:
-            here = slice(first, first + len(c))
-            own, shape = v[here], relative[here]
-            a, b = float(np.sum(d**2 / own)), float(np.sum(c * d / own))
+        for here, square, product, a, b in self._lines(v):
             if a <= 0:
                 continue
-            da, db = -shape.T @ (d**2 / own), -shape.T @ (c * d / own)
+            # Derivatives of ln a − b²/a, the REML term of the record's line.
+            shape = relative[here]
+            da, db = -shape.T @ square, -shape.T @ product
             slope += da / a - 2 * b * db / a + b**2 * da / a**2
-            information += -2 * shape.T @ ((d**2 / own)[:, None] * shape) / a + np.outer(da, da) / a**2
+            information += -2 * shape.T @ (square[:, None] * shape) / a + np.outer(da, da) / a**2
         return slope, information / 2
 
     def maximum(self, start: Floats, fixed: dict[int, float] | None = None) -> tuple[Floats, float]:
-        """θ (4,) ≥ 0 of the largest likelihood and its deviance; projected Fisher scoring.
+        """θ (4,) ≥ 0 of the largest likelihood and its deviance, by projected Fisher scoring.
 
         Parameters
         ----------
         fixed : dict
-            Coefficients that are held, by index.
+            Values of fixed coefficients, by index.
         """
         held = fixed or {}
         theta = np.where(self._has, np.maximum(start, 0.0), 0.0)
@@ -403,6 +403,7 @@ class Likelihood:
     def _step(self, slope: Floats, information: Floats, free: np.ndarray) -> Floats:
         step = np.zeros(len(slope))
         scale = self.scale[free]
+        # Scaled Newton step by the expected information of the free coefficients.
         inner = information[np.ix_(free, free)] * np.outer(scale, scale)
         step[free] = -scale * (np.linalg.pinv(inner, rcond=1e-13) @ (slope[free] * scale)) / 2
         return step
@@ -417,14 +418,15 @@ class Likelihood:
         return theta, best
 
     def best(self) -> tuple[Floats, float]:
-        """The largest likelihood from several starts."""
+        """Maximum of the likelihood from several starts."""
         white = np.array([0.0, self.scale[1], 0.0, 0.0])
+        # White noise alone, a little slow noise, and all processes alike.
         starts = [white + share * self.scale * [0.0, 0.0, 1.0, 1.0] for share in (0.0, 0.01)]
         starts.append(self.scale / 4)
         return min((self.maximum(start) for start in starts), key=lambda found: found[1])
 
     def u_squared(self, theta: Floats, index: int) -> float:
-        """Standard uncertainty of θ[index] by the Fisher information, beside what is not zero."""
+        """Standard uncertainty of θ[index] by the Fisher information of all coefficients above zero."""
         _, information = self.slope_and_information(theta)
         with_it = (theta > 0) | (np.arange(len(theta)) == index)
         scale = np.where(with_it, self.scale, 0.0)
@@ -432,23 +434,19 @@ class Likelihood:
         return float(scale[index] * math.sqrt(max(inverse[index, index], 0.0)))
 
     def slopes(self, theta: Floats) -> list[tuple[float, float]]:
-        """Slope of each record's line a sample, and its standard uncertainty."""
-        v, found = self.expected(theta), []
-        for first, c, d in self._data.lines:
-            own = v[first : first + len(c)]
-            a = float(np.sum(d**2 / own))
-            found.append((float(np.sum(c * d / own)) / a, 1 / math.sqrt(a)) if a > 0 else (0.0, math.inf))
-        return found
+        """Slope of each record's line per sample, and its standard uncertainty."""
+        sums = [(a, b) for _, _, _, a, b in self._lines(self.expected(theta))]
+        return [(b / a, 1 / math.sqrt(a)) if a > 0 else (0.0, math.inf) for a, b in sums]
 
     def adequacy(self, theta: Floats) -> float:
-        """Chance of a spectrum that is so far off the model, by the deviance of cells of ordinates."""
+        """Probability of a spectrum this far from the model, by the deviance of cells of ordinates."""
         data = self._data
         v = self.expected(theta)
         order = np.argsort(data.frequency, kind="stable")
         weight, ratio = data.weight[order], (data.power / v)[order]
         filled = np.cumsum(weight)
         width = max(float(filled[-1]) / _CELLS, _LEAST_CELL)
-        # Half of the cells by equal numbers, half by octaves of it, so that slow noise has its own.
+        # Half of the cells have equal numbers of ordinates, half are octaves, so that slow noise has cells.
         edges = np.concatenate([np.arange(1, _CELLS) * width, _LEAST_CELL * 2.0 ** np.arange(_CELLS)])
         edges = np.unique(edges[edges < filled[-1] - _LEAST_CELL])
         cuts = np.unique(np.concatenate([[0], np.searchsorted(filled, edges) + 1]))
@@ -463,7 +461,7 @@ class Likelihood:
 
 
 def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> Profile:
-    """What the likelihood says of one coefficient at its maximum `theta` of deviance `least`."""
+    """Profile the likelihood of one coefficient around its maximum `theta` of deviance `least`."""
     absent, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
     ratio = max(deviance - least, 0.0)
     p_value = 0.5 * float(stats.chi2.sf(ratio, 1)) if theta[index] > 0 else 1.0
@@ -471,18 +469,15 @@ def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> 
     sigma = math.sqrt(theta[index])
     u = u_squared / (2 * sigma) if sigma > 0 else math.nan
     dof = max(sigma**2 / (2 * u**2), 1.0) if sigma > 0 else 1.0
-    # A likelihood ratio of few degrees of freedom is larger than χ² by the mean of ln χ² (Bartlett).
+    # With few degrees of freedom the likelihood ratio exceeds χ² by the mean of ln χ² (Bartlett).
     limit = NORMAL_95**2 * (1 + 1 / (3 * dof))
 
     def beyond(squared: float) -> float:
-        at = theta.copy()
-        return likelihood.maximum(at, {index: squared})[1] - least - limit
+        return likelihood.maximum(theta, {index: squared})[1] - least - limit
 
     top = theta[index] + NORMAL_95 * max(u_squared, 1e-12 * likelihood.scale[index])
     high = _root_above(beyond, max(theta[index], 0.0), top)
-    low = 0.0
-    if p_value < SLOW_NOISE:
-        low = _root_below(beyond, float(theta[index]))
+    low = _root_below(beyond, float(theta[index])) if p_value < SLOW_NOISE else 0.0
     return Profile(
         value=sigma,
         u=u,
@@ -511,9 +506,10 @@ def _root_below(beyond: Callable[[float], float], top: float) -> float:
 
 
 def _detectable(likelihood: Likelihood, absent: Floats, index: int) -> float:
-    """Coefficient that would be claimed in nine of ten such records."""
+    """Coefficient that nine of ten such records show."""
     at = absent.copy()
     without = likelihood.u_squared(at, index)
+    # The uncertainty depends on the size, so iterate.
     size = (NORMAL_95 + _POWER_90) * without
     for _ in range(8):
         at[index] = size

@@ -1,18 +1,19 @@
-"""`Fit`: a model at some values on some readings, with all that follows from it.
+"""`Fit`: a model with parameter values and readings, and every quantity derived from them.
 
 Base parameters and terms are fitted together; attitudes (the deviation δ ~ N(0, σ_f²) of a declared angle
 in the plane, any unit vector in space) are nuisance parameters, eliminated dwell by dwell: with C = L Lᵀ
-the covariance of a reading and t its tangent, rows are whitened by (I − β û ûᵀ) L⁻¹, û ∥ L⁻¹ t,
-β = 1 − (1 + σ_f² |L⁻¹ t|²)^(−1/2), which is the inverse root of C + σ_f² t tᵀ and, for σ_f → ∞, the
-projection that leaves nothing along t. σ_f = 0 is least squares with declared angles, σ_f = ∞ the fit of an
-ellipse: limits without a case of their own.
+the covariance of a reading and t its tangent, rows are whitened by (I − β û ûᵀ) L⁻¹, û ∥ L⁻¹ t, β = 1 − (1
++ σ_f² |L⁻¹ t|²)^(−1/2), which is the inverse root of C + σ_f² t tᵀ and, for σ_f → ∞, the projection that
+removes the direction t. σ_f = 0 is least squares with declared angles, σ_f = ∞ the fit of an ellipse;
+neither limit needs special code.
 
-Noise that dwells share (1/f noise, F = Φ Φᵀ over all readings) leaves the rows so whitened with the
-covariance 1 + A Aᵀ, A = W Φ. Its symmetric inverse root 1 − A g(Aᵀ A) Aᵀ, g(λ) = 1/(r (r + 1)) with
-r = √(1 + λ), is applied to them, which of all roots changes rows least: a row still belongs to its dwell.
+With noise that dwells share (1/f noise, F = Φ Φᵀ over all readings), rows whitened in this way have the
+covariance 1 + A Aᵀ, A = W Φ. They are multiplied by its symmetric inverse root 1 − A g(Aᵀ A) Aᵀ,
+g(λ) = 1/(r (r + 1)) with r = √(1 + λ). This root changes the rows less than any other root, so that a row
+still belongs to its dwell.
 
-Rotations that are known between poses in space add two rows a link (`estimation.links`), and modes of
-their own to Φ.
+Known rotations between poses in space add two rows for each link (`estimation.links`), and their own modes
+to Φ.
 
 Cost is linear in the number of dwells.
 """
@@ -31,19 +32,19 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.estimation.links import LinkRows
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term, Where, side_by_side
+from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term, Where, join_columns
 from adis_gonio.model.measurement import Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_G
 
 NAMELESS_SPREAD = 0.1
-"""Prior standard deviation of an amplitude without a name, in `Measurement.full` (100 mg; 100 mrad at the
-angle): where time and the position before run together, their difference and a gain of twenty would
-cancel."""
+"""Prior standard deviation of an unnamed amplitude, in `Measurement.full` (100 mg; 100 mrad for an angle).
+If time and the previous position are collinear, their difference and a gain of twenty would cancel without
+it."""
 _DAMPING = (1.0, 0.5, 0.2, 0.05, 0.01)
 _RUN_AWAY = 1e100
-"""Slope whose square is on the way out of the numbers that there are."""
+"""Slopes above this would overflow when squared."""
 _LEAST_GAIN = 1e-6
-"""Fall of χ² at which a refit has converged."""
+"""Decrease of χ² below which a refit has converged."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Values:
     base : (p,) float
         Base parameters in the order of `Measurement.parameters`, natural units.
     attitude : (n, …) float
-        Of each dwell, as the measurement has it.
+        Attitude of each dwell, in the form of the measurement.
     terms : tuple of (q,) float
         Values of each term.
     """
@@ -72,17 +73,17 @@ class Values:
 
 @dataclass(frozen=True)
 class Fit:
-    """A model at some values on some readings.
+    """A model with parameter values, on readings.
 
     Attributes
     ----------
     data : Readings
     terms : tuple of Term
-        What stands beside the base model.
+        Terms that are added to the base model.
     values : Values
     with_prior : bool
-        True where base parameters and nameless amplitudes are held near what parts can have: few positions
-        leave directions undetermined in which a fit would run to gains of twenty.
+        True if a prior keeps base parameters and unnamed amplitudes near values that sensors have. With few
+        positions some directions are undetermined, and a fit without a prior would run to gains of twenty.
     """
 
     data: Readings
@@ -94,14 +95,14 @@ class Fit:
 
     @classmethod
     def begin(cls, data: Readings, *, with_prior: bool = True) -> Fit:
-        """The base model at rough values, not yet refitted."""
+        """Base model at starting values, not yet refitted."""
         base, attitude = data.model.begin(
             data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions
         )
         return cls(data, (), Values(base, attitude), with_prior)
 
-    def having(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
-        """The same with other terms at the values (q,) of each."""
+    def with_terms(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
+        """Copy with these terms, at the values (q,) given for each."""
         return replace(self, terms=tuple(terms), values=replace(self.values, terms=tuple(values)))
 
     def value_of(self, term: Term) -> Floats:
@@ -109,7 +110,7 @@ class Fit:
         return self.values.terms[self.terms.index(term)]
 
     def slice_of(self, index: int) -> slice:
-        """Where the values of a term stand among the parameters."""
+        """Slice of the parameters that holds the values of a term."""
         start = len(self.values.base) + sum(len(own) for own in self.values.terms[:index])
         return slice(start, start + len(self.values.terms[index]))
 
@@ -117,7 +118,7 @@ class Fit:
 
     @cached_property
     def turn_rad(self) -> Floats:
-        """Angle (n,) by which the stage has turned the part, effects of the stage among it."""
+        """Angle (n,) by which the stage has turned the part, including effects of the stage."""
         turn = self.data.turn_rad
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if term.enters_angle:
@@ -126,7 +127,7 @@ class Fit:
 
     @cached_property
     def ideal(self) -> Floats:
-        """What the axes should read (n, axes), gain and misalignment in it."""
+        """Ideal readings (n, axes), including gain and misalignment."""
         return self.data.model.ideal(self.values.base, self.values.attitude, self.turn_rad)
 
     @cached_property
@@ -136,11 +137,11 @@ class Fit:
 
     @cached_property
     def predicted(self) -> Floats:
-        """Prediction (n, axes) at the attitudes."""
+        """Predicted readings (n, axes) at the fitted attitudes."""
         return self._predicted(self.ideal)
 
     def _predicted(self, ideal: Floats) -> Floats:
-        """Prediction (n, axes) where the axes should read `ideal` (n, axes)."""
+        """Predicted readings (n, axes) for ideal readings (n, axes)."""
         predicted = ideal
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if not term.enters_angle:
@@ -153,13 +154,22 @@ class Fit:
         return self.data.mean - self.predicted
 
     @cached_property
-    def left(self) -> Floats:
-        """The same with the attitudes' own part added back, so that it belongs to declared angles."""
+    def declared_misfit(self) -> Floats:
+        """Misfit (n, axes) plus the part of the attitude deviations: the misfit at declared angles."""
         deviation = self.data.model.deviation_rad(self.values.attitude)
         return self.misfit + (self.tangent @ deviation[:, :, None])[:, :, 0]
 
+    @cached_property
+    def gravity(self) -> Floats:
+        """Gravity (n, axes) that the calibrated sensor computes from each reading alone."""
+        added = np.zeros(self.data.mean.shape)
+        for index, term in enumerate(self.terms):
+            if not term.enters_angle:
+                added = added + self.added(index)
+        return self.data.model.calibrated(self.values.base, self.data.mean - added)
+
     def added(self, index: int) -> Floats:
-        """What a term adds to the readings (n, axes), to first order where it turns the part."""
+        """Contribution of a term to the readings (n, axes), to first order if the term turns the part."""
         term, own = self.terms[index], self.values.terms[index]
         added = term.added(own, self.ideal, self.data.conditions)
         return self.as_readings(term, added[..., None])[:, :, 0]
@@ -168,13 +178,13 @@ class Fit:
 
     @cached_property
     def whitener(self) -> Floats:
-        """What whitens a reading dwell by dwell, (n, rows, axes)."""
+        """Whitening matrix (n, rows, axes) of each dwell."""
         root = self.data.own_root
         along = root @ self.tangent
         if along.shape[2] == 0:
             return root
         if along.shape[2] == 2:
-            # One direction is left: across both whitened tangents.
+            # With two unknown attitude angles one direction remains: normal to both whitened tangents.
             normal = np.cross(along[:, :, 0], along[:, :, 1])
             normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
             return normal[:, None, :] @ root
@@ -182,50 +192,53 @@ class Fit:
         size = np.linalg.norm(along, axis=1, keepdims=True)
         unit = along / np.maximum(size, 1e-300)
         if self.data.free:
+            # A free angle uses up the direction of the tangent: keep only the direction across it.
             across = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
             return across[:, None, :] @ root
         with np.errstate(divide="ignore"):
+            # Shrink the direction of the tangent by the variance of the declared angle (module docstring).
             beta = 1 - 1 / np.sqrt(1 + (self.data.fixture[:, None] * size) ** 2)
-        whitening: Floats = root - (beta * unit)[:, :, None] * (unit[:, None, :] @ root)
-        return whitening
+        return np.asarray(root - (beta * unit)[:, :, None] * (unit[:, None, :] @ root))
 
     @cached_property
     def link_rows(self) -> LinkRows | None:
-        """Rows of the links between poses, at the attitudes; None without any."""
+        """Rows of the links between poses, at the attitudes; None if there are no links."""
         if self.data.links is None:
             return None
         return LinkRows.at(self.data.links, self.values.attitude, self.tangent, self.data.own_root)
 
     @cached_property
     def modes(self) -> Floats | None:
-        """What each mode of unit variance adds to rows (rows, k) that share it, these otherwise white.
+        """Contribution of each shared mode of unit variance to the whitened rows, (rows, k).
 
-        Those of the readings' 1/f noise, then those of the links' gyros.
+        The modes of the readings' 1/f noise come first, then the modes of the links' gyros.
         """
         slow, links = self.data.slow, self.link_rows
         found = [] if slow is None or not slow.shape[2] else [self._own(slow)]
         if links is not None:
             own = links.modes
+            # Modes of the gyros do not act on the rows of dwells, which come first.
             rest = np.zeros((len(self.data) * self.whitener.shape[1], own.shape[1]))
             found.append(np.concatenate([rest, own]))
         return np.concatenate(found, axis=1) if found else None
 
     @cached_property
     def _shared(self) -> tuple[Floats, Floats] | None:
-        """A (rows, k) and the middle V g(λ) Vᵀ (k, k), with Aᵀ A = V λ Vᵀ."""
+        """Matrix A (rows, k), and V g(λ) Vᵀ (k, k) with Aᵀ A = V λ Vᵀ."""
         rows = self.modes
         if rows is None:
             return None
         values, vectors = np.linalg.eigh(rows.T @ rows)
+        # g(λ) = 1/(r (r + 1)) with r = √(1 + λ) gives the symmetric inverse root of 1 + A Aᵀ.
         root = np.sqrt(1 + np.maximum(values, 0.0))
         return rows, (vectors / (root * (root + 1))) @ vectors.T
 
     def white(self, columns: Floats) -> Floats:
-        """Columns (rows, d), whitened, of what stands in readings (n, axes, d): by dwell, then by link."""
+        """Whiten columns of readings (n, axes, d): rows (rows, d) of the dwells, then of the links."""
         return self._without_shared(self._own(columns))
 
     def _own(self, columns: Floats) -> Floats:
-        """The same without what rows share."""
+        """Whitened rows (rows, d) before the modes that rows share are taken into account."""
         whitened = self.white_by_dwell(columns)
         flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns.shape[2])
         links = self.link_rows
@@ -238,44 +251,45 @@ class Fit:
         return flat - rows @ (middle @ (rows.T @ flat))
 
     def white_by_dwell(self, columns: Floats) -> Floats:
-        """The same (n, rows, d) without what dwells share."""
-        whitened: Floats = self.whitener @ columns
-        return whitened
+        """Whitened rows (n, rows, d) of the dwells before shared modes are taken into account."""
+        return np.asarray(self.whitener @ columns)
 
     def by_reading(self, slope: Floats) -> Floats:
         """∂(slopeᵀ · whitened readings)/∂reading, (d, n, axes), of `slope` (rows, d)."""
         slope = self._without_shared(slope)
         of_dwells = len(self.data) * self.whitener.shape[1]
+        # Undo `_own`: split the rows of dwells from the rows of links, and apply the transposed whitener.
         by_dwell = slope[:of_dwells].reshape(len(self.data), -1, slope.shape[1])
         found = np.asarray(np.einsum("nrd,nra->dna", by_dwell, self.whitener))
         links = self.link_rows
         return found if links is None else found + links.by_reading(slope[of_dwells:])
 
     def by_rotation(self, slope: Floats) -> Floats:
-        """The same by the rotation (rad) of each link: (m, 3, d)."""
+        """∂(slopeᵀ · whitened readings)/∂rotation (rad) of each link, (m, 3, d), of `slope` (rows, d)."""
         links = self.link_rows
         assert links is not None
         return links.by_rotation(self._without_shared(slope)[-2 * len(links.links) :])
 
     @cached_property
     def residual(self) -> Floats:
-        """Whitened residual (n, rows); with links flat, theirs behind those of the dwells."""
+        """Whitened residual (n, rows); with links a flat array, first the rows of dwells, then of links."""
         if self.data.links is None:
-            return self.white(self.left[:, :, None]).reshape(len(self.data), -1)
+            return self.white(self.declared_misfit[:, :, None]).reshape(len(self.data), -1)
         return self._without_shared(self.unshared_residual[:, None])[:, 0]
 
     @property
     def unshared_residual(self) -> Floats:
-        """The same, flat, with what rows share in it."""
-        flat = self._own(self.left[:, :, None])[:, 0]
+        """Flat residual (rows,) before the modes that rows share are taken into account."""
+        flat = self._own(self.declared_misfit[:, :, None])[:, 0]
         if self.link_rows is not None:
+            # Links have a misclosure of their own, in addition to the effect of the misfits.
             flat[-2 * len(self.link_rows.links) :] += self.link_rows.residual
         return flat
 
     # -- columns -----------------------------------------------------------------------------------
 
     def as_readings(self, term: Term, columns: Floats) -> Floats:
-        """Columns of a term in readings (n, axes, d), whatever it enters by."""
+        """Columns of a term, of readings or of an angle, as columns of readings (n, axes, d)."""
         if not term.enters_angle:
             return columns
         if not isinstance(self.data.model, PlanarTurn):
@@ -283,13 +297,13 @@ class Fit:
         return self.tangent * columns[:, None, :]
 
     def candidate(self, term: Term) -> Floats:
-        """Columns (n, axes, d) of a term by its amplitudes, at amplitude zero."""
+        """Derivative (n, axes, d) of the readings by the amplitudes of a term, at amplitude zero."""
         return self.as_readings(term, term.columns(self.ideal, self.data.conditions))
 
     def candidates(self, terms: Sequence[Term]) -> tuple[Floats, NDArray[np.intp]]:
-        """The same of many terms side by side (n, axes, P), and how many each has (M,).
+        """Candidate columns of M terms side by side (n, axes, P), and the number of columns of each (M,).
 
-        Nameless terms have the columns of one axis in common.
+        Unnamed terms with the same basis share their columns of an axis, which are computed once.
         """
         conditions = self.data.conditions
         driven = self.data.model.stimulus(self.ideal, conditions)
@@ -303,16 +317,17 @@ class Fit:
                 widths[k] = own.shape[-1]
                 continue
             for axis in term.axes:
+                # Terms that share a basis have equal columns on an axis.
                 key = (id(term.basis), term.where, axis)
                 if key not in of_axis:
                     of_axis[key] = term.on_axis(axis, driven, conditions)
                 blocks.append((axis, of_axis[key]))
                 widths[k] += of_axis[key].shape[-1]
-        return side_by_side(blocks, self.ideal.shape), widths
+        return join_columns(blocks, self.ideal.shape), widths
 
     @cached_property
     def base_columns(self) -> Floats:
-        """∂reading/∂base (n, axes, p); zero for parameters that the dwells do not show."""
+        """∂reading/∂base (n, axes, p); zero for parameters that these dwells do not determine."""
         columns = self.data.model.columns(self.values.base, self.values.attitude, self.turn_rad)
         columns[:, :, ~self.data.visible] = 0.0
         return columns
@@ -327,11 +342,11 @@ class Fit:
 
     @cached_property
     def jacobian(self) -> Floats:
-        """The same whitened, (n·rows, p + q)."""
+        """Whitened `columns`, (rows, p + q)."""
         return self.white(self.columns)
 
     def linear(self) -> tuple[Floats, list[Floats], Floats]:
-        """Whitened base columns (rows, p), those of each term's amplitudes, readings less the base."""
+        """Linear problem: whitened base columns (rows, p), columns of each term, and the target (rows,)."""
         target = self.residual.ravel()
         blocks = []
         for index, (term, own) in enumerate(zip(self.terms, self.values.terms, strict=True)):
@@ -340,7 +355,7 @@ class Fit:
             target = target + self.white(self.added(index)[:, :, None])[:, 0]
         return self.white(self.base_columns), blocks, target
 
-    # -- how well ----------------------------------------------------------------------------------
+    # -- goodness of fit ----------------------------------------------------------------------------------
 
     @property
     def chi2(self) -> float:
@@ -349,7 +364,7 @@ class Fit:
 
     @cached_property
     def equations(self) -> int:
-        """Whitened rows that carry information: an angle without a prior takes one."""
+        """Number of whitened rows with information; an angle without a prior uses up one row."""
         spare = (
             0 if self.data.free else int(np.isinf(self.data.fixture).sum()) * (self.data.model.freedom == 1)
         )
@@ -358,26 +373,26 @@ class Fit:
     @cached_property
     def _half(self) -> Floats:
         """Root (p + q, k) of the covariance."""
+        # Scale columns to unit length first: parameters have different units.
         scaled = self._with_prior(self.jacobian)
         size = np.linalg.norm(scaled, axis=0)
         size[size == 0] = 1.0
         _, s, vt = np.linalg.svd(scaled / size, full_matrices=False)
+        # Directions without information get no variance instead of an infinite one.
         keep = s > 1e-9 * (s[0] if s.size else 1.0)
-        half: Floats = (vt[keep].T / s[keep]) / size[:, None]
-        return half
+        return np.asarray((vt[keep].T / s[keep]) / size[:, None])
 
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (p + q, p + q) of base parameters and values of the terms."""
-        covariance: Floats = self._half @ self._half.T
-        return covariance
+        return np.asarray(self._half @ self._half.T)
 
     @cached_property
     def used(self) -> float:
-        """Degrees of freedom that the parameters use: what a prior holds back is none."""
+        """Effective number of parameters: directions that a prior determines count for less than one."""
         used = float(((self.jacobian @ self._half) ** 2).sum())
         if all(term.prior_sd is None for term in self.terms):
-            used = float(round(used))  # the base's prior is wide: a parameter is either seen or not
+            used = float(round(used))  # the base's prior is wide: a parameter counts fully or not at all
         return used
 
     @property
@@ -389,7 +404,7 @@ class Fit:
 
     @cached_property
     def _prior(self) -> tuple[Floats, Floats]:
-        """Precision 1/σ (p + q,), zero where there is no prior, and centre."""
+        """Prior of each parameter: 1/σ (p + q,), zero for no prior, and centre (p + q,)."""
         model = self.data.model
         spreads = [np.array([parameter.spread for parameter in model.parameters])]
         for term, own in zip(self.terms, self.values.terms, strict=True):
@@ -402,10 +417,9 @@ class Fit:
 
     @cached_property
     def _away(self) -> Floats:
-        """Parameters' distance (p + q,) from the prior's centre in its σ."""
+        """Distance (p + q,) of the parameters from the centre of their prior, in its σ."""
         precision, centre = self._prior
-        away: Floats = precision * (self.values.parameters - centre)
-        return away
+        return np.asarray(precision * (self.values.parameters - centre))
 
     @cached_property
     def loss(self) -> float:
@@ -413,25 +427,25 @@ class Fit:
         return self.chi2 + float((self._away**2).sum())
 
     def _with_prior(self, rows: Floats) -> Floats:
-        """Rows with one more for each prior."""
+        """Rows, and one further row for each prior."""
         precision, _ = self._prior
         return np.concatenate([rows, np.diag(precision)[precision > 0]])
 
     def base_step(self, left: Floats) -> Floats:
-        """Steps (p, k) of the base parameters that fit whitened rows (rows, k) best, their priors kept."""
+        """Least-squares steps (p, k) of the base parameters, with their priors, for rows (rows, k)."""
         count = len(self.values.base)
         held = self._prior[0][:count] > 0
+        # A prior is one further row 1/σ with the target (centre − value)/σ.
         rows = np.concatenate([self.jacobian[:, :count], np.diag(self._prior[0][:count])[held]])
         right = np.concatenate([left, np.repeat(-self._away[:count, None][held], left.shape[1], axis=1)])
         size = np.linalg.norm(rows, axis=0)
         size[size == 0] = 1.0
-        steps: Floats = np.linalg.lstsq(rows / size, right, rcond=1e-9)[0] / size[:, None]
-        return steps
+        return np.asarray(np.linalg.lstsq(rows / size, right, rcond=1e-9)[0] / size[:, None])
 
     # -- refitting ---------------------------------------------------------------------------------
 
     def settled(self, passes: int = 2) -> Fit:
-        """The same with the attitudes that fit its other values best."""
+        """Copy with the attitudes that fit the other values best."""
         data, model = self.data, self.data.model
         freedom = model.freedom
         fixed = data.fixture == 0
@@ -441,17 +455,20 @@ class Fit:
         attitude = self.values.attitude
         for _ in range(passes):
             at = self.values.base, attitude, self.turn_rad
+            # One Gauss–Newton step of each attitude, whitened by the covariance of its reading.
             along = data.root @ model.tangent(*at)
             left = data.root @ (data.mean - self._predicted(model.ideal(*at)))[:, :, None]
             pull = precision[:, None] * model.deviation_rad(attitude)
             if freedom == 1:
                 gram = (along**2).sum(axis=1) + precision[:, None]
                 step = ((along * left).sum(axis=1) - pull) / np.maximum(gram, 1e-300)
+                # An exact declared angle leaves no freedom.
                 step[fixed] = 0.0
             else:
+                # In space each pose has a 2 × 2 system of normal equations.
                 right = (along.transpose(0, 2, 1) @ left)[:, :, 0] - pull
                 gram = along.transpose(0, 2, 1) @ along + precision[:, None, None] * np.eye(freedom)
-                # Where an axis has lost its gain a pose may have but one tangent.
+                # If an axis has no gain, a pose has only one tangent and the matrix is singular.
                 trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
                 gram = gram + (1e-12 * trace + 1e-300) * np.eye(freedom)
                 step = np.linalg.solve(gram, right[:, :, None])[:, :, 0]
@@ -463,20 +480,21 @@ class Fit:
     ) -> Fit:
         """Full nonlinear least squares of base parameters and terms, by Gauss–Newton.
 
-        The dependence of an effect on the ideal reading is left out of the slope, not out of the model, so
-        that steps converge linearly with a factor as small as the effect is against 1 g.
+        The derivative leaves out that an effect depends on the ideal reading; the model does not. Steps
+        therefore converge linearly, with a factor of about the size of the effect over 1 g.
 
         Parameters
         ----------
         tolerance : float
-            Fall of χ² (of a thousandth of χ² where that is more) at which it ends.
+            Decrease of χ² at which the iteration ends; relative to χ²/1000 if that is above 1.
         within : (p + q, k) float, optional
-            Orthonormal directions in which parameters may move; by default all.
+            Orthonormal directions in which parameters may move; all by default.
         """
         fit = self.settled()
         for _ in range(iterations):
             rows = fit._with_prior(fit.jacobian)
             held = fit._prior[0] > 0
+            # Residuals of the readings, then of the priors.
             left = np.concatenate([fit.residual.ravel(), -fit._away[held]])
             if within is not None:
                 rows = rows @ within
@@ -484,10 +502,12 @@ class Fit:
             size[size == 0] = 1.0
             step = np.linalg.lstsq(rows / size, left, rcond=1e-9)[0] / size
             least = tolerance * max(1.0, 1e-3 * fit.loss)
+            # Decrease of χ² that the linear model predicts for this step.
             if left @ left - np.square(left - rows @ step).sum() < least:
-                break  # the step would gain nothing that is seen
+                break  # the expected decrease of χ² is below the tolerance
             if within is not None:
                 step = within @ step
+            # Take the largest of these step lengths that does not increase χ².
             for damping in _DAMPING:
                 trial = fit._tried(damping * step)
                 if trial is not fit and trial.loss <= fit.loss * (1 + 1e-12):
@@ -500,7 +520,7 @@ class Fit:
         return fit
 
     def _tried(self, step: Floats) -> Fit:
-        """The fit after a step; itself where no part has such values: few poses let it run away."""
+        """Fit after a step; the unchanged fit if the step leads to values that no sensor has."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 trial = self._stepped(step).settled()
@@ -517,50 +537,55 @@ class Fit:
             terms.append(term.limited(own, own + step[self.slice_of(index)]))
         base = old.base + step[: len(old.base)]
         if self.with_prior:
+            # With a prior, also keep the parameters within physical bounds.
             base = np.clip(base, [p.low for p in model.parameters], [p.high for p in model.parameters])
         return replace(self, values=Values(base, old.attitude, tuple(terms)))
 
     def again(self, data: Readings) -> Fit:
-        """The same terms fitted anew to other readings; amplitudes that these do not show are zero."""
+        """Refit the same terms to other readings; amplitudes that these do not show are set to zero."""
         values = []
         for term, old in zip(self.terms, self.values.terms, strict=True):
             slopes = term.derivative(old, data.mean, data.conditions)
+            # Amplitudes with columns of zeros on these readings.
             unseen = [k for k in term.amplitude_index(old) if not slopes[..., k].any()]
             own = old.copy()
             own[unseen] = 0.0
             values.append(own)
-        return Fit.begin(data, with_prior=self.with_prior).having(self.terms, values).refit(8)
+        return Fit.begin(data, with_prior=self.with_prior).with_terms(self.terms, values).refit(8)
 
-    # -- dwells that took no part ------------------------------------------------------------------
+    # -- dwells that were not fitted ------------------------------------------------------------------
 
     def on(self, data: Readings) -> Fit:
-        """The same values on other dwells, at the attitudes that suit these best."""
+        """Copy with the same parameters on other dwells, at the attitudes that fit these dwells best."""
         return self._placed_on(data).settled(4)
 
     def _placed_on(self, data: Readings) -> Fit:
         model = data.model
         _, attitude = model.begin(data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions)
         if isinstance(model, PlanarTurn):
+            # Start an undeclared dwell at the angle of its reading, a declared one at its declared angle.
             shown = np.arctan2(data.mean[:, 1], data.mean[:, 0]) - self.values.base[0]
             attitude = np.where(np.isfinite(data.angle_rad), 0.0, shown)
         return replace(self, data=data, values=replace(self.values, attitude=attitude))
 
     def angle_error_rad(self, data: Readings) -> Floats | None:
-        """Angle by the calibrated goniometer minus declared angle (n,); None without declared angles."""
+        """Angle (n,) by the calibrated goniometer minus declared angle; None without declared angles."""
         if not isinstance(data.model, PlanarTurn) or data.conditions.angle_rad is None:
             return None
-        # A stage that stands further on than declared has turned ψ = α − θ the other way.
+        # A stage at a larger angle than declared has turned ψ = α − θ the other way.
         return -self._placed_on(replace(data, fixture_rad=np.inf)).settled(4).values.attitude
 
-    def foresees(self, data: Readings, most: float) -> NDArray[np.bool_]:
-        """Dwells (n,) of others that it predicts to a variance of `most` in units of their noise."""
+    def can_predict(self, data: Readings, most: float) -> NDArray[np.bool_]:
+        """Dwells (n,) of other readings predicted with a variance up to `most`, in units of noise."""
         there = self.on(data)
         rest = self.white_by_dwell(self.columns)
-        return foreseen(rest.reshape(-1, rest.shape[2]), there.white_by_dwell(there.columns), most)
+        return predictable_dwells(
+            rest.reshape(-1, rest.shape[2]), there.white_by_dwell(there.columns), most
+        )
 
 
 def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
-    """p-value of a residual against the noise that was measured within the dwells."""
+    """p-value of χ² by the noise measured within the dwells."""
     from scipy import stats
 
     if dof <= 0:
@@ -571,12 +596,12 @@ def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
 
 
 def nameless_spread(model: Measurement, term: Term) -> float:
-    """Prior standard deviation of the amplitudes of a term without a name, in the term's unit."""
+    """Prior standard deviation of the amplitudes of an unnamed term, in the unit of the term."""
     return NAMELESS_SPREAD * (MG_PER_G if term.enters_angle else model.full)
 
 
 def amplitude_spreads(model: Measurement, terms: Sequence[Term], widths: NDArray[np.intp]) -> Floats:
-    """Prior standard deviation (P,) of each amplitude of terms side by side, of so many each (M,)."""
+    """Prior standard deviation (P,) of the amplitudes of terms with `widths` (M,) columns each."""
     spread = np.repeat([nameless_spread(model, term) for term in terms], widths)
     for term, end in zip(terms, np.cumsum(widths).tolist(), strict=True):
         if isinstance(term, NamedTerm):
@@ -584,19 +609,21 @@ def amplitude_spreads(model: Measurement, terms: Sequence[Term], widths: NDArray
     return spread
 
 
-def foreseen(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:
-    """Dwells (n,) whose rows (n, r, p) the rows (m, p) of others predict to a variance of `most`.
+def predictable_dwells(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:
+    """Dwells (n,) with rows (n, r, p) that rows (m, p) of others predict with a variance up to `most`.
 
-    With X the whitened columns, the prediction of held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
+    With whitened columns X, the prediction of held-out rows has the covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
     units of the noise (Cook and Weisberg, Residuals and Influence in Regression, 1982).
     """
     if not len(rest):
         return np.zeros(len(left), dtype=bool)
+    # Scaled columns, so that the rank of the other rows is judged without units.
     size = np.linalg.norm(rest, axis=0)
     size = np.where(size > 0, size, 1.0)
     _, s, vt = np.linalg.svd(rest / size, full_matrices=False)
     seen = s > 1e-8 * s[0]
     scaled = left / size
     carried = scaled @ (vt[seen].T / s[seen])
+    # Part of a held-out row outside the space of the other rows: such a row cannot be predicted.
     missing = np.abs(scaled - scaled @ vt[seen].T @ vt[seen]).max(axis=2) > 1e-6
     return np.asarray(((1 + (carried**2).sum(axis=2) <= most) & ~missing).all(axis=1))

@@ -1,18 +1,20 @@
-"""Links: what is known of the rotation of the part between two poses, as rows of a `Fit` in space.
+"""Links: known rotations of the part between two poses, as rows of a `Fit` in space.
 
-A pose in space leaves one equation: its attitude u is unknown. Where the rotation Φ from one pose to
-another is known but for a small error ε (`gyros.links`), u' = exp(ε×) Φ u gives two more. With P(u) two
-directions across u and ũ the attitudes that fit the readings best at some parameters, a link's rows are
+A pose in space gives one equation, because its attitude u is unknown. If the rotation Φ from one pose to
+another is known except for a small error ε (`gyros.gyro_links`), u' = exp(ε×) Φ u gives two more. Let P(u)
+be two directions normal to u, and ũ the attitudes that fit the readings best at some parameters. The rows
+of a link are
 
     y = P(ũ')ᵀ (ũ' − Φ ũ) = T' e' − F T e + K ε,    F = P(ũ')ᵀ Φ P(ũ),    K = −P(ũ')ᵀ [Φ ũ]×,
 
-e the noise of both readings and T = (tᵀ C⁻¹ t)⁻¹ tᵀ C⁻¹ what it moves ũ by (t the tangent). T e does not
-correlate with the norm of its own reading, so that links stand beside the rows that a fit has without them.
+with the noise e of both readings, which moves ũ by T e, T = (tᵀ C⁻¹ t)⁻¹ tᵀ C⁻¹ (t is the tangent). T e is
+not correlated with the norm of the reading, so the rows of links are independent of the other rows of a
+fit.
 
-ε is the sum of what is the link's own (noise, zero rate; neighbours share a dwell) and of what the gyros'
-gains, directions and g-sensitivities do to all links, modes of unit variance: a prior, estimated along.
-Covariance of all link rows without the modes is block-tridiagonal, its Cholesky factor a band: cost is
-linear in the number of dwells.
+ε has two parts: the link's own error (noise, zero rate; neighbouring links share a dwell), and the effect
+of the gyros' gains, directions and g-sensitivities on all links. The second part consists of modes of unit
+variance, a prior that is estimated with the fit. The covariance of all link rows without the modes is
+block-tridiagonal and its Cholesky factor is a band, so the cost is linear in the number of dwells.
 """
 
 from __future__ import annotations
@@ -29,22 +31,22 @@ from adis_gonio.model.measurement import across
 
 @dataclass(frozen=True)
 class Links:
-    """Rotations between readings, linearised where the gyros' parameters are taken to be.
+    """Rotations between readings, linearised at assumed parameters of the gyros.
 
     Attributes
     ----------
     before, after : (m,) int
         Rows of the readings, `after` increasing.
     rotation : (m, 3, 3) float
-        Φ: components in the part after the turn, from those before.
+        Φ: takes components in the part before the turn to components after it.
     offset_rad : (m, 3) float
-        Mean of ε: where the prior of the gyros is not where Φ was computed.
+        Mean of ε; not zero if Φ was computed at other parameters than the centre of the gyros' prior.
     own_rad2 : (m, 3, 3) float
-        Covariance of what is the link's own in ε.
+        Covariance of the link's own error in ε.
     next_rad2 : (m, 3, 3) float
-        Covariance of that with the next link's, which begins where this one ends.
+        Covariance of the own error with that of the next link, which begins at the end of this one.
     modes_rad : (m, 3, q) float
-        What each of q independent modes of unit variance adds to ε.
+        Contribution of each of q independent modes of unit variance to ε.
     """
 
     before: NDArray[np.intp]
@@ -60,11 +62,11 @@ class Links:
 
     @cached_property
     def joined(self) -> NDArray[np.bool_]:
-        """Links (m − 1,) that end in the dwell in which the next one begins."""
+        """Links (m − 1,) that end in the dwell in which the next link begins."""
         return np.asarray(self.after[:-1] == self.before[1:])
 
     def only(self, links: NDArray[np.bool_] | NDArray[np.intp]) -> Links:
-        """Some of the links, in their order."""
+        """Select links, in their order."""
         index = np.arange(len(self))[links]
         return Links(
             self.before[index], self.after[index], self.rotation[index], self.offset_rad[index],
@@ -72,7 +74,8 @@ class Links:
         )  # fmt: skip
 
     def rows(self, kept: NDArray[np.intp]) -> Links | None:
-        """Links between the readings that are kept, by their numbers then; None where there are none."""
+        """Links between the kept readings, renumbered; None if there are none."""
+        # New number of each kept reading, −1 for the others.
         place = np.full(max(int(self.after.max()), int(kept.max(initial=0))) + 1, -1, dtype=np.intp)
         place[kept] = np.arange(len(kept))
         before, after = place[self.before], place[self.after]
@@ -82,11 +85,11 @@ class Links:
         return replace(self.only(whole), before=before[whole], after=after[whole])
 
     def moved(self, by_rad: Floats) -> Links:
-        """The same with ε moved by (m, 3)."""
+        """Copy with (m, 3) added to the mean of ε."""
         return replace(self, offset_rad=self.offset_rad + by_rad)
 
     def drawn(self, rng: np.random.Generator) -> Links:
-        """The same with ε moved by its distribution."""
+        """Copy with a random draw of ε added to its mean."""
         own = self._own.lower_times(rng.standard_normal(3 * len(self))).reshape(-1, 3)
         return self.moved(own + self.modes_rad @ rng.standard_normal(self.modes_rad.shape[2]))
 
@@ -113,7 +116,7 @@ class LinkRows:
     estimator : (n, 2, axes) float
         T of each reading, rad per mg.
     misclosure : (m, 2) float
-        y less what the mean of ε explains.
+        y minus the part that the mean of ε explains.
     carried : (m, 2, 2) float
         F.
     turned : (m, 2, 3) float
@@ -144,24 +147,29 @@ class LinkRows:
         whitened = root @ tangent
         gram = whitened.transpose(0, 2, 1) @ whitened
         trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
+        # Covariance of the fitted attitude; a small ridge keeps a pose with one tangent invertible.
         spread = np.linalg.inv(gram + (1e-12 * trace + 1e-300) * np.eye(2))
         estimator = spread @ whitened.transpose(0, 2, 1) @ root
         directions = across(attitude)
         there = directions[after].transpose(0, 2, 1)
+        # Attitude after the turn, carried from before by the gyros.
         came = (links.rotation @ attitude[before][:, :, None])[:, :, 0]
         carried = there @ links.rotation @ directions[before]
         turned = -there @ _crossing(came)
         misclosure = (there @ (attitude[after] - came)[:, :, None])[:, :, 0]
+        # Subtract the expected error of the rotation.
         misclosure = misclosure - (turned @ links.offset_rad[:, :, None])[:, :, 0]
+        # Diagonal blocks: noise of both readings and the own error of the link.
         own = spread[after] + carried @ spread[before] @ carried.transpose(0, 2, 1)
         own = own + turned @ links.own_rad2 @ turned.transpose(0, 2, 1)
+        # Blocks between neighbouring links: the shared dwell and the shared error of the gyros.
         shared = turned[:-1] @ links.next_rad2[:-1] @ turned[1:].transpose(0, 2, 1)
         shared = shared - spread[after[:-1]] @ carried[1:].transpose(0, 2, 1)
         band = Band.of(own, shared * links.joined[:, None, None])
         return cls(links, estimator, misclosure, carried, turned, band)
 
     def white(self, columns: Floats) -> Floats:
-        """Rows (2 m, d), whitened, of what stands in readings (n, axes, d)."""
+        """Whitened rows (2 m, d) of columns of readings (n, axes, d)."""
         moved = self.estimator @ columns
         rows = moved[self.links.after] - self.carried @ moved[self.links.before]
         return self.band.solved(rows.reshape(-1, columns.shape[2]))
@@ -199,11 +207,12 @@ class Band:
 
     @classmethod
     def of(cls, own: Floats, shared: Floats) -> Band:
-        """From the blocks (m, d, d) on the diagonal and those (m − 1, d, d) to the right of them."""
+        """Factor of the blocks (m, d, d) on the diagonal and the blocks (m − 1, d, d) to their right."""
         from scipy.linalg import cholesky_banded
 
         m, d = own.shape[:2]
         band = np.zeros((2 * d, m, d))
+        # Store block-tridiagonal rows in the lower band form of scipy.linalg.
         for i in range(d):
             for j in range(i + 1):
                 band[i - j, :, j] = own[:, i, j]
@@ -220,6 +229,7 @@ class Band:
             return np.asarray(solve_banded((width, 0), self.lower, columns))
         upper = np.zeros_like(self.lower)
         for k in range(width + 1):
+            # Transpose the band: row k of the lower form becomes row width − k of the upper form.
             upper[width - k, k:] = self.lower[k, : self.lower.shape[1] - k]
         return np.asarray(solve_banded((0, width), upper, columns))
 
@@ -232,7 +242,7 @@ class Band:
 
 
 def _crossing(vectors: Floats) -> Floats:
-    """Matrices (n, 3, 3) that take x to vector × x."""
+    """Matrices (n, 3, 3) of the cross product: x ↦ vector × x."""
     x, y, z = vectors.T
     zero = np.zeros(len(vectors))
     return np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)

@@ -1,35 +1,39 @@
-"""Readings: a mean with its covariance, degrees of freedom and conditions, in its measurement's unit.
+"""Readings: the mean of each dwell with its covariance, degrees of freedom and conditions.
 
 The covariance of a reading has three parts.
 
 * *Noise that averaging lowers*: spectral density at zero of the dwell's own samples, divided by their
-  number (`estimation.spectrum`). Dwells whose densities are consistent share one (Bartlett's test at
-  0.1 %), which gives short dwells the degrees of freedom of all; where they are not, each keeps its own.
+  number (`estimation.spectrum`). If the densities of the dwells are consistent (Bartlett's test at 0.1 %),
+  all dwells share one density, which gives short dwells the degrees of freedom of all; otherwise each dwell
+  keeps its own.
 * *Quantization*: with noise of σ before a converter of step q the mean is off by up to
-  (q/π)·exp(−2π²σ²/q²); its variance over all places between two codes is
-  q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², which is q²/12 without noise and nothing at σ > q/2, where the noise
-  dithers and quantization has become part of it.
-* *Bias instability* (1/f noise), which averaging does not lower: from the dwells' lowest frequencies where
-  they show it; else the variant's figure (an estimate: confidence D), but no more than the dwells allow;
-  zero for a sensor without a figure. An Allan deviation s makes the means of N dwells scatter with
-  s²·N ln N / (2 (N − 1) ln 2) (Barnes 1969).
+  (q/π)·exp(−2π²σ²/q²). The variance of this error over all places between two codes is
+  q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², which is q²/12 without noise and negligible at σ > q/2, because then the
+  noise dithers and quantization is part of it.
+* *Bias instability* (1/f noise), which averaging does not lower: from the lowest frequencies of the dwells
+if
+  they show it; otherwise the variant's figure (an estimate: confidence D), limited to the amount that the
+  dwells allow; zero for a sensor without a figure. With an Allan deviation s the means of N dwells scatter
+  with s²·N ln N / (2 (N − 1) ln 2) (Barnes 1969).
 
-Neighbouring dwells share 1/f noise; what they share is kept as modes (`Readings.slow`), one of them the
-constant by which a session differs from one that is measured another day.
+Neighbouring dwells share 1/f noise. The shared part is kept as modes (`Readings.slow`); one mode is the
+constant by which this session differs from a session on another day.
 
-A dwell of one sample is a reading that somebody averaged: `Session.reading_u_mg` is its whole uncertainty.
-Without that it is unknown (`Readings.known`), and a fit estimates it from its residual.
+A dwell of one sample is a reading that was averaged before: `Session.reading_u_mg` is its whole
+uncertainty. Without this key the uncertainty is unknown (`Readings.known`), and a fit estimates it from its
+residual.
 
-Readings in `counts` have neither a known zero nor a known gain: an ellipse or ellipsoid through them gives
-both roughly (`Unit`), so that everything after runs on readings that are nearly in mg.
+Readings in `counts` have neither a known zero nor a known gain. An ellipse or ellipsoid through them gives
+rough values of both (`Unit`), so that all later steps use readings that are nearly in mg.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -37,44 +41,55 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
-from adis_gonio.base.errors import DataError, FitError
-from adis_gonio.base.numbers import name_positions
+from adis_gonio.base.computed_once import ComputedOnce
+from adis_gonio.base.errors import DataError, FitError, UsageError
+from adis_gonio.base.numbers import counted, name_positions
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.estimation.conic import conic_through
-from adis_gonio.fitting.estimation.converter import Converter, converter_of, steps_of
-from adis_gonio.fitting.estimation.flicker import covariance_of_means, modes, scatter_of_means, spans
 from adis_gonio.fitting.estimation.links import Links
-from adis_gonio.fitting.estimation.screening import limits_in_words, refuse_dead_data
-from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means
+from adis_gonio.fitting.estimation.screening import (
+    Converter,
+    converter_of,
+    limit_notes,
+    refuse_dead_data,
+    steps_of,
+)
+from adis_gonio.fitting.estimation.spectrum import (
+    MeanNoise,
+    covariance_of_means,
+    modes,
+    noise_of_means,
+    scatter_of_means,
+    spans,
+)
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
 from adis_gonio.model.records import ACCEL_UNITS, MG_PER_MPS2, Dwell, Session
 
 MOST_SHARED = 2000
-"""Dwells up to which 1/f noise that they share counts between them: beyond, its covariance is too large to
-keep, and of so many readings little is left of it."""
+"""Largest number of dwells for which the covariance of shared 1/f noise is computed. For more dwells the
+matrix is too large, and shared noise is small in the mean of so many readings."""
 HISTORY_POINTS = 2000
 LEAST_TURNING, LEAST_TURN, LEAST_AREA = 4, 0.3, 0.5
-"""Positions, least singular value of their cosines, sines and ones, and area (1 of a good sensor) from
-which the sense of rotation is beyond doubt."""
+"""Least number of positions, singular value of their cosines, sines and ones, and area (1 for a good
+sensor) at which the sense of rotation is certain."""
 OFF_UNIT = 2.0
-"""Factor from 1 g beyond which still readings are in another unit: no sensor's gain is so far off."""
+"""Factor from 1 g beyond which readings at rest are in another unit: no gain of a sensor is so far off."""
 UNEQUAL = 0.5
-"""Relative distance of a reading's length from the median of all, that no bias explains."""
+"""Relative distance of a reading's length from the median length that no bias explains."""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """Where mg lie in the unit of the file's axes.
+    """Conversion from the unit of the file to mg, for each axis.
 
     Attributes
     ----------
     name : str
-        `mg` or `dps` (any unit of known size), or `counts`.
+        `mg` or `dps` for any unit of known size, or `counts`.
     zero, per_mg : (axes,) float
-        File's value at zero, and counts per mg; both rough for counts, 0 and 1 for mg.
+        Value in the file at zero, and counts per mg; both rough for counts, 0 and 1 for mg.
     scale : float
-        By which the file's values are multiplied first: mg per unit where that is known, else 1.
+        Factor that is applied to the values of the file first: mg per unit, or 1 if that is unknown.
     """
 
     name: str
@@ -88,66 +103,66 @@ class Unit:
 
     @property
     def known(self) -> bool:
-        """False for counts, where the zero of an axis is part of the unit."""
+        """False for counts, since their zero and scale are unknown."""
         return self.name != "counts"
 
 
 def in_mg(axes: int, scale: float = 1.0) -> Unit:
-    """Unit of readings whose scale and zero are known."""
+    """Unit of readings with a known scale and zero."""
     return Unit("mg", np.zeros(axes), np.ones(axes), scale)
 
 
 @dataclass(frozen=True)
-class Readings:
-    """One row a dwell.
+class Readings(ComputedOnce):
+    """Readings of a session, one row for each dwell.
 
     Attributes
     ----------
     mean : (n, axes) float
         Mean of each dwell; two columns in a planar session, three in space.
     own_covariance : (n, axes, axes) float
-        Covariance of the means in mg² without what dwells share; where `known` is False a placeholder of
-        1 mg on each axis.
+        Covariance of the means in mg² without the noise that dwells share; if `known` is False a
+        placeholder of 1 mg on each axis.
     dof : (n,) float
-        Degrees of freedom of that covariance; inf where it was stated.
+        Degrees of freedom of that covariance; inf if it was stated.
     known : (n,) bool
-        False where nothing states the uncertainty.
+        False if the uncertainty is unknown.
     angle_rad : (n,) float
-        Declared angle θ; NaN where unknown.
+        Declared angle θ; NaN if unknown.
     conditions : Conditions
-        What surrounded each reading.
+        Conditions of each reading.
     gravity_mg : float
         Local gravity.
     fixture_rad : float
-        Standard uncertainty of a declared angle; inf where attitudes are free, 0 where it is not stated.
+        Standard uncertainty of a declared angle; inf if attitudes are free, 0 if it is not stated.
     fixture_stated : bool
     check : (n,) bool
-        Dwells that take no part in choosing or fitting.
+        Dwells that take no part in the choice of a model or in its fit.
     position, samples : (n,) int
-        Numbers of the dwells in the file, and samples of each.
+        Numbers of the dwells in the file, and their numbers of samples.
     unit : Unit
-        Of the file.
+        Unit of the file.
     slow : (n, axes, k) float or None
-        What each of k independent modes of unit variance adds to the readings: the noise that dwells share
-        (1/f noise). Modes of different axes are independent. None where there is none.
+        Contribution of each of k independent modes of unit variance to the readings: the noise that dwells
+        share (1/f noise). Modes of different axes are independent. None without such noise.
     quantization, flicker : (n, axes) float or None
-        Parts of `own_covariance` that quantization and 1/f noise have; None where there is none.
+        Parts of `own_covariance` from quantization and 1/f noise; None without them.
     flicker_shown : bool
-        True where the dwells show the 1/f noise, False where it is the variant's figure.
+        True if the dwells show the 1/f noise, False if it is the figure of the variant.
     pooled : bool
-        True where the dwells' noise is one estimate, so that `dof` counts once and not for each.
+        True if one estimate of noise serves all dwells, so that `dof` counts once and not for each dwell.
     sensor : str
-        Variant by name, for what its figures say that a session cannot show.
+        Name of the variant, for data-sheet figures that a session cannot show.
     notes : tuple of str
-        What has to be said about the noise.
+        Remarks on the noise, for the result.
     fitted : (p,) bool or None
-        Base parameters that are fitted; None: those that these dwells show. Folds have the session's.
+        Base parameters that are fitted; None: those that these dwells determine. Folds use the session's.
     measurement : Measurement or None
-        What the readings are of; None: a turn in the plane, or poses in space, by their axes.
+        The measured quantity; None: a turn in the plane for two axes, poses in space for three.
     converter : Converter or None
-        What all samples show of it, those of dwells at a limit among them; None without samples.
+        Steps and limits in all samples, including dwells at a limit; None without samples.
     links : Links or None
-        Rotations of the part between poses, by its gyros; None where none is used.
+        Rotations of the part between poses, by its gyros; None if none are used.
     """
 
     mean: Floats
@@ -185,33 +200,32 @@ class Readings:
 
     @property
     def planar(self) -> bool:
-        """True where the plane of rotation is known."""
+        """True if the plane of rotation is known."""
         return isinstance(self.model, PlanarTurn)
 
     @cached_property
     def model(self) -> Measurement:
-        """What the readings are of."""
+        """Model of the measured quantity."""
         if self.measurement is not None:
             return self.measurement
         return PlanarTurn(self.gravity_mg) if self.axes == 2 else FreeAttitude(self.gravity_mg)
 
     @property
     def noise_known(self) -> bool:
-        """True where every reading has an uncertainty."""
+        """True if every reading has an uncertainty."""
         return bool(self.known.all())
 
     @property
     def variance_of_mean(self) -> Floats:
         """Variance (n,) of a reading, the mean over its axes, in unit of readings squared."""
-        mean: Floats = np.trace(self.covariance, axis1=1, axis2=2) / self.axes
-        return mean
+        return np.asarray(np.trace(self.covariance, axis1=1, axis2=2) / self.axes)
 
     @property
     def noise_dof(self) -> float:
         """Degrees of freedom of the noise of all readings together.
 
-        Dwells that share one noise (`pooled`) have its degrees of freedom each; those of dwells that have
-        noise of their own add up.
+        If dwells share one estimate (`pooled`), these are its degrees of freedom; otherwise the sum over
+        the dwells.
         """
         finite = self.dof[np.isfinite(self.dof)]
         if not finite.size:
@@ -220,46 +234,46 @@ class Readings:
 
     @cached_property
     def fixture(self) -> Floats:
-        """Standard uncertainty (n,) of each declared angle in rad; inf where none is declared."""
+        """Standard uncertainty (n,) of each declared angle in rad; inf without a declared angle."""
         declared = np.isfinite(self.angle_rad) if self.planar else np.zeros(len(self), dtype=bool)
         return np.where(declared, self.fixture_rad, np.inf)
 
     @cached_property
     def fixture_precision(self) -> Floats:
-        """Precision (n,) with which a declared angle is known, in rad⁻²; 0 where it is certain or free."""
+        """Precision (n,) of each declared angle in rad⁻²; 0 if the angle is exact or free."""
         certain = self.fixture == 0
         return np.where(certain, 0.0, 1 / np.where(certain, 1.0, self.fixture) ** 2)
 
     @cached_property
     def turn_rad(self) -> Floats:
-        """−θ (n,); 0 where no angle is declared."""
+        """−θ (n,); 0 without a declared angle."""
         return np.where(np.isfinite(self.angle_rad), -self.angle_rad, 0.0)
 
     @property
     def free(self) -> bool:
-        """True where attitudes are unknown and no declared angle carries information."""
+        """True if attitudes are unknown and no declared angle carries information."""
         return self.model.freedom > 0 and bool(np.isinf(self.fixture).all())
 
     @property
     def equations_each(self) -> int:
-        """Equations that a reading gives: one where its attitude is free, else one an axis."""
+        """Equations from one reading: one if its attitude is free, otherwise one for each axis."""
         return 1 if self.free else self.axes
 
     @property
     def by_axis(self) -> bool:
-        """False where only the length of a reading carries information."""
+        """False if only the length of a reading carries information."""
         return self.model.freedom < 2
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
-        """Base parameters (p,) that are fitted; the others stay at their nominal values."""
+        """Base parameters (p,) that are fitted; the others keep their nominal values."""
         if self.fitted is not None:
             return self.fitted
         return self.model.visible(self.mean, np.isfinite(self.fixture))
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance of the means (n, axes, axes) in mg², what dwells share among it."""
+        """Covariance of the means (n, axes, axes) in mg², including the noise that dwells share."""
         if self.slow is None:
             return self.own_covariance
         shared: Floats = (self.slow**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
@@ -276,7 +290,7 @@ class Readings:
         return _inverse_root(self.own_covariance)
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Readings:
-        """Some of the dwells."""
+        """Select dwells."""
         by_dwell = [
             "mean", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples",
         ]  # fmt: skip
@@ -291,10 +305,10 @@ class Readings:
 
     @cached_property
     def training(self) -> Readings:
-        """Dwells that may be fitted, with the base parameters that they show settled for all folds.
+        """Dwells that may be fitted, with the fitted base parameters fixed for all folds.
 
-        If too few of them have a noise to test a model by, the noise of every dwell counts as unknown: one
-        noise for all, estimated from the residual.
+        If too few of these dwells have a known noise for a test of a model, the noise of every dwell counts
+        as unknown: one noise for all is estimated from the residual.
 
         Raises
         ------
@@ -324,13 +338,12 @@ class Readings:
 
     @property
     def checking(self) -> Readings | None:
-        """Dwells that take no part; None without any."""
+        """The `check` dwells; None without them."""
         return self.rows(self.check) if self.check.any() else None
 
 
 def _inverse_root(covariance: Floats) -> Floats:
-    root: Floats = np.linalg.inv(np.linalg.cholesky(covariance))
-    return root
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
 def from_means(
@@ -342,7 +355,7 @@ def from_means(
     fixture_rad: float = 0.0,
     **others: object,
 ) -> Readings:
-    """Readings that somebody else reduced: means (n, axes) in mg with their covariance in mg²."""
+    """Readings from means (n, axes) in mg and their covariance (n, axes, axes) in mg²."""
     n, axes = mean.shape
     angle = conditions.angle_rad
     made = Readings(
@@ -360,14 +373,11 @@ def from_means(
         samples=np.ones(n, dtype=np.intp),
         unit=in_mg(axes),
     )
-    unknown = set(others) - {field.name for field in fields(Readings)}
-    if unknown:
-        raise TypeError(f"readings have no {', '.join(sorted(unknown))}")
     return replace(made, **others)  # type: ignore[arg-type]
 
 
 def _refuse_other_units(session: Session, readings: Readings) -> None:
-    """Raise `DataError` where readings of still poses are nowhere near 1 g: another unit, or no gravity.
+    """Raise `DataError` if readings at rest are far from 1 g: another unit, or no gravity.
 
     Parameters
     ----------
@@ -388,14 +398,14 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
         return
     also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""
     raise DataError(
-        f"{session.source or 'session'}: readings are {length:.3g} g long where 1 g acts: accel_unit "
+        f"{session.source or 'session'}: readings are {length:.3g} g long instead of 1 g: accel_unit "
         f"{session.accel_unit} cannot be right (lsb goes by the sensor, {session.sensor}); state the unit "
-        f"of the file, or counts where it is not known{_as_another(session, length)}{also}"
+        f"of the file, or counts if it is unknown{_as_another(session, length)}{also}"
     )
 
 
 def _as_another(session: Session, length: float) -> str:
-    """The units in which readings `length` g long would be 1 g long, and how to say so."""
+    """Clause that names the units in which readings of `length` g would be 1 g, and the option for it."""
     own = mg_per_unit(session)
     fits = [
         unit
@@ -412,7 +422,7 @@ def _as_another(session: Session, length: float) -> str:
 
 
 def _refuse_reversed(session: Session, readings: Readings) -> None:
-    """Raise `DataError` where the readings turn the other way than the declared angles.
+    """Raise `DataError` if the readings turn the other way than the declared angles.
 
     X follows cos(α − θ) and Y sin(α − θ): with x_c, x_s, y_c, y_s their first harmonics, the sense of
     rotation is the sign of x_s y_c − x_c y_s, which neither gains nor a misalignment below 90° change.
@@ -421,6 +431,7 @@ def _refuse_reversed(session: Session, readings: Readings) -> None:
     if session.plane != "xy" or readings.free or not readings.unit.known or readings.axes != 2:
         return
     theta = readings.angle_rad[rows]
+    # First harmonics of both axes by least squares.
     design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
     if len(theta) < LEAST_TURNING or np.linalg.svd(design, compute_uv=False)[-1] < LEAST_TURN:
         return
@@ -440,7 +451,7 @@ def _refuse_reversed(session: Session, readings: Readings) -> None:
 
 
 def readings_of(session: Session) -> Readings:
-    """Readings of all dwells, `check` dwells among them; reduced once a session and kept with it.
+    """Readings of all dwells, including `check` dwells; computed once for each session.
 
     Raises
     ------
@@ -448,18 +459,19 @@ def readings_of(session: Session) -> Readings:
         All-zero or stuck data, no usable dwell, readings that are not finite or nowhere near 1 g, angles
         that turn the other way.
     """
-    kept: Readings | None = vars(session).get("_readings")  # the session is frozen: it cannot go stale
-    if kept is None:
-        current().tell("noise of the readings")
-        kept = reduced(session)
-        _refuse_other_units(session, kept)
-        _refuse_reversed(session, kept)
-        vars(session)["_readings"] = kept
-    return kept
+    return session.once(_checked_readings)
+
+
+def _checked_readings(session: Session) -> Readings:
+    current().tell("noise of the readings")
+    readings = reduced(session)
+    _refuse_other_units(session, readings)
+    _refuse_reversed(session, readings)
+    return readings
 
 
 def reduced(session: Session) -> Readings:
-    """Readings of all dwells, whatever length they have; see `readings_of`."""
+    """Readings of all dwells without a check of their length; see `readings_of`."""
     source = session.source or "session"
     axes = 2 if session.plane == "xy" else 3
     dwells, converter, notes = _usable(session, axes)
@@ -490,13 +502,13 @@ def reduced(session: Session) -> Readings:
     if many.size:
         rows = [dwells[k].accel[:, :axes] for k in many.tolist()]
         noise = noise_of_means(rows, mg)
-        # A dwell at a limit has steps that are none of the converter's: without such, all are looked at.
+        # Dwells at a limit show other steps than the converter's, so they are left out here.
         steps = steps_of(rows) if converter.spoiled else converter.steps
         quantum = mg * (np.maximum(steps, 1.0) if session.accel_unit == "lsb" else steps)
         flicker = _flicker(session, noise)
         own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
         rounding, level = np.zeros((n, axes)), np.zeros((n, axes))
-        rounding[many], level[many] = left_by_quantization(rows, mg, quantum), own
+        rounding[many], level[many] = quantization_variance(rows, mg, quantum), own
         covariance[many] = noise.covariance + (rounding + level)[many, :, None] * np.eye(axes)
         parts = {
             "quantization": rounding,
@@ -536,7 +548,7 @@ def reduced(session: Session) -> Readings:
 
 
 def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
-    """True where no sample of an axis differs from its dwell's others: averages, written repeatedly."""
+    """True if on some axis all samples of each dwell are equal: averages, written repeatedly."""
     if session.accel_unit == "lsb":  # a converter's step may hide the noise
         return False
     ranges = [np.ptp(dwell.accel[:, :axes], axis=0) > 0 for dwell in dwells]
@@ -544,7 +556,7 @@ def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
 
 
 def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[str]]:
-    """Dwells whose mean is a reading, the converter by all dwells, and what is to be said of the others."""
+    """Usable dwells, the converter by all dwells, and sentences about the dwells that are left out."""
     source = session.source or "session"
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if not dwells:
@@ -554,19 +566,19 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[s
     converter = converter_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
     limits = converter.limits
     refuse_dead_data(session, limits, None if session.accel_unit == "counts" else mg_per_unit(session))
-    if len(dwells) > 1:  # of one pose there is nothing else to look at
+    if len(dwells) > 1:  # a single pose is kept even at a limit
         dwells = [dwell for dwell in dwells if dwell.position not in converter.spoiled]
     if not dwells:
-        raise DataError(f"{source}: every dwell stands at a limit of the range; record with a wider one")
-    return dwells, converter, limits_in_words(limits, session.accel_unit)
+        raise DataError(f"{source}: every dwell is at a limit of the range; record with a wider range")
+    return dwells, converter, limit_notes(limits, session.accel_unit)
 
 
 def _of_flicker(
     dwells: Sequence[Dwell], flicker: Floats, many: NDArray[np.intp], n: int
 ) -> tuple[Floats, Floats | None]:
-    """1/f noise of dwells: variances of each dwell's own (m, axes), and modes (n, axes, k) that they share.
+    """1/f noise of dwells: own variance of each dwell (m, axes), and modes (n, axes, k) that dwells share.
 
-    Both hold what a bias would be found otherwise by in a session twice as long (`covariance_of_means`).
+    Together they describe the deviation from the bias of a session twice as long (`covariance_of_means`).
     """
     begin, end = (np.zeros(len(dwells)),) * 2
     if _keeps_modes(len(dwells), flicker):
@@ -584,7 +596,7 @@ def _keeps_modes(dwells: int, flicker: Floats) -> bool:
 
 
 def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floats, Floats | None]:
-    """1/f noise of dwells that begin and end at (m,) s: variances of each's own, and the modes they share.
+    """1/f noise of dwells that begin and end at (m,) s: own variance of each dwell, and shared modes.
 
     Parameters
     ----------
@@ -602,12 +614,13 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
     k = factor.shape[1]
     slow = np.zeros((m, axes, axes * k))
     for axis in range(axes):
+        # Modes of different axes are independent: a block of columns for each axis.
         slow[:, axis, axis * k : (axis + 1) * k] = np.sqrt(flicker[axis]) * factor
     return left[:, None] * flicker, slow[:, :, (slow != 0).any(axis=(0, 1))]
 
 
 def _unit_of_counts(mean: Floats, gravity_mg: float) -> Unit:
-    """Zero and counts per mg of each axis by the ellipse or ellipsoid through the readings."""
+    """Zero and counts per mg of each axis, by the ellipse or ellipsoid through the readings."""
     if float(np.ptp(mean, axis=0).max()) <= 0:
         raise FitError(
             "readings in counts are all alike; their scale cannot be found: measure more positions"
@@ -650,12 +663,13 @@ def _means(series: list[Floats | None]) -> Floats | None:
 
 
 def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
-    """Temperature of the whole session in at most `HISTORY_POINTS` means of neighbours."""
+    """Times and temperatures of the session, averaged to at most `HISTORY_POINTS` points."""
     time = np.concatenate([dwell.time_s for dwell in dwells]) - start
     temperature = np.concatenate([d.temperature_c for d in dwells if d.temperature_c is not None])
     if (np.diff(time) <= 0).any():
         return None
     if len(time) > HISTORY_POINTS:
+        # Means of blocks of neighbouring samples.
         cuts = np.linspace(0, len(time), HISTORY_POINTS, endpoint=False).astype(np.intp)
         counts = np.diff(np.append(cuts, len(time)))
         time = np.add.reduceat(time, cuts) / counts
@@ -664,20 +678,21 @@ def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
 
 
 def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Floats] | None:
-    """What the axes read in mg from the first to the last sample of each dwell, linear while it moves."""
+    """Times and readings in mg at the first and last sample of each dwell; linear during moves."""
     ends = np.array([dwell.time_s[[0, -1]] for dwell in dwells]) - start
+    # A dwell of one sample has one time, others have a begin and an end.
     kept = np.column_stack([np.ones(len(dwells), dtype=bool), ends[:, 1] > ends[:, 0]])
     times, loads = ends[kept], np.repeat(mean, kept.sum(axis=1), axis=0)
     return (times, loads) if (np.diff(times) > 0).all() else None
 
 
 def mg_per_unit(session: Session) -> float:
-    """Size in mg of one of the accelerometers' numbers; 1 for counts, which have none.
+    """Size in mg of the accelerometers' unit; 1 for counts of unknown size.
 
     Raises
     ------
     DataError
-        LSB of a sensor whose LSB is not known.
+        The unit is LSB and the LSB of the sensor is not known.
     """
     if session.accel_unit == "lsb":
         if session.sensor not in VARIANTS:
@@ -688,14 +703,15 @@ def mg_per_unit(session: Session) -> float:
     return {"mg": 1.0, "g": 1000.0, "mps2": MG_PER_MPS2, "counts": 1.0}[session.accel_unit]
 
 
-def left_by_quantization(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:
-    """Variance (dwells, axes) in mg² that a converter's step leaves on the means of samples × `mg`."""
+def quantization_variance(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:
+    """Variance (dwells, axes) in mg² of the means of samples × `mg` from the converter's step."""
     return quantized_means(np.array([r.var(axis=0) for r in rows]) * mg**2, quantum)
 
 
 def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
-    """The same of samples with this variance (dwells, axes), the rounding among it, in steps (axes,)."""
+    """Variance (dwells, axes) in mg² of means from the steps (axes,); sample variances include rounding."""
     step = np.where(quantum_mg > 0, quantum_mg, 1.0)
+    # Noise before the converter, in steps: subtract the variance of rounding.
     sigma2 = np.maximum(variance_mg2 - quantum_mg**2 / 12, 0.0) / step**2
     if float(sigma2.min(initial=np.inf)) > 1.0:
         return np.zeros_like(variance_mg2)
@@ -712,3 +728,69 @@ def _flicker(session: Session, noise: MeanNoise) -> Floats:
         stated = 0.0
     shown = noise.flicker > 0
     return np.where(shown, noise.flicker, np.minimum(stated, noise.flicker_limit))
+
+
+def conic_through(points: Floats) -> tuple[Floats, Floats]:
+    """Centre (d,) and matrix (d, d) of the ellipse or ellipsoid (p − c)ᵀ Q (p − c) = 1 near the points.
+
+    Algebraic least squares on centred and scaled points: with all quadratic terms if there are enough
+    points and they give an ellipsoid, otherwise with fewer (no mixed terms, then a sphere).
+
+    Raises
+    ------
+    FitError
+        If the points (n, d) lie on no ellipsoid: too few points, or all in one place.
+    """
+    n, d = points.shape
+    middle = points.mean(axis=0)
+    size = float(np.abs(points - middle).max())
+    if size <= 0 or n < d + 1:
+        raise FitError(
+            f"{counted(n, 'position')} cannot show an unknown scale and zero; measure at least {2 * d + 3}"
+        )
+    p = (points - middle) / size
+    pairs = [(i, j) for i in range(d) for j in range(i + 1, d)]
+    mixed = [2 * p[:, i] * p[:, j] for i, j in pairs]
+    squares = list((p**2).T)
+    linear = list((2 * p).T)
+    # From the general ellipsoid to an aligned one to a sphere.
+    for quadratic in (squares + mixed, squares, [np.sum(p**2, axis=1)]):
+        design = np.stack(quadratic + linear, axis=1)
+        if n < design.shape[1]:
+            continue
+        q, _, rank, _ = np.linalg.lstsq(design, np.ones(n), rcond=1e-9)
+        if rank < design.shape[1]:
+            continue
+        terms = len(quadratic)
+        matrix = np.diag(np.broadcast_to(q[: min(terms, d)], d)).copy()
+        for value, (i, j) in zip(q[d:terms], pairs, strict=False):
+            matrix[i, j] = matrix[j, i] = value
+        if not np.all(np.linalg.eigvalsh(matrix) > 0):
+            continue
+        # Complete the square: centre, and the level by which to normalise the matrix.
+        centre = -np.linalg.solve(matrix, q[terms:])
+        level = 1 + centre @ matrix @ centre
+        return middle + size * centre, np.asarray(matrix / (level * size**2), dtype=np.float64)
+    raise FitError("the positions lie on no ellipsoid; spread them over more directions")
+
+
+ACCELEROMETER, GYRO = "accelerometer", "gyro"
+_READERS = {
+    ACCELEROMETER: ("adis_gonio.fitting.estimation.readings", "readings_of"),
+    GYRO: ("adis_gonio.fitting.gyros.gyro_readings", "gyro_readings_of"),
+}
+PARTS: tuple[str, ...] = tuple(_READERS)
+
+
+def known_part(part: str) -> str:
+    """Return the name of a part; `UsageError` for other names."""
+    if part not in _READERS:
+        raise UsageError(f"a sensor has no part '{part}'; it has {', '.join(PARTS)}")
+    return part
+
+
+def readings_of_part(session: Session, part: str) -> Readings:
+    """Readings of a part of the sensor; for accelerometers as `readings_of`."""
+    module, name = _READERS[known_part(part)]
+    reader: Callable[[Session], Readings] = getattr(import_module(module), name)
+    return reader(session)

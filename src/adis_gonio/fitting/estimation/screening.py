@@ -1,51 +1,58 @@
-"""Data that no living sensor gives: all zeros, stuck words. Refused before anything is estimated.
+"""Checks of a session's samples before anything is estimated: dead data and limits of the range.
 
-A quiet sensor behind a coarse converter may well repeat one word for a whole dwell, so a dwell without any
-variance is no proof. Stuck is what contradicts something else that is known:
+**Dead data** (all zeros, stuck words) is refused. A quiet sensor behind a coarse converter can repeat one
+word for a whole dwell, so a dwell without variance is no proof. Data counts as stuck if it contradicts
+another known fact:
 
-* the other dwells: the same axis moves there by more than its noise around an edge between two codes
-  (0.6 steps rms), and never stood for a quarter as long;
-* the positions: two or more dwells at different declared angles with the very same words on all axes, or
-  all dwells alike;
-* the chip: an ADIS1635x has 4.7 mg (16354) of noise before its filter, 1 LSB rms behind the longest one,
-  and the chance that two axes keep one word for 256 samples, or one axis for 512, is below 1e-4. That
-  holds where its words have all their bits.
+* the other dwells: the axis moves there by more than the noise around an edge between two codes (0.6 steps
+  rms), and was never constant for a quarter as long;
+* the positions: two or more dwells at different declared angles have identical words on all axes, or all
+  dwells are identical;
+* the chip: an ADIS1635x has 4.7 mg (16354) of noise before its filter and 1 LSB rms behind the longest
+  filter. The chance that two axes keep one word for 256 samples, or one axis for 512, is below 1e-4. This
+  rule applies if the words have all their bits.
 
-An axis that stands at a limit repeats a word too (`converter`): that is a limit, and no fault.
+**A limit of the range** shows as a pile of samples: noise has fewer samples at its extreme value than at
+the value next to it, a limit has many times as many. A dwell with all samples at the extreme value is at
+a limit if two or more such dwells share that value and gravity allows the reading; otherwise it may be
+stuck. A dwell that a limit cuts takes no part in a fit, because its mean is not its reading.
 """
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import counted, name_positions
-from adis_gonio.fitting.estimation.converter import Limit, steps_of
+from adis_gonio.base.uncertainty import COMMON_DIVISOR
 from adis_gonio.model.records import Dwell, Session
 
 _LEAST_RUN = 32
 _CHIP_RUN = 512
 _LIVELY = 0.6
 _MOST_GRAVITY = 1.1
-"""Length of a reading at a limit in units of gravity: what is cut is longer, so that more is no limit. A
-tenth for gains and biases of any sensor."""
+"""Largest length, in units of gravity, of a dwell mean that a limit of the range can explain: the true
+reading is longer than the cut one. The tenth above 1 allows for gains and biases."""
 
 
 def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: float | None) -> None:
-    """Raise `DataError` with the positions that are all zero or stuck; see the module for what that is.
+    """Raise `DataError` with the positions that are all zero or stuck, as the module defines it.
 
     Parameters
     ----------
     session : Session
     limits : sequence of Limit
-        Those that its samples show.
+        Limits that the samples show.
     mg_per_unit : float or None
-        Of the samples; None where their scale is not known.
+        Size of the samples' unit in mg; None if unknown.
     """
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     zero = [dwell.position for dwell in dwells if not dwell.accel.any()]
@@ -68,28 +75,28 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
         ]
     if stuck:
         raise DataError(
-            f"{where}stuck data in {name_positions(stuck)}: words repeat where a working sensor shows"
+            f"{where}stuck data in {name_positions(stuck)}: words repeat although a working sensor shows"
             " noise or follows the rotation; check the sensor and record again"
         )
 
 
-def limits_in_words(limits: Sequence[Limit], unit: str) -> list[str]:
-    """A sentence for each limit: what clips has no mean."""
+def limit_notes(limits: Sequence[Limit], unit: str) -> list[str]:
+    """One sentence for each limit, with the dwells that it excludes."""
     lines = []
     for limit in limits:
         where = f"the extreme value {limit.value:g} {unit} ({name_positions(limit.positions)})"
         samples = f"{counted(limit.samples, 'sample')} of {'xyz'[limit.axis]}"
-        line = f"{samples} stand at {where}: a limit was reached there"
+        line = f"{samples} are at {where}: a limit was reached there"
         if limit.spoiled:
             word = "takes" if len(limit.spoiled) == 1 else "take"
             where = name_positions(limit.spoiled)
-            line += f", a mean is not the reading, and {where} {word} no part in the fit"
+            line += f"; the mean is not the reading, so {where} {word} no part in the fit"
         lines.append(line)
     return lines
 
 
 def _at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: float | None) -> set[int]:
-    """Dwells whose mean a limit moves, one that several reach at either end and that gravity allows."""
+    """Dwells with a mean moved by a limit that two or more dwells reach, if gravity allows the reading."""
     if gravity is None:
         return set()
     means = {dwell.position: dwell.accel.mean(axis=0) for dwell in dwells}
@@ -115,13 +122,13 @@ def longest_runs(accel: Floats) -> Floats:
 
 
 def _still_against_others(dwells: Sequence[Dwell]) -> list[int]:
-    """Dwells in which an axis stands for at least half of the time, four times longer than in any other."""
+    """Dwells in which an axis is constant for half of the time, and four times longer than in others."""
     if len(dwells) < 2:
         return []
     runs = np.stack([longest_runs(dwell.accel) for dwell in dwells])
     length = np.array([len(dwell) for dwell in dwells])
     suspect = (runs >= _LEAST_RUN) & (runs >= 0.5 * length[:, None])
-    # What the healthy dwells show; an axis without any healthy dwell is judged by the other rules.
+    # Longest run in the healthy dwells; the other rules judge an axis without any healthy dwell.
     healthy = np.where(suspect, 0.0, runs).max(axis=0)
     lively = np.array([_is_lively(dwells, ~suspect[:, axis], axis) for axis in range(runs.shape[1])])
     stuck = suspect & lively & (runs >= 4 * healthy)
@@ -129,7 +136,7 @@ def _still_against_others(dwells: Sequence[Dwell]) -> list[int]:
 
 
 def _is_lively(dwells: Sequence[Dwell], healthy: NDArray[np.bool_], axis: int) -> bool:
-    """True where an axis of the healthy dwells has more noise than a converter's step hides."""
+    """True if an axis has more noise in the healthy dwells than a converter's step can hide."""
     deviations, steps = [], []
     for dwell, use in zip(dwells, healthy, strict=True):
         if use:
@@ -151,3 +158,159 @@ def _same_everywhere(dwells: Sequence[Dwell]) -> list[int]:
     gap = np.abs(np.diff(angles))
     bad = np.flatnonzero((words[1:] == words[:-1]).all(axis=1) & (gap > 5) & (gap < 355))
     return sorted({constant[k + side].position for k in bad.tolist() for side in (0, 1)})
+
+
+_PILE, _STEEP = 20, 5
+"""Least samples at an extreme value, and least ratio to the value next to it, that show a limit."""
+_LEAST_VALUES = 20
+"""Least number of different values of an axis for evidence of a limit: a coarse converter gives few."""
+_LIVELY = 0.6
+"""Noise, in steps of the converter, below which samples pile up everywhere (0.5 at an edge between
+codes)."""
+_HARMLESS = 0.1
+"""Largest shift of a clipped mean, in its standard uncertainty, at which it still counts as the reading."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """An extreme value at which samples of an axis pile up.
+
+    Attributes
+    ----------
+    axis : int
+    value : float
+        In the unit of the samples.
+    samples : int
+        Number of samples at the limit.
+    inside : int
+        Number of samples at the next value.
+    positions : tuple of int
+        Dwells that have samples at the limit.
+    spoiled : tuple of int
+        Dwells with a mean that the limit moves.
+    """
+
+    axis: int
+    value: float
+    samples: int
+    inside: int
+    positions: tuple[int, ...]
+    spoiled: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Converter:
+    """Steps and limits of the converter that samples show, in their unit.
+
+    Attributes
+    ----------
+    steps : (axes,) float
+        Steps as `steps_of` gives them.
+    limits : tuple of Limit
+        At most two for each axis.
+    """
+
+    steps: Floats
+    limits: tuple[Limit, ...]
+
+    @property
+    def spoiled(self) -> set[int]:
+        """Positions of the dwells with a mean that a limit moves."""
+        return {position for limit in self.limits for position in limit.spoiled}
+
+
+def converter_of(dwells: Sequence[Dwell]) -> Converter:
+    """Find the steps and limits in the samples of dwells."""
+    steps = steps_of([dwell.accel for dwell in dwells])
+    return Converter(steps, _limits(dwells, steps))
+
+
+def _limits(dwells: Sequence[Dwell], steps: Floats) -> tuple[Limit, ...]:
+    found = []
+    scatter = np.median([dwell.accel.std(axis=0) for dwell in dwells], axis=0)
+    for axis in range(dwells[0].accel.shape[1]):
+        if scatter[axis] < _LIVELY * steps[axis]:
+            continue
+        columns = [dwell.accel[:, axis] for dwell in dwells]
+        for sign in (1.0, -1.0):
+            value, count, inside = _pile(columns, sign)
+            if count >= max(_PILE, _STEEP * inside) and _many_values(columns):
+                found.append(_limit(dwells, axis, value, inside))
+    return tuple(found)
+
+
+def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
+    """Largest value (smallest for sign −1), number of samples at it, and at the next value."""
+    most = max if sign > 0 else min
+    extreme = most(float(column.max() if sign > 0 else column.min()) for column in columns)
+    count = sum(int((column == extreme).sum()) for column in columns)
+    if count < _PILE:
+        return extreme, count, 0
+    rest = [column[column != extreme] for column in columns]
+    inner = [float(column.max() if sign > 0 else column.min()) for column in rest if column.size]
+    if not inner:
+        return extreme, count, 0
+    return extreme, count, sum(int((column == most(inner)).sum()) for column in rest)
+
+
+def _many_values(columns: Sequence[Floats]) -> bool:
+    """True if the axis has enough different values for evidence of a limit."""
+    seen: Floats = np.empty(0)
+    for column in columns:
+        seen = np.union1d(seen, column)
+        if len(seen) > _LEAST_VALUES:
+            return True
+    return False
+
+
+def _limit(dwells: Sequence[Dwell], axis: int, value: float, inside: int) -> Limit:
+    share = {d.position: float(np.mean(d.accel[:, axis] == value)) for d in dwells}
+    count = {d.position: len(d) for d in dwells}
+    return Limit(
+        axis,
+        value,
+        round(sum(share[p] * count[p] for p in share)),
+        inside,
+        tuple(p for p in share if share[p] > 0),
+        tuple(p for p in share if share[p] > 0 and _moves(share[p], count[p])),
+    )
+
+
+def _moves(share: float, n: int) -> bool:
+    """True if cutting off this share of a normal distribution moves the mean of n samples notably."""
+    if share >= 0.5:
+        return True
+    z = float(stats.norm.isf(share))
+    cut = float(stats.norm.pdf(z)) - z * share  # in standard deviations of a sample
+    return cut > _HARMLESS / math.sqrt(n)
+
+
+def steps_of(dwells: Sequence[Floats]) -> Floats:
+    """Step (axes,) between the values of samples within dwells; 0 for a constant axis.
+
+    Parameters
+    ----------
+    dwells : sequence of (n, axes) float
+        Samples. For integers the step is the common divisor of all differences, or 1 if the divisor may be
+        chance; for other numbers it is the smallest difference.
+    """
+    steps = np.zeros(dwells[0].shape[1])
+    for axis in range(len(steps)):
+        size = max(float(np.abs(rows[:, axis]).max()) for rows in dwells)
+        divisor, number, least = 0, 0, math.inf
+        for rows in dwells:  # one by one: together they may be as large as the session
+            gaps = np.diff(np.unique(rows[:, axis]))
+            gaps = gaps[gaps > 1e-9 * max(1.0, size)]
+            least = min(least, float(gaps.min(initial=math.inf)))
+            number += gaps.size
+            if divisor >= 0 and (gaps == np.round(gaps)).all():
+                divisor = math.gcd(divisor, int(np.gcd.reduce(gaps.astype(np.int64), initial=0)))
+            else:
+                divisor = -1
+        if not number:
+            continue
+        if divisor > 0:
+            steps[axis] = divisor if float(divisor) ** -number < COMMON_DIVISOR else 1.0
+        else:
+            steps[axis] = least
+    return steps

@@ -1,21 +1,31 @@
-"""Noise of a dwell's mean from the dwells' own correlation: the spectral density at frequency zero.
+"""Noise of a dwell's mean: spectral density at frequency zero, and the covariance of 1/f noise.
 
-The mean of n samples has the variance S(0)/n, with S the (two-sided, per sample) spectral density. σ²/n is
-wrong as soon as neighbours are correlated, and the chip's Bartlett filter correlates up to 127 of them.
-Batch means need batches long against the correlation and leave few degrees of freedom; here the
-periodograms of all dwells are pooled and their logarithm is fitted near zero by a polynomial in f²
-(Heidelberger and Welch 1981, there a quadratic; here the Whittle likelihood: each ordinate is exponentially
-distributed about S). How far from zero the fit may reach and how many terms it needs is judged by the data:
-of all bands (halved from the Nyquist frequency down) and orders for which one or two further terms bring no
-gain (likelihood ratio, 25 %), the one with the smallest variance at zero wins. White noise thus uses the
-whole band, which is the textbook σ²/n with all its degrees of freedom, filtered noise only the flat foot.
+**Density at zero.** The mean of n samples has the variance S(0)/n, with S the (two-sided, per sample)
+spectral density. σ²/n is wrong if neighbouring samples are correlated, and the chip's Bartlett filter
+correlates up to 127 of them. Batch means need batches that are long against the correlation and leave few
+degrees of freedom. Here the periodograms of all dwells are pooled, and their logarithm is fitted near zero
+by a polynomial in f² (Heidelberger and Welch 1981 use a quadratic; here by the Whittle likelihood: each
+ordinate is exponentially distributed about S). The data choose the band and the order: of all bands (halved
+from the Nyquist frequency down) and orders for which one or two further terms bring no gain (likelihood
+ratio, 25 %), the one with the smallest variance at zero wins. White noise uses the whole band, which is the
+textbook σ²/n with all its degrees of freedom; filtered noise uses only the flat part at low frequencies.
 
-1/f noise would be followed by the polynomial of a narrow band, and taken for noise that averaging lowers:
-a polynomial plus h/f is fitted as well, and stands for the band where it does better than one or two
-further terms. What rises towards zero faster than the polynomial is looked for in the three lowest
-ordinates of every dwell: their excess, read as 1/f noise, gives a floor that averaging does not lower.
-Where 1/f noise is so strong that the fit itself has followed it down to the lowest ordinates (their slope
-is that of a power and not of a filter), all of them is read as 1/f noise.
+**1/f noise** would be followed by the polynomial of a narrow band, and be taken for noise that averaging
+lowers. A polynomial plus h/f is therefore fitted as well, and is used if it fits better than one or two
+further terms. Density that rises towards zero faster than the polynomial is looked for in the three lowest
+ordinates of every dwell: their excess, read as 1/f noise, gives a floor that averaging does not lower. If
+1/f noise is so strong that the polynomial has followed it down to the lowest ordinates (their slope is that
+of a power and not of a filter), all of the density there is read as 1/f noise.
+
+**Covariance of means under 1/f noise.** Noise of the one-sided spectrum h/f has an Allan variance of 2 h ln
+2 at every averaging time, and below its corner an autocovariance of constant − h ln|t|. The mean of ln|t −
+t'| over two dwells [a, b] and [c, d] is (F(a − d) + F(b − c) − F(a − c) − F(b − d))/((b − a)(d − c)) − 3/2
+with F(x) = ½ x² ln|x|; for a dwell with itself it is ln(b − a) − 3/2. The constant (the variance of all
+slower noise) belongs to the bias: the mean of 1/f noise over all time has no finite variance. The
+uncertainty of a bias is therefore stated against the mean of a session twice as long that continues after
+the last dwell; deviations from that mean do not contain the constant, and their covariance is computed
+here. The means of N consecutive dwells scatter by N ln N/(2 (N − 1) ln 2) times the Allan variance (Barnes
+1969).
 """
 
 from __future__ import annotations
@@ -32,25 +42,25 @@ from adis_gonio.base.arrays import Floats
 _CELLS = 32
 _LOWEST = 3
 _ALONE = 64
-"""Lowest ordinates that are kept one by one: those that are looked at by themselves, and more."""
+"""Number of lowest ordinates that are kept one by one, since some are used individually."""
 _AT_ONCE = 1 << 17
-"""Samples whose spectrum is computed at a time."""
+"""Number of samples for which spectra are computed at once."""
 _LEAST_WEIGHT = 6.0
 _GAINS = (1.323, 2.773)
-"""Upper 25 % quantiles of χ² with one and two degrees of freedom: in doubt the narrower band."""
+"""Upper 25 % quantiles of χ² with one and two degrees of freedom: prefer the narrower band in doubt."""
 _CHOICE_COST = 0.5
-"""Share of the degrees of freedom that is left where the data had to choose band and order (simulated with
-the chip's filter: 0.45 to 0.7)."""
+"""Share of the degrees of freedom that remains after the data have chosen band and order (0.45 to 0.7 in
+simulations with the chip's filter)."""
 _SLOPE = 32
 _FLICKER_POWER = (-1.5, -0.6)
 _CLEARLY = 2.0
-"""Gain in −2 log likelihood at which the power of f counts as the better one. Simulated, 32 ordinates: 1/f
+"""Gain in −2 log likelihood above which a power of f counts as better. In simulations with 32 ordinates 1/f
 noise gains 3 or more; the chip's filter loses, or has a power of −2 in dwells shorter than its window."""
 _NOT_QUITE = 0.05
-"""Share of what h/f explains that further terms may explain beside it: no real noise is 1/f throughout."""
+"""Largest gain of further terms relative to the gain of h/f: real noise is not 1/f at all frequencies."""
 _LEAST_CYCLES = 3.5
-"""Cycles a dwell at the frequency where the density has fallen to 1/e; simulated with the chip's filter, 3
-give two thirds of the true variance and 6 all of it."""
+"""Least number of cycles in a dwell at the frequency at which the density is 1/e of its value at zero. In
+simulations with the chip's filter 3 cycles give two thirds of the true variance, and 6 give all of it."""
 _ALLAN_OF_FLICKER = 4 * math.log(2)
 """Allan variance of noise with S(f) = h/f, two-sided, in units of h."""
 
@@ -62,17 +72,17 @@ class MeanNoise:
     Attributes
     ----------
     covariance : (d, axes, axes) float
-        Covariance of each mean from noise that averaging lowers, squared unit of the samples.
+        Covariance of each mean from noise that averaging lowers, in the squared unit of the samples.
     dof : (d,) float
         Degrees of freedom of that covariance, common to its axes.
     pooled : bool
-        True where all dwells share one spectral density.
+        True if all dwells share one spectral density.
     flicker : (axes,) float
-        Allan variance of 1/f noise that the dwells show, zero where they show none.
+        Allan variance of the 1/f noise that the dwells show, zero if they show none.
     flicker_limit : (axes,) float
-        Upper limit (95 %) of the same.
+        Upper limit (95 %) of that Allan variance.
     too_short : bool
-        True where dwells are too short to tell their correlation from a drift.
+        True if dwells are too short to distinguish correlation from drift.
     """
 
     covariance: Floats
@@ -87,8 +97,8 @@ class MeanNoise:
 class _Ordinates:
     """Periodograms of the dwells of one length.
 
-    The lowest ordinates stand by themselves. The higher ones of a long dwell are joined into bins that no
-    band and no cell of `_cells` divides, so that sums over bands and cells are what they were.
+    The lowest ordinates are separate. Higher ordinates of a long dwell are joined into bins that lie within
+    one band and one cell of `_cells`, so that sums over bands and cells do not change.
     """
 
     dwell: NDArray[np.intp]
@@ -121,7 +131,7 @@ class _Foot:
 
     @property
     def corner(self) -> float:
-        """Frequency where the density has fallen to 1/e of that at zero; the band's edge if nowhere."""
+        """Frequency at which the density is 1/e of its value at zero; the band's edge if there is none."""
         x = np.linspace(0.0, 1.0, 65)
         fallen = np.flatnonzero(self.log_shape(x) < -1)
         return self.band * (float(x[fallen[0]]) if fallen.size else 1.0)
@@ -139,7 +149,7 @@ def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> Me
     samples : d arrays (n, axes)
         Samples of each dwell, n at least 2; any unit.
     scale : float or (axes,) float
-        By which they are multiplied.
+        Factor by which the samples are multiplied.
     """
     groups = _periodograms(samples, scale)
     foot = _choose_foot(groups)
@@ -148,12 +158,14 @@ def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> Me
     weight = np.zeros(d)
     n = np.array([len(rows) for rows in samples], dtype=float)
     for group in groups:
+        # Mean density of each dwell in the chosen band, weighted by the number of ordinates.
         w = group.weight * (group.frequency <= foot.band)
         weight[group.dwell] = w.sum()
         level[group.dwell] = np.einsum("k,dkab->dab", w, group.cross) / max(w.sum(), 1e-300)
     usable = weight > 0
     pooled_level = np.einsum("d,dab->ab", weight, level) / weight.sum()
     pooled = _homogeneous(level, weight)
+    # Variance of log density at zero that comes from the fitted shape, not from the level.
     shape_variance = max(foot.log_zero_variance - 1 / foot.total_weight, 0.0)
     kept = 1.0 if foot.is_white else _CHOICE_COST
     if pooled:
@@ -193,10 +205,12 @@ def _periodograms(samples: Sequence[Floats], scale: Floats | float) -> list[_Ord
         step = max(1, _AT_ONCE // n)
         for at in range(0, len(dwell), step):
             rows = np.stack([samples[k] for k in dwell[at : at + step].tolist()]) * scale
+            # Remove the mean: ordinate zero is the mean itself and is not noise.
             rows -= rows.mean(axis=1, keepdims=True)
             lines = np.fft.rfft(rows, axis=1)[:, 1:]
             for a in range(axes):
                 for b in range(a, axes):
+                    # Cross-periodogram of two axes; the Nyquist ordinate has half the weight.
                     power = (lines[:, :, a] * lines[:, :, b].conj()).real / n * weight
                     mean = np.add.reduceat(power, starts, axis=1) / total
                     cross[at : at + step, :, a, b] = cross[at : at + step, :, b, a] = mean
@@ -209,9 +223,10 @@ def _periodograms(samples: Sequence[Floats], scale: Floats | float) -> list[_Ord
 def _bins(frequency: Floats) -> NDArray[np.intp]:
     """First ordinate of each bin.
 
-    Bands end at 0.5/2^j and have `_CELLS` cells each: an octave below the end of a band has half of them, a
-    band twice as wide has cells twice as wide. Only what lies on a band's end has a bin of its own.
+    Bands end at 0.5/2^j and have `_CELLS` cells each: the upper octave of a band has half of them, and a
+    band twice as wide has cells twice as wide. Only an ordinate at the end of a band has a separate bin.
     """
+    # frexp splits 2f into octave (band) and mantissa (cell within the band).
     mantissa, octave = np.frexp(2 * frequency)
     cell = np.where(mantissa == 0.5, -1, np.floor(mantissa * _CELLS).astype(int))
     new = (np.diff(octave, prepend=octave[0] - 1) != 0) | (np.diff(cell, prepend=-2) != 0)
@@ -231,6 +246,7 @@ def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floa
     beta[0] = math.log(max(float(np.average(mean, weights=weight)), 1e-300))
     for _ in range(50):
         step = inverse @ (design.T @ (weight * (mean * np.exp(-design @ beta) - 1)))
+        # Limit a step to a factor e² in the density, for convergence from a poor start.
         step /= max(1.0, float(np.abs(design @ step).max()) / 2)
         beta = beta + step
         if np.abs(step).max() < 1e-5:
@@ -242,9 +258,10 @@ def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floa
 def _whittle_with_flicker(
     design: Floats, inverse_x: Floats, weight: Floats, mean: Floats
 ) -> tuple[Floats, Floats, float]:
-    """As `_whittle` for exp(polynomial) + h/x; h is left out of what is returned, not of the covariance."""
+    """Like `_whittle` for exp(polynomial) + h/x; h is not returned, but its covariance is included."""
     terms = design.shape[1]
     beta = np.zeros(terms + 1)
+    # Start values: white level from the upper half, h from the excess of the lowest ordinate.
     high = inverse_x <= np.median(inverse_x)
     level = max(float(np.average(mean[high], weights=weight[high])), 1e-300)
     beta[0] = math.log(level)
@@ -255,6 +272,7 @@ def _whittle_with_flicker(
         smooth = np.exp(np.clip(design @ beta[:-1], -60, 60))
         rising = math.exp(min(max(float(beta[-1]), -60.0), 60.0)) * inverse_x
         expected = smooth + rising
+        # Derivative of log density by the coefficients and by log h.
         slope = np.column_stack([design * smooth[:, None], rising]) / expected[:, None]
         inverse = np.asarray(np.linalg.pinv(slope.T @ (weight[:, None] * slope)), dtype=np.float64)
         step = inverse @ (slope.T @ (weight * (mean / expected - 1)))
@@ -270,7 +288,7 @@ def _whittle_with_flicker(
 
 
 def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
-    """True where the lowest ordinates follow a power of f near −1 better than the foot of a filter does."""
+    """True if the lowest ordinates fit a power of f near −1 better than the low end of a filter."""
     lowest = _lowest(groups)
     if lowest is None:
         return False
@@ -282,9 +300,9 @@ def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
 
 
 def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
-    """True where the lowest ordinates follow white noise plus h/f better than the foot of a filter does.
+    """True if the lowest ordinates fit white noise plus h/f better than the low end of a filter.
 
-    Over a wide band the fall of a long filter looks like h/f beside a polynomial; here it is flat.
+    Over a wide band the decrease of a long filter resembles h/f plus a polynomial; here the filter is flat.
     """
     lowest = _lowest(groups)
     if lowest is None:
@@ -295,19 +313,20 @@ def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
 
 
 def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
-    """−2 log likelihood of the foot of a filter over the lowest ordinates."""
+    """−2 log likelihood of the low end of a filter over the lowest ordinates."""
     x2 = (k / _SLOPE) ** 2
     return _whittle(np.stack([np.ones(_SLOPE), x2, x2**2], axis=1), total, mean)[2]
 
 
 def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
-    """Numbers, weights and pooled means of the lowest ordinates; None where no dwell has so many."""
+    """Numbers, weights and pooled means of the lowest ordinates; None if no dwell has enough."""
     groups = [group for group in groups if len(group.weight) > _SLOPE]
     if not groups:
         return None
     total, moment = np.zeros(_SLOPE), np.zeros(_SLOPE)
     for group in groups:
         auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
+        # Each dwell and axis relative to its own mean, so that loud dwells do not dominate.
         own = auto.mean(axis=1, keepdims=True)
         total += len(group.dwell) * auto.shape[2]
         moment += np.where(own > 0, auto / np.where(own > 0, own, 1.0), 0.0).sum(axis=(0, 2))
@@ -315,13 +334,14 @@ def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
 
 
 def _choose_foot(groups: list[_Ordinates]) -> _Foot:
-    """Foot of the least variance at zero; bands are halved as long as they may hold a better one."""
+    """Fit near zero with the smallest variance at zero; bands are halved while a better fit is possible."""
     best: _Foot | None = None
     flicker = _flicker_at_foot(groups)
     band = 0.5
     while (cells := _cells(groups, band)) is not None:
         x, weight, mean, inverse_x = cells
         total = float(weight.sum())
+        # 1/total is the variance of a flat fit, the smallest possible one in this band.
         if best is not None and (total < _LEAST_WEIGHT or 1 / total > best.log_zero_variance):
             break
         feet = [_polynomial_foot(band, x, weight, mean)]
@@ -333,19 +353,20 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
         if total < _LEAST_WEIGHT:
             return best or _Foot(band, 0.0, 1 / total, total, np.zeros(1))
         band /= 2
-    if best is None:  # the narrowest band holds no ordinate at all: take the whole one as flat
+    if best is None:  # the narrowest band has no ordinate: take the whole band as flat
         total = sum(float(group.weight.sum()) * len(group.dwell) for group in groups)
         best = _Foot(0.5, 0.0, 1 / total, total, np.zeros(1))
     return best
 
 
 def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _Foot | None:
-    """Polynomial of the least order that one or two terms more do not clearly better, or None."""
+    """Polynomial of the lowest order that one or two further terms do not improve clearly, or None."""
     fits: list[tuple[Floats, Floats, float]] = []
     for order in range(min(3, len(x))):
         for p in range(len(fits), min(order + 3, len(x))):
             fits.append(_whittle(_basis(x, p), weight, mean))
         beta, covariance, deviance = fits[order]
+        # Likelihood-ratio test against one and two further terms.
         richer = fits[order + 1 : order + 3]
         if not any(deviance - fit[2] > gain for fit, gain in zip(richer, _GAINS, strict=False)):
             return _foot(band, beta, covariance, weight)
@@ -355,13 +376,14 @@ def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _F
 def _foot_beside_flicker(
     band: float, x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
 ) -> _Foot | None:
-    beside = _beside_flicker(x, weight, mean, inverse_x)
-    return None if beside is None else _foot(band, *beside, weight, beside_flicker=True)
+    found = _beside_flicker(x, weight, mean, inverse_x)
+    return None if found is None else _foot(band, *found, weight, beside_flicker=True)
 
 
 def _foot(
     band: float, beta: Floats, covariance: Floats, weight: Floats, *, beside_flicker: bool = False
 ) -> _Foot:
+    # Value and variance of log density, extrapolated to frequency zero.
     at_zero = _basis(np.zeros(1), len(beta) - 1)[0]
     variance = float(at_zero @ covariance @ at_zero)
     return _Foot(band, float(at_zero @ beta), variance, float(weight.sum()), beta, beside_flicker)
@@ -370,7 +392,7 @@ def _foot(
 def _beside_flicker(
     x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
 ) -> tuple[Floats, Floats] | None:
-    """Polynomial beside 1/f noise and its covariance, where that does better than one or two terms more."""
+    """Polynomial plus 1/f noise, and its covariance, if better than one or two further terms."""
     for order in range(min(3, len(x) - 2)):
         one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
         beta, covariance, deviance = _whittle_with_flicker(_basis(x, order), inverse_x, weight, mean)
@@ -389,9 +411,9 @@ def _beside_flicker(
 
 
 def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats, Floats] | None:
-    """Pooled ordinates below `band`, each dwell and axis relative to its own mean there.
+    """Pooled ordinates below `band`, relative to the mean of each dwell and axis in this band.
 
-    Returns x = f/band, weight, mean and mean of 1/x of the cells that hold anything.
+    Returns x = f/band, weight, mean, and mean of 1/x of the cells that are not empty.
     """
     total, moment, first = np.zeros(_CELLS), np.zeros(_CELLS), np.zeros(_CELLS)
     inverse = np.zeros(_CELLS)
@@ -402,8 +424,10 @@ def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Float
         f, w = group.frequency[inside], group.weight[inside]
         auto = np.diagonal(group.cross[:, inside], axis1=2, axis2=3)
         own = np.einsum("k,dka->da", w, auto) / w.sum()
+        # Axes without any noise have no relative density.
         alive = own > 0
         relative = np.where(alive[:, None, :], auto / np.where(alive, own, 1.0)[:, None, :], 0.0)
+        # Cell of each bin within the band.
         cell = np.minimum((f / band * _CELLS).astype(int), _CELLS - 1)
         count = float(alive.sum())
         total += np.bincount(cell, w * count, _CELLS)
@@ -422,7 +446,7 @@ def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Float
 
 
 def _homogeneous(level: Floats, weight: Floats) -> bool:
-    """True where the dwells' levels are consistent with one (Bartlett's test for each axis, 0.1 %)."""
+    """True if the dwells' levels are consistent with one level (Bartlett's test for each axis, 0.1 %)."""
     use = weight > 0
     if use.sum() < 2:
         return True
@@ -441,7 +465,7 @@ def _homogeneous(level: Floats, weight: Floats) -> bool:
 
 
 def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
-    """Set correlations between axes to zero where chance explains them (three standard errors)."""
+    """Set correlations between axes to zero if chance explains them (three standard errors)."""
     deviation = np.sqrt(np.maximum(np.diagonal(level, axis1=1, axis2=2), 1e-300))
     correlation = level / (deviation[:, :, None] * deviation[:, None, :])
     keep = np.abs(correlation) > 3 / np.sqrt(dof)[:, None, None]
@@ -463,7 +487,7 @@ def _all_flicker(groups: list[_Ordinates]) -> Floats:
         if len(group.weight) <= _LOWEST:
             continue
         auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
-        # By ordinates that are not averaged: a low one would otherwise count more for being low.
+        # Weight by higher ordinates: a low ordinate would otherwise get more weight because it is low.
         quiet = _reciprocal(auto[:, _LOWEST:].mean(axis=1))
         moment += (quiet * np.einsum("k,dka->da", k / group.n, auto[:, :_LOWEST])).sum(axis=0) / len(k)
         total += quiet.sum(axis=0)
@@ -471,7 +495,7 @@ def _all_flicker(groups: list[_Ordinates]) -> Floats:
 
 
 def _reciprocal(level: Floats) -> Floats:
-    """1/level of dwells (d, …, axes); 0 where there is none but rounding beside others."""
+    """1/level of dwells (d, …, axes); 0 for a level that is only rounding against the others."""
     least = np.maximum(1e-9 * level.max(axis=tuple(range(level.ndim - 1))), 1e-300)
     return np.where(level > least, 1 / np.maximum(level, least), 0.0)
 
@@ -479,7 +503,7 @@ def _reciprocal(level: Floats) -> Floats:
 def _flicker(
     groups: list[_Ordinates], density: Floats, foot: _Foot, dof: float, n: Floats
 ) -> tuple[Floats, Floats]:
-    """Allan variance of 1/f noise (axes,) from the lowest ordinates, and its upper limit."""
+    """Allan variance of 1/f noise (axes,) from the lowest ordinates, and its 95 % upper limit."""
     from scipy.special import fdtri
 
     axes = density.shape[1]
@@ -492,17 +516,98 @@ def _flicker(
         expected = np.diagonal(density[group.dwell], axis1=1, axis2=2)[:, None, :] * shape[None, :, None]
         auto = np.diagonal(group.cross[:, lowest], axis1=2, axis2=3)
         w = group.weight[lowest]
-        # A dwell without any noise beside noisy ones says nothing; its rounding must not be a ratio.
+        # A dwell without noise among noisy ones has no information; avoid a ratio of rounding errors.
         each = _reciprocal(expected)
         excess += np.einsum("k,dka->a", w, np.where(each > 0, auto * each, 1) - 1)
         weight += len(group.dwell) * float(w @ (1 / k))
         ordinates += len(group.dwell) * float(w.sum())
     relative = excess / weight
     spread = np.sqrt(ordinates * (1 + ordinates * 2 / dof)) / weight
+    # F test (1 %) of the lowest ordinates against the fitted density.
     threshold = float(fdtri(2 * ordinates, max(dof, 1.0), 0.99))
     shown = 1 + excess / ordinates > threshold
-    # One in all dwells, in loud ones a small part of what they show.
+    # One 1/f noise for all dwells: noisy dwells, in which it is a small part, get little weight.
     quiet = _reciprocal(np.diagonal(density, axis1=1, axis2=2) / n[:, None])
     per_mean = _ALLAN_OF_FLICKER * (quiet > 0).sum(axis=0) / np.maximum(quiet.sum(axis=0), 1e-300)
     flicker = np.where(shown, np.maximum(relative, 0.0), 0.0) * per_mean
     return flicker, np.maximum(relative + 1.645 * spread, 0.0) * per_mean
+
+
+MOST_MODES = 128
+"""Largest number of modes of the covariance. For 1000 dwells the other modes, faster than about 16 dwells,
+are treated as independent noise of each dwell."""
+
+
+def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
+    """Covariance (n, n) of dwell means about the mean of a session twice as long, for Allan variance 1.
+
+    Parameters
+    ----------
+    begin_s, end_s : (n,) float
+        Begin and end of each dwell. If a dwell has no length, or begins before the previous one has ended,
+        these are not the times of one session, and the dwells are taken as consecutive.
+
+    Source
+    ------
+    The double integral of −ln|t − t'|; Barnes, Tables of bias functions (NBS TN 375, 1969) for its mean.
+    """
+    begin_s, end_s = _in_order(begin_s, end_s)
+    first = float(begin_s[0])
+    begin_s, end_s = np.append(begin_s, first), np.append(end_s, 2 * float(end_s[-1]) - first)
+    length = end_s - begin_s
+    # F of the module docstring, combined over the four pairs of interval ends.
+    crossed = (
+        _second_integral(begin_s[:, None] - end_s[None, :])
+        + _second_integral(end_s[:, None] - begin_s[None, :])
+        - _second_integral(begin_s[:, None] - begin_s[None, :])
+        - _second_integral(end_s[:, None] - end_s[None, :])
+    )
+    mean_log = crossed / (length[:, None] * length[None, :])
+    # The last interval is the doubled session: rows are differences from its mean.
+    about = np.eye(len(length))[:-1] - np.eye(len(length))[-1]
+    covariance: Floats = -about @ mean_log @ about.T / (2 * math.log(2))
+    return (covariance + covariance.T) / 2
+
+
+_SHORTEST_S = 1e-9
+
+
+def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
+    """Begin and end of dwells of one session."""
+    length = end_s - begin_s
+    # Shorter dwells are not plausible, and their squares would underflow.
+    if (length < _SHORTEST_S).any():
+        length = np.ones(len(begin_s))
+        begin_s = np.arange(len(begin_s), dtype=float)
+    elif (begin_s[1:] < end_s[:-1] - 0.1 * length[:-1]).any():
+        begin_s = np.cumsum(length) - length
+    return begin_s, begin_s + length
+
+
+def spans(times_s: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Begin and end (n,) of dwells of two or more samples, including the period of the last sample."""
+    begin = np.array([float(time[0]) for time in times_s])
+    period = np.array([float(np.ptp(time)) / (len(time) - 1) for time in times_s])
+    return begin, np.array([float(time[-1]) for time in times_s]) + period
+
+
+def scatter_of_means(dwells: int) -> float:
+    """Variance of the means of consecutive dwells, for an Allan variance of 1."""
+    return 1.0 if dwells < 2 else dwells * math.log(dwells) / (2 * (dwells - 1) * math.log(2))
+
+
+def modes(covariance: Floats) -> tuple[Floats, Floats]:
+    """Factor (n, k) of the slowest modes of a covariance, and the remaining variances (n,)."""
+    from scipy.linalg import eigh
+
+    n = len(covariance)
+    values, vectors = eigh(covariance, subset_by_index=(max(n - MOST_MODES, 0), n - 1))
+    kept = values > 1e-12 * max(float(values[-1]), 1e-300)
+    factor = vectors[:, kept] * np.sqrt(values[kept])
+    left = np.diagonal(covariance) - (factor**2).sum(axis=1)
+    return factor, np.maximum(left, 0.0)
+
+
+def _second_integral(x: Floats) -> Floats:
+    size = np.abs(x)
+    return np.asarray(0.5 * size**2 * np.log(np.where(size > 0, size, 1.0)))

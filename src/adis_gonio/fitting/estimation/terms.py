@@ -1,8 +1,8 @@
-"""Terms: what can be added to the base model, named or nameless, in one shape for search and fit.
+"""Terms: additions to the base model, named or unnamed, with one interface for search and fit.
 
 A term is a group of columns ∂reading/∂parameter (or ∂angle/∂parameter). A *named* term is an effect of the
-catalogue on some axes; its shapes (time constants) stand on a grid for the search and are free in the fit.
-A *nameless* term is a point of the grammar: where it enters × what it depends on.
+catalogue on some axes; its shapes (time constants) are taken from a grid in the search and are free in the
+fit. A *nameless* term is a combination of the grammar: the place at which it enters × its covariates.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class Term(ABC):
     Attributes
     ----------
     label : str
-        Unique in a session; no fact is read out of it.
+        Unique in a session; for display only.
     covariates : tuple of str
-        What it depends on.
+        Covariates that it depends on.
     cost : float
-        Price of having chosen it among all, in nats: −ln of its share of the prior.
+        Cost of choosing it among all terms, in nats: −ln of its prior probability.
     """
 
     label: str
@@ -42,40 +42,45 @@ class Term(ABC):
 
     @property
     def name(self) -> str | None:
-        """Name of the catalogue; None for a nameless term."""
+        """Name in the catalogue; None for an unnamed term."""
         return None
 
     @property
     def shown_as(self) -> str:
-        """Name, or formula with a mark that it has none: for readers, never for decisions."""
+        """Name, or the formula of an unnamed term: for display, never for decisions."""
         return self.name or self.label
 
     @property
     def dwell(self) -> int | None:
-        """Dwell on which alone it acts; None for all others."""
+        """The only dwell on which it acts; None if it acts on all dwells."""
         return None
 
     @property
+    def constant(self) -> bool:
+        """True for a named bias, which every sensor has."""
+        return False
+
+    @property
     def prior_sd(self) -> float | None:
-        """Prior standard deviation of each value about zero; None where the data alone decide."""
+        """Prior standard deviation of each value about zero; None without a prior."""
         return None
 
     @property
     @abstractmethod
     def enters_angle(self) -> bool:
-        """True where it turns the part, False where it adds to readings."""
+        """True if it turns the part, False if it adds to the readings."""
 
     @abstractmethod
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Columns by its amplitudes: (n, axes, d) in the readings' unit, or (n, d) in rad."""
+        """Derivative by its amplitudes: (n, axes, d) in the readings' unit, or (n, d) in rad."""
 
     @abstractmethod
     def start(self, amplitudes: Floats) -> Floats:
-        """Values (p,) of all its parameters at the amplitudes (d,) that the search found."""
+        """Values (p,) of all parameters for amplitudes (d,) from the search."""
 
     @abstractmethod
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """What it adds: (n, axes) in the readings' unit, or (n,) in rad."""
+        """Contribution to the readings (n, axes) in their unit, or to the angle (n,) in rad."""
 
     @abstractmethod
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
@@ -86,11 +91,11 @@ class Term(ABC):
         return list(range(len(values)))
 
     def bounds(self) -> Floats | None:
-        """Bounds (p, 2) of the values; None without any."""
+        """Bounds (p, 2) of the values; None without bounds."""
         return None
 
     def limited(self, old: Floats, new: Floats) -> Floats:
-        """Values after a step, brought back to what is possible."""
+        """Limit the values after a step to the allowed range."""
         return new
 
 
@@ -106,7 +111,7 @@ class NamedTerm(Term):
     spread : float or None
         Prior standard deviation of each value about zero.
     begins : float
-        Amplitude that is known roughly beforehand, about which the linear problem is to stand; 0 for none.
+        Rough amplitude about which the linear problem is expanded; 0 if none is known.
     """
 
     effect: Effect
@@ -116,8 +121,13 @@ class NamedTerm(Term):
 
     @property
     def name(self) -> str | None:
-        """Name of the catalogue."""
+        """Name in the catalogue."""
         return self.effect.name
+
+    @property
+    def constant(self) -> bool:
+        """True for an effect of the group `constant` (`Effect.prior`)."""
+        return self.effect.prior == "constant"
 
     @property
     def prior_sd(self) -> float | None:
@@ -131,7 +141,7 @@ class NamedTerm(Term):
 
     @property
     def dwell(self) -> int | None:
-        """Dwell that the effect was made for."""
+        """Dwell of an effect that acts on one dwell."""
         return getattr(self.effect, "dwell", None)
 
     @cached_property
@@ -150,7 +160,7 @@ class NamedTerm(Term):
         return self.effect.derivative(values, ideal, conditions)[..., self.amplitudes]
 
     def start(self, amplitudes: Floats) -> Floats:
-        """Amplitudes found, shapes of the grid."""
+        """Values (p,) of the amplitudes (d,), with the shapes of the grid."""
         values = np.zeros(len(self.amplitudes) + len(self.shapes))
         values[self.amplitudes] = amplitudes
         for index, shape in self.shapes:
@@ -177,12 +187,12 @@ class NamedTerm(Term):
 
     @cached_property
     def amplitude_spread(self) -> Floats:
-        """Prior standard deviation of each amplitude (d,): its bounds are two of it."""
+        """Prior standard deviation of each amplitude (d,): a quarter of the width of its bounds."""
         low, high = self._bounds[self.amplitudes].T
         return np.asarray((high - low) / 4)
 
     def limited(self, old: Floats, new: Floats) -> Floats:
-        """Within the bounds; a shape may at most double or halve in one step: the slope is only local."""
+        """Limit values to their bounds, and a shape to half or twice its value: its slope is only local."""
         new = new.copy()
         for index, _ in self.shapes:
             new[index] = np.clip(new[index], 0.5 * old[index], 2 * old[index])
@@ -191,26 +201,26 @@ class NamedTerm(Term):
 
 
 ROUNDING = 1e-9
-"""Least size of a function, which reaches to about 1."""
+"""Largest value of a basis function below which it counts as zero; others reach to about 1."""
 
 
 @dataclass(frozen=True)
 class Basis:
-    """Basis functions of a nameless term: of the conditions, or of the readings axis by axis.
+    """Basis functions of an unnamed term: of the conditions, or of the readings axis by axis.
 
     Attributes
     ----------
     form : str
-        Formula in words of the covariates.
+        Formula, in the words for the covariates.
     covariates : tuple of str
     common : callable or None
-        Conditions → (n, q): the same on every axis.
+        Conditions → (n, q), equal on every axis.
     by_axis : callable or None
-        (stimulus (n, axes), axis) → (n, q): functions of what an axis answers to, in g for accelerometers.
+        (stimulus (n, axes), axis) → (n, q): functions of the stimulus, in g for accelerometers.
     approximates : bool
-        True for polynomials and harmonics that stand for a function without a formula.
+        True for polynomials and harmonics that approximate a function of unknown form.
     with_constant : bool
-        True where a constant stands beside the function.
+        True if a constant is fitted in addition to the function.
     """
 
     form: str
@@ -224,10 +234,10 @@ class Basis:
     )
 
     def over(self, conditions: Conditions) -> Floats:
-        """`common` at the conditions (n, q); kept for the next term, since many share a basis.
+        """Values of `common` at the conditions (n, q), kept for the next term because terms share bases.
 
-        The fifth harmonic's sine on a grid of 36° is rounding and stands for nothing there: it is zero,
-        lest a fit find an amplitude of 10¹⁴ for it that other angles then show.
+        A function that is only rounding error at these conditions is set to zero, such as the sine of the
+        fifth harmonic at multiples of 36°. Otherwise a fit could give it an amplitude of 10¹⁴.
         """
         assert self.common is not None
         if not self._last or self._last[0][0] is not conditions:
@@ -238,12 +248,12 @@ class Basis:
 
 
 def in_g(ideal: Floats, conditions: Conditions) -> Floats:
-    """What the gains of accelerometers multiply: the ideal readings (n, axes) in g."""
+    """Stimulus of accelerometers: the ideal readings (n, axes) in g."""
     return ideal / MG_PER_G
 
 
-def side_by_side(blocks: Sequence[tuple[int | slice, Floats]], shape: tuple[int, ...]) -> Floats:
-    """Columns (n, axes, P) of blocks: axes (one, or all) and their columns (n, q) or (n, axes, q)."""
+def join_columns(blocks: Sequence[tuple[int | slice, Floats]], shape: tuple[int, ...]) -> Floats:
+    """Columns (n, axes, P) from blocks: the axis or axes, and their columns (n, q) or (n, axes, q)."""
     out = np.zeros((*shape, sum(rows.shape[-1] for _, rows in blocks)))
     start = 0
     for axes, rows in blocks:
@@ -254,19 +264,19 @@ def side_by_side(blocks: Sequence[tuple[int | slice, Floats]], shape: tuple[int,
 
 @dataclass(frozen=True)
 class NamelessTerm(Term):
-    """A point of the grammar.
+    """An unnamed term: one combination of the grammar.
 
     Attributes
     ----------
     where : {"bias", "gain", "misalignment", "angle"}
-        A misalignment turns the axis against the others: its bias follows basis times other reading.
+        A misalignment turns the axis against the others: it adds the basis times the other readings.
     axes : tuple of int
-        Axes on which it acts, each with its own amplitudes; empty for the angle.
+        Axes on which it acts, with separate amplitudes; empty for the angle.
     basis : Basis
     shrinkage : float or None
-        Prior standard deviation of each amplitude: the functions are then features of a Gaussian process.
+        Prior standard deviation of each amplitude, if the functions are features of a Gaussian process.
     stimulus : callable
-        (ideal, conditions) → (n, axes): what gains multiply, as `Measurement.stimulus`.
+        (ideal, conditions) → (n, axes): the quantity that gains multiply, as `Measurement.stimulus`.
     """
 
     where: Where
@@ -283,12 +293,12 @@ class NamelessTerm(Term):
 
     @property
     def enters_angle(self) -> bool:
-        """True for functions that turn the part."""
+        """True for a function that turns the part."""
         return self.where == "angle"
 
     @property
     def shown_as(self) -> str:
-        """Formula, marked as having no name."""
+        """Formula after the word "unnamed"."""
         return f"unnamed: {self.form}"
 
     @property
@@ -304,15 +314,15 @@ class NamelessTerm(Term):
         return f"{head} follows {self.basis.form}"
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Basis functions; amplitudes in the readings' unit, for a gain at full stimulus; angle in mrad."""
+        """Basis functions. Amplitudes are in the readings' unit (of a gain at full stimulus) or in mrad."""
         if self.where == "angle":
             return self.tangent_rad * self.basis.over(conditions)
         driven = self.stimulus(ideal, conditions)
         blocks = [(axis, self.on_axis(axis, driven, conditions)) for axis in self.axes]
-        return side_by_side(blocks, ideal.shape)
+        return join_columns(blocks, ideal.shape)
 
     def on_axis(self, axis: int, driven: Floats, conditions: Conditions) -> Floats:
-        """Columns (n, q) of an axis, where gains multiply `driven` (n, axes)."""
+        """Columns (n, q) of an axis; `driven` (n, axes) is the quantity that gains multiply."""
         basis = self.basis
         if basis.common is not None:
             rows = basis.over(conditions)
@@ -327,14 +337,13 @@ class NamelessTerm(Term):
         return rows
 
     def start(self, amplitudes: Floats) -> Floats:
-        """The amplitudes: there are no shapes."""
+        """The amplitudes, since there are no shapes."""
         return np.array(amplitudes, dtype=float)
 
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Columns times amplitudes."""
-        total: Floats = self.columns(ideal, conditions) @ values
-        return total
+        return np.asarray(self.columns(ideal, conditions) @ values)
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """The columns: a nameless term is linear."""
+        """The columns, since an unnamed term is linear."""
         return self.columns(ideal, conditions)

@@ -1,1 +1,1 @@
-"""Gyros: means of their rates over dwells and turns, and what the part truly turned meanwhile."""
+"""Gyros: mean rates over dwells and turns, the true rotation of the part, and fits of both."""

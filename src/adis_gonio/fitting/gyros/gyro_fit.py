@@ -1,26 +1,15 @@
-"""What no gyro at rest reads: such zero rates, or the same number throughout.
+"""Method `gyro`: zero rates, g-sensitivity, gains and directions of the gyros, by weighted least squares.
 
-How the gyros' triad stands to that of the accelerometers, and how square it is in itself.
+The model is the gyros' base model (`MeanRate`) with the effects of a physical calibration:
+`g_sensitivity` if poses show it, `gyro_scale` and `gyro_misalignment` if turns show them. No parameter
+belongs to two gyros, so each gyro is determined alone. A parameter that the intervals do not determine is
+fixed at the value of a perfect gyro, and the result reports it. A result states gains and misalignments
+as K and D of rate = K D ω, however large they are.
 
-The directions D of the gyros (rows, in the accelerometers' frame) are a rotation of the whole and what the
-three axes are misaligned with one another: D = S R with a symmetric S (polar decomposition). The rotation
-vector is what a part's mounting or its board does; the angles between the axes, as skews (90° minus the
-angle), are those of the triad itself and do not depend on the frame.
-
-Method `gyro`: zero rates, g-sensitivity, gains and directions of the gyros, by weighted least squares.
-
-The model is the gyros' base model (`model.rates`) with the effects of a physical calibration:
-`g_sensitivity` where poses show it, `gyro_scale` and `gyro_misalignment` where turns do. Each gyro is
-determined by itself, since no parameter belongs to two. What the intervals do not determine is held at that
-of a perfect gyro, and said. Of gains and misalignments a result states K and D of rate = K D ω, however
-large they are.
-
-Gains of the gyros that the moves between a session's positions gave: the line that says so.
-
-A turn between two rests calibrates the gain of the gyro about its axis for nothing; whoever fits the
-accelerometers is told what came out.
-
-From a fit of the gyros to a `GyroCalibration`.
+The directions D of the gyros (rows, in the accelerometers' frame) are a rotation of the whole triad and the
+misalignment of the three axes with one another: D = S R with a symmetric S (polar decomposition). The
+mounting of a part or its board causes the rotation vector. The skews (90° minus the angle between two
+axes) belong to the triad itself and do not depend on the frame.
 """
 
 from __future__ import annotations
@@ -34,21 +23,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats, central_differences
+from adis_gonio.base.arrays import Floats, central_differences, solvable
 from adis_gonio.base.errors import AdisGonioError, FitError, SessionError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.levels import INADEQUATE
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.base.tables import Entries, ParameterTable
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.coefficients import NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.estimation.fit import Fit, Values, adequacy
-from adis_gonio.fitting.estimation.parts import GYRO, readings_of_part
-from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.fit import Fit, adequacy
+from adis_gonio.fitting.estimation.readings import GYRO, Readings, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.solvable import solvable
+from adis_gonio.fitting.gyros.turn_integration import gyro_directions
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.measurement import SKEW_AXES
 from adis_gonio.model.records import Session
@@ -59,64 +46,74 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate.calibration import Calibration
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
+METHOD = "gyro"
+CALIBRATED = ("g_sensitivity", "gyro_scale", "gyro_misalignment")
+"""Effects of a physical calibration."""
+_EFFECTS = tuple(effect(name, AXES) for name in CALIBRATED)
+DRIFTS = {
+    "drift with time": effect("gyro_drift", AXES, steps=0),
+    "drift from dwell to dwell": effect("gyro_drift", AXES, steps=1),
+    "warm-up": effect("gyro_warm_up", AXES),
+}
+"""Drifts of the zero rate that may imitate a g-sensitivity."""
+SCORED = ("drift with time", "drift from dwell to dwell")
+"""Drifts that are scored on left-out dwells. A warm-up is not linear: the trace scores it."""
+BEGIN_TAU = 1 / 3
+"""First time constant of a warm-up, in lengths of the session."""
+LIMIT = 0.1
+"""Largest standard uncertainty of a parameter that counts as determined, in 1 dps/g, a gain of 1, 1 rad."""
+_NOTHING = 1e-14
+"""Smallest relative information in a direction that is more than rounding."""
+TIME_BASE_U = 50e-6 / math.sqrt(3)
+"""Relative standard uncertainty of the samples' times: a crystal of ±50 ppm, uniform (an estimate, D).
+Times are the host's, so the chip's own clock does not count. An angle is rate times time: all gains
+share this error."""
 LARGEST_DPS = 10.0
-"""Zero rate beyond which something else is likelier: ten times that of parts of this class (D)."""
+"""Zero rate above which another cause is more probable: ten times the typical rate of this class (D)."""
 
 
-def implausible(session: Session, zero_dps: Sequence[float]) -> tuple[str, ...]:
-    """Why the gyros of a session are to be doubted, a line each; empty where they are not.
+def gyro_doubts(session: Session, zero_dps: Sequence[float]) -> tuple[str, ...]:
+    """Reasons to doubt the gyros of a session, one line each: large zero rates, or constant samples.
 
     Parameters
     ----------
     zero_dps : (3,) float
-        Zero rates that were found, in °/s.
+        Fitted zero rates, in °/s.
     """
-    said = []
+    doubts = []
     for axis, zero in zip(AXES, zero_dps, strict=True):
         if abs(zero) > LARGEST_DPS:
-            said.append(
+            doubts.append(
                 f"gyro_bias_{axis} is {zero:.4g} °/s, and gyros of this class have about 1 °/s: did the"
                 f" part turn, is the gyro broken, or the unit another (here {session.gyro_unit})?"
             )
     samples = [dwell.gyro for dwell in session.dwells if dwell.gyro is not None and len(dwell) > 1]
     for k, axis in enumerate(AXES):
         if samples and np.ptp(np.concatenate([rows[:, k] for rows in samples])) == 0:
-            said.append(
+            doubts.append(
                 f"gyro {axis} reads {samples[0][0, k]:g} in every sample, without any noise: is it"
-                " connected, and the column that of a gyro?"
+                " connected, and is the column a gyro?"
             )
-    return tuple(said)
+    return tuple(doubts)
 
 
 MISALIGNMENTS = tuple((k, j) for k in range(3) for j in range(3) if k != j)
 _STEP_DEG = 1e-4
 
 
-def directions(misalignment_deg: Floats) -> Floats:
-    """Unit vectors (3, 3) of the gyros by the misalignment (3, 3) of each towards the others' axes."""
-    sines = np.sin(np.radians(misalignment_deg)) * (1 - np.eye(3))
-    return np.asarray(sines + np.diag(np.sqrt(1 - (sines**2).sum(axis=1))))
-
-
 def rotation_and_skews_deg(misalignment_deg: Floats) -> Floats:
     """Rotation vector (3) of the triad and its three skews xy, xz, yz, in degrees."""
-    rows = directions(misalignment_deg)
+    from scipy.spatial.transform import Rotation
+
+    rows = gyro_directions(misalignment_deg)
     left, _, right = np.linalg.svd(rows)
-    # Rows of the nearest square triad; as a rotation of the frame's axes onto them its transpose.
-    turned = (left @ right).T
-    axial = np.array(
-        [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
-    )
-    sine, cosine = float(np.linalg.norm(axial)) / 2, (float(np.trace(turned)) - 1) / 2
-    angle = math.atan2(sine, cosine)
-    vector = axial / 2 * (angle / sine if sine > 1e-12 else 1.0)
+    # Rows of the nearest square triad; its transpose rotates the axes of the frame onto it.
+    vector = Rotation.from_matrix((left @ right).T).as_rotvec()
     skews = [math.asin(float(rows[i] @ rows[j])) for i, j in SKEW_AXES]
     return np.asarray(np.degrees(np.concatenate([vector, skews])))
 
 
-def alignment(
-    parameters: Mapping[str, Value], covariance: Floats, names: Sequence[str]
-) -> dict[str, Value] | None:
+def alignment(parameters: Mapping[str, Value], covariance: Floats) -> dict[str, Value] | None:
     """`triad_rotation_x…` and `gyro_skew_xy…` in degrees with u, from the gyros' misalignments.
 
     Parameters
@@ -124,67 +121,39 @@ def alignment(
     parameters : mapping of str to Value
         Of a gyro fit.
     covariance : (p, p) float
-        Of them, in the order of `names`.
+        Of the parameters, in their order.
 
     Returns
     -------
     mapping or None
         None unless all six misalignments are determined.
     """
-    names_of_angles = [f"gyro_misalignment_{AXES[k]}{AXES[j]}" for k, j in MISALIGNMENTS]
-    if any(name not in parameters for name in names_of_angles):
+    names = [f"gyro_misalignment_{AXES[k]}{AXES[j]}" for k, j in MISALIGNMENTS]
+    if any(name not in parameters for name in names):
         return None
-    rows = [list(names).index(name) for name in names_of_angles]
-    misalignments = np.zeros((3, 3))
-    for (k, j), name in zip(MISALIGNMENTS, names_of_angles, strict=True):
-        misalignments[k, j] = parameters[name].value
-    own = np.zeros((len(MISALIGNMENTS), 3, 3))
-    for row, place in enumerate(MISALIGNMENTS):
-        own[row][place] = 1.0
+    rows = [list(parameters).index(name) for name in names]
+    # Unit matrices of the six elements off the diagonal, in the order of the names.
+    own = np.eye(9).reshape(9, 3, 3)[[3 * k + j for k, j in MISALIGNMENTS]]
+    misalignments = np.einsum("p,pij->ij", [parameters[name].value for name in names], own)
     slope = central_differences(rotation_and_skews_deg, misalignments, _STEP_DEG, own)
-    variance = slope @ covariance[np.ix_(rows, rows)] @ slope.T
-    dof = min(parameters[name].dof or math.inf for name in names_of_angles)
-    found = rotation_and_skews_deg(misalignments)
+    # Propagate the covariance of the six angles to rotation and skews.
+    variance = np.diag(slope @ covariance[np.ix_(rows, rows)] @ slope.T)
+    dof = min(parameters[name].dof or math.inf for name in names)
     stated = [f"triad_rotation_{axis}" for axis in AXES]
     stated += [f"gyro_skew_{AXES[i]}{AXES[j]}" for i, j in SKEW_AXES]
-    return {
-        name: Value(float(found[k]), math.sqrt(max(float(variance[k, k]), 0.0)), "deg", dof)
-        for k, name in enumerate(stated)
-    }
-
-
-METHOD = "gyro"
-CALIBRATED = ("g_sensitivity", "gyro_scale", "gyro_misalignment")
-"""Effects of a physical calibration, the first to be given up last."""
-DRIFTS = {
-    "drift with time": effect("gyro_drift", AXES, steps=0),
-    "drift from dwell to dwell": effect("gyro_drift", AXES, steps=1),
-    "warm-up": effect("gyro_warm_up", AXES),
-}
-"""Courses of the zero rate beside which a g-sensitivity is looked at again."""
-SCORED = ("drift with time", "drift from dwell to dwell")
-"""Those that are scored on dwells that took no part; a warm-up is not linear: the trace scores that."""
-BEGIN_TAU = 1 / 3
-"""Time constant from which a warm-up is fitted, in lengths of the session."""
-LIMIT = 0.1
-"""Largest standard uncertainty of a parameter that counts as determined, in 1 dps/g, a gain of 1, 1 rad."""
-_NOTHING = 1e-14
-"""Information in a direction, against the most in any, that is none but rounding."""
-TIME_BASE_U = 50e-6 / math.sqrt(3)
-"""Relative standard uncertainty of the samples' times: a crystal of ±50 ppm, uniform (an estimate, D; the
-chip's own clock does not count, since times are the host's). An angle is rate times time: it is the same in
-all gains."""
+    found = zip(stated, rotation_and_skews_deg(misalignments).tolist(), variance.tolist(), strict=True)
+    return {name: Value(value, math.sqrt(max(u2, 0.0)), "deg", dof) for name, value, u2 in found}
 
 
 @dataclass(frozen=True)
 class GyroScore:
-    """Residuals of the dwells, each left out of the fit in turn, by axis in °/s."""
+    """Residuals of dwells, each left out of the fit in turn, by axis in °/s."""
 
     rms_dps: dict[str, float]
     max_dps: dict[str, float]
 
     def as_dict(self) -> dict[str, Any]:
-        """One entry of `scores`; the residual is that of all axes together."""
+        """One entry of `scores`; the residual is over all axes."""
         both = np.array(list(self.rms_dps.values()))
         return {
             "residual_rms_dps": float(np.sqrt((both**2).mean())),
@@ -200,9 +169,9 @@ class GyroFit(ParameterTable):
     Attributes
     ----------
     parameters : mapping of str to Value
-        `gyro_bias_x …` (dps) and what is determined of `g_sensitivity_xy …` (dps/g; the gyro, the axis of
-        force), `gyro_scale_x …` (1 is perfect), `gyro_misalignment_xy …` (deg; the gyro, the axis towards
-        which it is misaligned).
+        `gyro_bias_x …` (dps), and the determined ones of `g_sensitivity_xy …` (dps/g; the gyro, the axis of
+        force), `gyro_scale_x …` (1 is perfect) and `gyro_misalignment_xy …` (deg; the gyro, the axis of
+        misalignment).
     covariance : (p, p) float
         In the order and units of `parameters`.
     chi2, dof : float, int
@@ -210,14 +179,14 @@ class GyroFit(ParameterTable):
     residual_dps : (n, 3) float
         Reading minus model of each interval used.
     positions : tuple of int
-        Number of the dwell of each, or of the dwell in which a turn ends.
+        Number of each dwell, or of the dwell in which a turn ends.
     turns : int
-        Intervals that are turns.
+        Number of turns among the intervals.
     undetermined : tuple of str
     doubts : tuple of str
-        Those of the warnings that say that these are hardly gyros at rest.
+        The warnings that doubt the gyros or their rest.
     inflation : mapping of str to float
-        Factor on the noise variance of each gyro that its residual demanded; 1 where it agrees.
+        Factor on the noise variance of each gyro by its residual; 1 if both agree.
     scores : mapping of str to GyroScore
         `zero rate`, `gyro` and models with a drift on the same dwells, left out one by one.
     """
@@ -243,7 +212,7 @@ class GyroFit(ParameterTable):
     part = GYRO
 
     def __getitem__(self, name: str) -> Value:
-        """Parameter by name; `KeyError` where the session does not determine it."""
+        """Parameter by name; `KeyError` if the session does not determine it."""
         return self.parameters[name]
 
     def __contains__(self, name: object) -> bool:
@@ -251,8 +220,8 @@ class GyroFit(ParameterTable):
 
     @cached_property
     def triad(self) -> dict[str, Value] | None:
-        """`triad_rotation_x…` against the accelerometers, `gyro_skew_xy…`, in deg; None where not seen."""
-        return alignment(self.parameters, self.covariance, list(self.parameters))
+        """`triad_rotation_x…` against the accelerometers, `gyro_skew_xy…`, in deg; None if undetermined."""
+        return alignment(self.parameters, self.covariance)
 
     @property
     def residual_rms_dps(self) -> float:
@@ -260,11 +229,11 @@ class GyroFit(ParameterTable):
         return float(np.sqrt((self.residual_dps**2).mean()))
 
     def __repr__(self) -> str:
-        told = ", ".join(
-            f"{name} {format_uncertain(self[name].value, self[name].u, self[name].unit)}"
-            for name in list(self.parameters)[:3]
+        shown = ", ".join(
+            f"{name} {format_uncertain(value.value, value.u, value.unit)}"
+            for name, value in list(self.parameters.items())[:3]
         )
-        return f"GyroFit({self.held}, {told})"
+        return f"GyroFit({self.held}, {shown})"
 
     @property
     def held(self) -> str:
@@ -273,14 +242,14 @@ class GyroFit(ParameterTable):
         return f"{dwells} and {counted(self.turns, 'turn')}" if self.turns else dwells
 
     def calibration(self) -> GyroCalibration:
-        """What turns readings of the gyros into rates of turn, for the part as it is.
+        """Calibration of readings to rates of turn, for the present state of the part.
 
         Raises
         ------
         FitError
             A zero rate is not determined.
         SessionError
-            A write of gyro offsets was interrupted, so that only the sensor can tell.
+            A write of gyro offsets was interrupted, so that only the sensor knows its offsets.
         """
         return gyro_calibration_as_it_is(estimates_of_gyro_fit(self), self.provenance)
 
@@ -314,13 +283,13 @@ class GyroFit(ParameterTable):
 
 @solvable
 def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> GyroFit:
-    """Parameters of a session's gyros with their covariance; check dwells take no part.
+    """Fit a session's gyros; check dwells take no part.
 
     Parameters
     ----------
     accelerometers : Calibration, optional
-        Of the same part: what the session does not determine of the directions of its accelerometers is
-        taken from there.
+        Calibration of the accelerometers of the same part, for directions that the session does not
+        determine.
 
     Raises
     ------
@@ -335,19 +304,16 @@ def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> Gyr
         from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_by
 
         return _fit_session(session, gyro_readings_by(session, accelerometers))
-    kept: GyroFit | None = vars(session).get("_gyro_fit")  # the session is frozen: it cannot go stale
-    if kept is None:
-        kept = _fit_session(session, readings_of_part(session, GYRO))
-        vars(session)["_gyro_fit"] = kept
-    return kept
+    return session.once(_fit_session)
 
 
-def _fit_session(session: Session, readings: Readings) -> GyroFit:
+def _fit_session(session: Session, readings: Readings | None = None) -> GyroFit:
+    readings = readings_of_part(session, GYRO) if readings is None else readings
     try:
         result = fit_gyro_readings(readings.training)
     except FitError as error:
         raise FitError(f"{session.source}: {error}" if session.source else str(error)) from error
-    doubts = implausible(session, [result[f"gyro_bias_{axis}"].value for axis in AXES])
+    doubts = gyro_doubts(session, [result[f"gyro_bias_{axis}"].value for axis in AXES])
     return replace(
         result,
         doubts=doubts,
@@ -358,16 +324,17 @@ def _fit_session(session: Session, readings: Readings) -> GyroFit:
 
 
 def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
-    """The same of readings; without `scored` no dwell is left out, which costs most of the time."""
+    """Fit readings of gyros; without `scored` no dwell is left out, which costs most of the time."""
     if len(data) < 1:
         raise FitError("no dwell holds samples of the gyros")
-    model = _Model.of(data, _calibrated())
+    model = _Model.of(data, _EFFECTS)
     fit = model.fit
     inflation = _inflation(model)
     factor = np.sqrt([inflation[_gyro_of(name)][0] for name in model.names])
     names, values, covariance = stated_parameters(
         model.names, fit.values.parameters, model.covariance * np.outer(factor, factor), model.free
     )
+    # All gains share the error of the time base.
     gains = np.where([name.startswith("gyro_scale_") for name in names], TIME_BASE_U * values, 0.0)
     covariance = covariance + np.outer(gains, gains)
     parameters = {
@@ -395,7 +362,7 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
     )
 
 
-# -- what is determined -----------------------------------------------------------------------------------
+# -- determined parameters --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -405,7 +372,7 @@ class _Model:
     Attributes
     ----------
     names : tuple of str
-        Base parameters and those of the terms.
+        Base parameters and parameters of the terms.
     free : (p,) bool
     """
 
@@ -416,7 +383,7 @@ class _Model:
 
     @classmethod
     def of(cls, data: Readings, effects: Sequence[Effect]) -> _Model:
-        """The effects whose conditions were recorded, with what the readings determine of them."""
+        """Model with the effects whose conditions were recorded, and its free parameters."""
         seen = [one for one in effects if not data.conditions.lacks(one.needs)]
         terms = tuple(NamedTerm(one.name, (), 0.0, one) for one in seen)
         names = (*data.model.names, *(p.name for term in terms for p in term.effect.parameters))
@@ -425,40 +392,43 @@ class _Model:
 
     @cached_property
     def begun(self) -> Fit:
-        """All parameters at those of perfect gyros."""
+        """Fit with all parameters at the values of perfect gyros."""
         base = Fit.begin(self.data, with_prior=False)
         tau = max(BEGIN_TAU * float(np.ptp(self.data.conditions.time_s)), 1.0)
         values = [[tau if p.shape else 0.0 for p in term.effect.parameters] for term in self.terms]
-        return base.having(self.terms, [np.array(own) for own in values])
+        return base.with_terms(self.terms, [np.array(own) for own in values])
 
     @cached_property
     def fit(self) -> Fit:
-        """Fitted in the free parameters."""
+        """Fit of the free parameters."""
         return self.begun.refit(within=np.eye(len(self.names))[:, self.free])
 
     @property
     def covariance(self) -> Floats:
-        """Of all parameters (p, p), zero for those that are held."""
+        """Covariance (p, p) of all parameters, zero for fixed ones."""
         return _covariance(self.fit, self.free)
 
     @property
     def lost(self) -> list[str]:
-        """Parameters that are not determined, as a result states them."""
+        """Undetermined parameters, by the names of a result."""
         return [_stated_name(name) for name, free in zip(self.names, self.free, strict=True) if not free]
 
     def _determined(self) -> NDArray[np.bool_]:
-        """Parameters (p,) that the readings determine, each gyro by itself.
+        """Parameters (p,) that the readings determine, each gyro alone.
 
-        The one of the largest uncertainty is given up until all but the zero rate, which is stated however
-        large its own is, are within `LIMIT`.
+        The parameter with the largest uncertainty is fixed, again and again, until all are within
+        `LIMIT`. The zero rate stays free: it is stated however large its uncertainty is.
         """
         free = np.ones(len(self.names), dtype=bool)
+        # Columns scaled so that `LIMIT` holds for all of them alike.
         rows = self.begun.jacobian * _natural(self.names)
         for axis in AXES:
             own = np.array([_gyro_of(name) == axis for name in self.names])
             base = len(self.data.model.parameters)
             while True:
                 index = np.flatnonzero(own & free)
+                # Variances of the parameters are the diagonal of the inverse information, by its
+                # eigenvalues.
                 values, vectors = np.linalg.eigh(rows[:, index].T @ rows[:, index])
                 known = np.maximum(values, _NOTHING * max(float(values.max(initial=0.0)), 1.0))
                 u2 = np.where(index >= base, (vectors**2 / known).sum(axis=1), 0.0)
@@ -468,30 +438,23 @@ class _Model:
         return free
 
 
-def _calibrated() -> tuple[Effect, ...]:
-    return tuple(effect(name, AXES) for name in CALIBRATED)
-
-
-def _with_drift(word: str) -> tuple[Effect, ...]:
-    return (*_calibrated(), DRIFTS[word])
-
-
 def _lacks(data: Readings, name: str) -> bool:
     return bool(data.conditions.lacks(effect(name, AXES).needs))
 
 
 def _gyro_of(name: str) -> str:
-    """The gyro's letter: the first of those at the end of a name; no axis where all share the parameter."""
+    """Letter of the gyro: the first of those at the end of a name; no axis for a shared parameter."""
     return name.rsplit("_", 1)[-1][0]
 
 
 def _natural(names: Sequence[str]) -> Floats:
-    """Size (p,) of each parameter in which `LIMIT` is stated."""
+    """Size (p,) of each parameter in the units of `LIMIT`."""
     return np.array([math.degrees(1.0) if "misalignment" in name else 1.0 for name in names])
 
 
 def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
     rows = fit.jacobian[:, free]
+    # Invert with columns of unit length, because the parameters have very different sizes.
     size = np.linalg.norm(rows, axis=0)
     size[size == 0] = 1.0
     inverse = np.linalg.pinv((rows / size).T @ (rows / size), rcond=1e-14) / np.outer(size, size)
@@ -501,7 +464,7 @@ def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
 
 
 def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
-    """Factor on the noise variance of each gyro that its residual demands, and its degrees of freedom."""
+    """Factor on the noise variance of each gyro by its residual, and its degrees of freedom."""
     data, fit = model.data, model.fit
     out = {}
     for k, axis in enumerate(AXES):
@@ -515,10 +478,10 @@ def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
     return out
 
 
-# -- what is stated ---------------------------------------------------------------------------------------
+# -- parameters of a result -------------------------------------------------------------------------------
 
 _STATED = {"gyro_scale_error": "gyro_scale"}
-"""Parameters that are stated otherwise than effects have them."""
+"""Parameters with another name in results than in effects."""
 _UNITS = {"gyro_bias": "dps", "gyro_scale": "1", "gyro_misalignment": "deg", "g_sensitivity": "dps/g"}
 
 
@@ -534,32 +497,29 @@ def _unit(name: str) -> str:
 def stated_parameters(
     names: Sequence[str], values: Floats, covariance: Floats, free: NDArray[np.bool_] | None = None
 ) -> tuple[list[str], Floats, Floats]:
-    """Names, values and covariance of the free parameters, with gains K and misalignments of D.
+    """Names, values and covariance of the free parameters, as gains K and misalignments of D.
 
     Parameters
     ----------
     values, covariance : (p,) float, (p, p) float
         Of the base model and the effects.
     free : (p,) bool, optional
-        Parameters that are determined; by default all.
+        Determined parameters; by default all.
     """
-    kept = np.flatnonzero(np.ones(len(values)) if free is None else free).tolist()
-    step = 1e-6
-    slope = np.zeros((len(values), len(values)))
-    for k in kept:
-        change = step * np.eye(len(values))[k]
-        rise = gains_and_directions(names, values + change) - gains_and_directions(names, values - change)
-        slope[:, k] = rise / (2 * step)
-    moved = slope @ covariance @ slope.T
-    stated = gains_and_directions(names, values)
-    return [_stated_name(names[k]) for k in kept], stated[kept], moved[np.ix_(kept, kept)]
+    kept = np.flatnonzero(np.ones(len(values)) if free is None else free)
+    slope = central_differences(
+        lambda changed: gains_and_directions(names, changed), values, 1e-6, np.eye(len(values))[kept]
+    )
+    stated = slope @ covariance[np.ix_(kept, kept)] @ slope.T
+    found = gains_and_directions(names, values)
+    return [_stated_name(names[int(k)]) for k in kept], found[kept], stated[np.ix_(kept, kept)]
 
 
 def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
-    """The parameters (p,) with gains K and misalignments of D in place of the terms of the effects.
+    """Replace the terms of the effects among parameters (p,) by gains K and misalignments of D.
 
     A gyro that adds e Ω_i + Σ sin m_p Ω_p − (1 − c) Ω_i, c² = 1 − Σ sin² m_p, to Ω_i has the row
-    (c + e, sin m_p, …) of K D: K is its length, the misalignments are those of its direction.
+    (c + e, sin m_p, …) of K D. K is the length of this row, and its direction has the misalignments.
     """
     out = values.copy()
     at = {name: k for k, name in enumerate(names)}
@@ -569,73 +529,65 @@ def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
             continue
         angles = [k for name, k in at.items() if name.startswith(f"gyro_misalignment_{axis}")]
         sines = np.sin(np.radians(values[angles]))
+        # Length and direction of the row (c + e, sin m_p, …).
         along = math.sqrt(max(1 - float(sines @ sines), 0.0)) + float(values[scale])
         out[scale] = gain = math.hypot(along, float(np.hypot.reduce(sines)))
         out[angles] = np.degrees(np.arcsin(sines / gain))
     return out
 
 
-# -- how good it is, and what is said ---------------------------------------------------------------------
+# -- scores and warnings ----------------------------------------------------------------------------------
 
 
 def _scores(data: Readings, model: _Model) -> dict[str, GyroScore]:
-    """Each dwell left out in turn: of the zero rate alone, of the calibration, and with drifts besides."""
+    """Score the zero rate alone, the calibration, and models with drifts on dwells left out in turn."""
     if len(data) < 3:
         return {}
     models = {"zero rate": _Model.of(data, ()), METHOD: model}
-    models |= {f"{METHOD} with a {word}": _Model.of(data, _with_drift(word)) for word in SCORED}
-    rest = _at_rest(data)
+    models |= {f"{METHOD} with a {word}": _Model.of(data, (*_EFFECTS, DRIFTS[word])) for word in SCORED}
+    rate = data.conditions.rate_dps
+    rest = np.flatnonzero(np.ones(len(data), dtype=bool) if rate is None else ~rate.any(axis=1))
     found = {name: _left_out(one, rest) for name, one in models.items()}
     return {name: score for name, score in found.items() if score is not None}
 
 
-def _at_rest(data: Readings) -> NDArray[np.intp]:
-    rate = data.conditions.rate_dps
-    return np.flatnonzero(np.ones(len(data), dtype=bool) if rate is None else ~rate.any(axis=1))
-
-
 def _left_out(model: _Model, rows: NDArray[np.intp]) -> GyroScore | None:
-    """Residuals of rows that are left out one by one; None where the others do not determine the model."""
-    data, left = model.data, []
+    """Residuals of rows left out one by one; None if the others do not determine the model."""
+    data, residuals = model.data, []
     for row in rows.tolist():
         kept = np.arange(len(data)) != row
         rest = replace(model, data=data.rows(kept))
         if not (rest._determined() == model.free).all():
             return None
-        there = replace(rest.fit, data=data.rows(~kept), values=_rate_of(rest.fit, data.rows(~kept)))
-        left.append(there.misfit[0])
-    size = np.abs(np.array(left))
+        held = data.rows(~kept)
+        residuals.append(replace(rest.fit, data=held, values=rest.fit.on(held).values).misfit[0])
+    size = np.abs(np.array(residuals))
     rms, most = np.sqrt((size**2).mean(axis=0)), size.max(axis=0)
     return GyroScore(
         *({axis: float(v) for axis, v in zip(AXES, values, strict=True)} for values in (rms, most))
     )
 
 
-def _rate_of(fit: Fit, data: Readings) -> Values:
-    """Values of a fit for other readings, whose true rates are their own."""
-    return fit.on(data).values
-
-
 def _warnings(
     data: Readings, model: _Model, parameters: dict[str, Value], inflation: dict[str, tuple[float, float]]
 ) -> list[str]:
-    out = []
+    warnings = []
     lost = [name for name in CALIBRATED if _lacks(data, name)] + _kinds(model.lost)
     if lost:
-        what = "; ".join(lost)
-        out.append(f"not determined, taken as of perfect gyros: {what}; {_remedy(data, model)}")
-    large = {axis: math.sqrt(own) for axis, (own, _) in inflation.items() if own > 1}
-    if large:
-        times = ", ".join(f"{axis} {own:.2g}" for axis, own in large.items())
-        out.append(
-            f"the residual is larger than the noise that was measured ({times} times): uncertainties are"
-            " stated by the residual; trace --sensor-part gyro says what is missing"
+        warnings.append(
+            f"not determined, fixed at perfect gyros: {'; '.join(lost)}; {_remedy(data, model)}"
         )
-    return out + _drifting(data, model, parameters)
+    large = [f"{axis} {math.sqrt(own):.2g}" for axis, (own, _) in inflation.items() if own > 1]
+    if large:
+        warnings.append(
+            f"the residual is larger than the measured noise ({', '.join(large)} times):"
+            " uncertainties are stated by the residual; trace --sensor-part gyro reports the missing effect"
+        )
+    return warnings + _drifting(data, model, parameters)
 
 
 def _kinds(names: Sequence[str]) -> list[str]:
-    """`gyro_misalignment_xy, xz`: names of one kind together."""
+    """`gyro_misalignment_xy, xz`: combine names of one kind."""
     groups: dict[str, list[str]] = {}
     for name in names:
         stem, axes = name.rsplit("_", 1)
@@ -644,20 +596,20 @@ def _kinds(names: Sequence[str]) -> list[str]:
 
 
 def _remedy(data: Readings, model: _Model) -> str:
-    """What would show what this session does not."""
-    out = []
+    """Measurements that would determine the remaining parameters."""
+    steps = []
     if any(name.startswith("g_") for name in model.lost) or _lacks(data, "g_sensitivity"):
-        out.append("measure poses with each axis up and down")
+        steps.append("measure poses with each axis up and down")
     if _lacks(data, "gyro_scale") or any("scale" in name or "mis" in name for name in model.lost):
-        out.append("turn the part by whole turns about each axis (plan gyro-turns)")
-    return "; ".join(out)
+        steps.append("turn the part by whole turns about each axis (plan gyro-turns)")
+    return "; ".join(steps)
 
 
 def _drifting(data: Readings, model: _Model, parameters: dict[str, Value]) -> list[str]:
-    """g-sensitivities that a drift would change by more than their own standard uncertainty."""
-    out = []
+    """Warnings of g-sensitivities that a drift would change by more than their own standard uncertainty."""
+    warnings = []
     for word in DRIFTS:
-        with_drift = _Model.of(data, _with_drift(word))
+        with_drift = _Model.of(data, (*_EFFECTS, DRIFTS[word]))
         if with_drift.fit.dof <= 0:
             continue
         moved, open_ = [], []
@@ -670,14 +622,16 @@ def _drifting(data: Readings, model: _Model, parameters: dict[str, Value]) -> li
                 open_.append(name)
             elif abs(float(value) - known.value) > known.u:
                 moved.append(f"{name} {known.value:+.3f} to {float(value):+.3f}")
-        told = [f"with one in the model {', '.join(moved)} °/s/g"] if moved else []
-        told += [f"beside one {', '.join(_kinds(open_))} cannot be determined"] if open_ else []
-        if told:
-            out.append(
-                f"in this order of poses force is not wholly told from a {word}: {'; '.join(told)}; "
-                "repeat poses in another order"
+        changes = [f"with one in the model {', '.join(moved)} °/s/g"] if moved else []
+        changes += (
+            [f"with one in the model {', '.join(_kinds(open_))} cannot be determined"] if open_ else []
+        )
+        if changes:
+            warnings.append(
+                f"in this order of poses force cannot be fully separated from a {word}:"
+                f" {'; '.join(changes)}; repeat poses in another order"
             )
-    return out
+    return warnings
 
 
 _STEM = "gyro_scale_"
@@ -685,12 +639,12 @@ _STEM = "gyro_scale_"
 
 @dataclass(frozen=True)
 class Gains:
-    """What turns tell of the gyros' gains.
+    """Gains of the gyros by the turns between a session's positions, which need no extra measurement.
 
     Attributes
     ----------
     values : mapping of str to Value
-        `gyro_scale_x …` of the gyros whose axis was turned about.
+        `gyro_scale_x …` of the gyros with a turn about their axis.
     turns : int
     """
 
@@ -700,12 +654,12 @@ class Gains:
     @property
     def line(self) -> str:
         """`gain of gyro Z by 3 turns between dwells: 1.0098 ± 0.0004`."""
-        told = ", ".join(
+        shown = ", ".join(
             f"{name.removeprefix(_STEM).upper()} {format_uncertain(value.value, value.u, value.unit)}"
             for name, value in self.values.items()
         )
         gyros = "gyro" if len(self.values) == 1 else "gyros"
-        return f"gain of {gyros} {told}, by {counted(self.turns, 'turn')} (fit --sensor-part gyro)"
+        return f"gain of {gyros} {shown}, by {counted(self.turns, 'turn')} (fit --sensor-part gyro)"
 
     def as_dict(self) -> dict[str, Any]:
         """JSON: the parameters by name, and `turns_used`."""
@@ -713,13 +667,13 @@ class Gains:
 
 
 def gains_in(result: GyroFit) -> Gains | None:
-    """Gains in a fit of the gyros; None where no turn tells one."""
+    """Gains in a fit of the gyros; None without a turn that determines one."""
     found = {name: value for name, value in result.parameters.items() if name.startswith(_STEM)}
     return Gains(found, result.turns) if found and result.turns else None
 
 
 def gains_of(session: Session) -> Gains | None:
-    """Gains by a session's turns; None where it has none, or they tell none."""
+    """Gains by a session's turns; None without a turn that determines one."""
     try:
         if not any(turn.gyro is not None and len(turn) for turn in session.turns):
             return None
@@ -730,7 +684,7 @@ def gains_of(session: Session) -> Gains | None:
 
 @dataclass(frozen=True)
 class GyroEstimates:
-    """What a fit or a trace of the gyros found.
+    """Estimates of the gyros by a fit or a trace.
 
     Attributes
     ----------
@@ -739,9 +693,9 @@ class GyroEstimates:
     covariance : (names, (p, p) float) or None
     not_corrected : tuple of NotCorrected
     doubts : tuple of str
-        Why it is no sound base for the chip, one line each; empty where it is.
+        Why it is no sound base for the chip, one line each; empty if it is one.
     remarks : tuple of str
-        What is to be said of it.
+        Warnings for the user.
     """
 
     method: str
@@ -753,22 +707,20 @@ class GyroEstimates:
 
 
 def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
-    """Of `fit --sensor-part gyro`; a residual beyond the noise is a doubt."""
+    """Estimates by `fit --sensor-part gyro`; a residual above the noise is a doubt."""
     large = [f"{axis} {math.sqrt(own):.2g}" for axis, own in result.inflation.items() if own > 1]
     doubts = [f"the gyros' residual is larger than their noise ({', '.join(large)} times)"] if large else []
-    doubts += result.doubts
-    names = list(result.parameters)
     return GyroEstimates(
         result.method,
         dict(result.parameters),
-        (names, result.covariance),
-        doubts=tuple(doubts),
-        remarks=tuple(result.warnings),
+        (list(result.parameters), result.covariance),
+        doubts=(*doubts, *result.doubts),
+        remarks=result.warnings,
     )
 
 
 def gyro_calibration_as_it_is(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
-    """Return the calibration for the offsets that the sensor holds now; see `gyro_as_written`."""
+    """Return the calibration for the present offsets of the sensor; see `gyro_as_written`."""
     made = make_gyro_calibration(found, where)
     return made if where is None else gyro_as_written(made, where)
 
@@ -777,23 +729,14 @@ def make_gyro_calibration(found: GyroEstimates, where: Provenance | None) -> Gyr
     """Return the calibration for the offsets in force while its session was recorded."""
     about: dict[str, Any] = {}
     if where is not None:
-        about = {
-            "temperature_c": where.temperature_c,
-            "supply_v": where.supply_v,
-            "offsets_lsb": where.gyro_offsets_lsb,
-            "source": where.source,
-        }
-    return GyroCalibration.of(
-        found.estimates,
-        found.covariance,
-        method=found.method,
-        not_corrected=found.not_corrected,
-        **about,
-    )
+        about = {name: getattr(where, name) for name in ("temperature_c", "supply_v", "source")}
+        about["offsets_lsb"] = where.gyro_offsets_lsb
+    stated = found.estimates, found.covariance
+    return GyroCalibration.of(*stated, method=found.method, not_corrected=found.not_corrected, **about)
 
 
 def gyro_as_written(gyro: GyroCalibration, where: Provenance) -> GyroCalibration:
-    """For the part as it is: what was written since is corrected by the chip, and moves the force."""
+    """Calibration for the present state of the part: later writes change the zero rates and the force."""
     if where.gyro_write_open:
         raise SessionError(f"{where.source}: {INTERRUPTED}")
     if where.gyro_written_lsb is not None:

@@ -1,28 +1,26 @@
-"""Integral of the three rates over a turn, from rest to rest.
+"""Integrate the three rates over a turn, from rest to rest: the turned angle, and the attitude.
 
-A turn is integrated by the trapezoidal rule on the samples' own times, from the last sample of the dwell
-before to the first of the dwell after. The chip's Bartlett filter delays what it shows by N − 1 samples, so
-that the integral belongs to an interval that began and ended so much earlier; both its ends are at rest,
-where the filter's smearing of 2N − 1 samples holds nothing back.
+The mean rate of a turn needs only the integral of the rates (`integrate`). The trapezoidal rule runs on the
+times of the samples, from the last sample of one dwell to the first sample of the next. The Bartlett filter
+of the chip delays its output by N − 1 samples, so the integral belongs to an interval that began and ended
+earlier by this delay. The part is at rest at both ends, so the filter, which mixes 2N − 1 samples, loses no
+part of the turn.
 
-Lost scans are bridged by a straight line. How far off that is, the turn itself tells: the same bridge is
-laid over all stretches of that length around the gap of which every sample is there, and the mean square
-of its error is the variance. A gap too long for that refuses the turn, unless the part rested on both sides
-of it and nothing has turned before it (or after it): the interval then begins (or ends) there.
+A straight line bridges lost scans. The turn itself shows the error of such a bridge: the same bridge is
+laid over every complete stretch of that length near the gap, and the mean square of its error is the
+variance. A longer gap refuses the turn, unless the part was at rest on both sides of the gap and the
+motion came later (or earlier). The interval then begins (or ends) at the gap. Long rests before and after
+the motion are left out if they show no rotation, because they add only the drift of the gyros.
 
-What is long at rest before the motion and after it is left out too, where it holds no turning: it would add
-nothing but the gyro's drift.
+The rotation between two poses needs the attitude (`attitude`). A direction u fixed in space moves backwards
+in the part: u̇ = −ω × u. The rate between two samples is taken as their mean, and the rotation by this
+rate is exact, so u(t₁) = Φ(t₁, t₀) u(t₀), where Φ is a product of rotations. A small error δω of the
+rates turns the result by ε, u(t₁) → u(t₁) + ε × u(t₁), with
 
-Integral of attitude: the rotation of the part over a turn, and what errors of its gyros do to it.
+    ε = −∫ Φ(t₁, t) δω(t) dt.
 
-A direction fixed in space goes backwards in the part: u̇ = −ω × u. Between two samples the rate is their
-mean, and the rotation by it is exact (Rodrigues), so that u(t₁) = Φ(t₁, t₀) u(t₀) with a product of
-rotations Φ. A small error δω of the rates turns the result by ε, u(t₁) → u(t₁) + ε × u(t₁) with
-
-    ε = −∫ Φ(t₁, t) δω(t) dt,
-
-which is linear in all that a gyro can have: with ω = A⁻¹ (m − z − a |m − z|) for readings m, zero rate z,
-gains and directions A, asymmetry a, it is ε = ∫ Φ(t₁, t) A⁻¹ (δA ω + δz + δa |m − z|) dt.
+This is linear in all parameters of the gyros: readings m, zero rate z, gains and directions A and
+asymmetry a give ω = A⁻¹ (m − z − a |m − z|), hence ε = ∫ Φ(t₁, t) A⁻¹ (δA ω + δz + δa |m − z|) dt.
 """
 
 from __future__ import annotations
@@ -31,23 +29,29 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.readings import mg_per_unit
+from adis_gonio.model.records import Dwell, Session, Turn
 
 LONGEST_GAP_S = 0.25
-"""Lost scans that may be bridged within a turn; a hand's submovements take longer (`sim.hand`)."""
+"""Longest gap that is bridged within a turn; a hand's submovements take longer (`sim.hand`)."""
 MARGIN_S = 1.0
 """Rest that is kept on both sides of the motion."""
 WINDOW_S = 0.1
-"""Means over this tell motion from rest."""
+"""Length of the means that separate motion from rest."""
 MOVING_DPS = 1.0
-"""A mean above this is motion; a part at rest shows less, whatever its attitude."""
+"""A mean above this is motion; a part at rest shows less in every attitude."""
 MOVING_NOISE = 6.0
-"""The same in standard deviations of the mean."""
+"""Smallest mean that is motion, in standard deviations of the mean."""
 SHIFTED_G = 0.01
-"""Change of what the accelerometers read from which the part lies otherwise (0.6°)."""
+"""Change of the accelerometers' reading that shows another attitude (0.6°)."""
 HELD_NOISE = 6.0
-"""What is left out at the ends may hold so many standard uncertainties of its own integral."""
+"""Largest integral of an omitted rest, in its standard uncertainties."""
+PARAMETERS = 21
+"""Of three gyros: A (9, row by row), g-sensitivity (9, row by row) in °/s/g, asymmetry (3)."""
+NOT_RECORDED = "nothing was recorded between the dwells"
 _BRIDGED_NEAR_S = 1.0
 _LEAST_BRIDGES = 8
 
@@ -59,16 +63,16 @@ class Sampling:
     Attributes
     ----------
     period_s : float
-        Between samples where none is lost.
+        Time between samples without a loss.
     filter_m : int
-        M of the Bartlett filter; 0 where it is not known.
+        M of the Bartlett filter; 0 if unknown.
     range_dps : float
-        What the gyros can show at most; inf unknown.
+        Range of the gyros; inf if unknown.
     density_dps2 : (3, 3) float
-        Spectral density of their noise at frequency zero, two-sided, per sample: the variance of the sum of
-        n samples is n times that.
+        Spectral density of the noise at frequency zero, two-sided, per sample: the sum of n samples has n
+        times this variance.
     drift_dps : (3,) float
-        Allan deviation of their 1/f noise.
+        Allan deviation of the 1/f noise.
     """
 
     period_s: float
@@ -79,12 +83,12 @@ class Sampling:
 
     @property
     def delay_s(self) -> float:
-        """By which the filter delays what it shows: N − 1 samples."""
+        """Delay of the filter: N − 1 samples."""
         return float((2**self.filter_m - 1) * self.period_s)
 
     @property
     def window(self) -> int:
-        """Samples whose mean tells motion from rest; no fewer than the filter mixes."""
+        """Samples in a mean that separates motion from rest, at least as many as the filter mixes."""
         return max(8, round(WINDOW_S / self.period_s), int(2 * 2**self.filter_m - 1))
 
     @property
@@ -96,17 +100,16 @@ class Sampling:
 
 @dataclass(frozen=True)
 class Path:
-    """Samples from the last one of a dwell to the first one of the next.
+    """Samples from the last one of a dwell to the first one of the next dwell.
 
     Attributes
     ----------
     time_s : (n,) float
         Increasing.
-    rate_dps : (n, 3) float
-    force_g : (n, 3) float
-        What the accelerometers read.
+    rate_dps, force_g : (n, 3) float
+        Readings of the gyros and of the accelerometers.
     zero_dps, rest_g : (2, 3) float
-        Means of the rates, and of what the accelerometers read, in both dwells.
+        Means of both in each of the two dwells.
     """
 
     time_s: Floats
@@ -123,24 +126,19 @@ class Integral:
     Attributes
     ----------
     begin_s, end_s : float
-        Interval to which it belongs, the filter's delay taken off.
+        Interval of the turn, with the filter's delay subtracted.
     angle_deg : (3,) float
-        Integral of what the gyros showed, their zero rate in it.
+        Integral of the readings, zero rate included.
     covariance_deg2 : (3, 3) float
-        From noise and bridged gaps; what the zero rate does meanwhile is not in it.
+        From noise and bridged gaps, without changes of the zero rate.
     turned_deg : (3,) float
-        The same without the zero rate, which goes from that of the dwell before to that of the one after:
-        good enough to count turns and to find the axis.
+        Integral without the mean zero rate of both dwells, good enough to count turns and to find the axis.
     force_g : (3,) float
-        Mean of what the accelerometers read.
-    moment_g : (3, 3) float
-        Mean of its outer product with itself.
+        Mean reading of the accelerometers.
     mean_abs_dps : (3,) float
-        Mean of |rate − zero|: what an asymmetry of the gain multiplies.
-    peak_dps : (3,) float
-        Largest |rate|.
+        Mean of |rate − zero|, by which an asymmetry of the gain is multiplied.
     samples, bridged : int
-        Samples, and how many of the interval are missing.
+        Number of samples, and of lost scans in the interval.
     """
 
     begin_s: float
@@ -149,22 +147,51 @@ class Integral:
     covariance_deg2: Floats
     turned_deg: Floats
     force_g: Floats
-    moment_g: Floats
     mean_abs_dps: Floats
-    peak_dps: Floats
     samples: int
     bridged: int
 
     @property
     def length_s(self) -> float:
-        """Of the interval."""
+        """Length of the interval."""
         return self.end_s - self.begin_s
 
 
+def dps_per_unit(session: Session) -> float:
+    """Size in °/s of the unit of the session's gyros."""
+    return 180.0 / math.pi if session.gyro_unit == "radps" else 1.0
+
+
+def g_per_unit(session: Session) -> float:
+    """Size in g of the unit of the session's accelerometers; NaN for counts."""
+    return math.nan if session.accel_unit == "counts" else 1e-3 * mg_per_unit(session)
+
+
+def three_axes(accel: Floats) -> Floats:
+    """Accelerations (n, 3) of two or three axes; a missing Z is 0."""
+    return accel if accel.shape[1] == 3 else np.column_stack([accel, np.zeros(len(accel))])
+
+
+def path_between(session: Session, turn: Turn, before: Dwell, after: Dwell) -> Path | None:
+    """Samples from the end of one dwell to the beginning of the other; None without any."""
+    if turn.gyro is None or not len(turn) or before.gyro is None or after.gyro is None:
+        return None
+    per_dps, per_g = dps_per_unit(session), g_per_unit(session)
+    last, first = slice(-1, None), slice(None, 1)
+    time = np.concatenate([before.time_s[last], turn.time_s, after.time_s[first]])
+    if not (np.diff(time) > 0).all():
+        return None
+    rate = np.concatenate([before.gyro[last], turn.gyro, after.gyro[first]])
+    force = np.concatenate([three_axes(a) for a in (before.accel[last], turn.accel, after.accel[first])])
+    zero = np.array([before.gyro.mean(axis=0), after.gyro.mean(axis=0)])
+    at_rest = np.array([three_axes(dwell.accel).mean(axis=0) for dwell in (before, after)])
+    return Path(time, per_dps * rate, per_g * force, per_dps * zero, per_g * at_rest)
+
+
 def integrate(path: Path, sampling: Sampling) -> Integral | str:
-    """Integral of a turn; where there can be none, why not in words."""
+    """Integrate a turn; return the reason as text if that is impossible."""
     if len(path.time_s) < 2 * sampling.window:
-        return "nothing was recorded between the dwells"
+        return NOT_RECORDED
     peak = np.abs(path.rate_dps).max(axis=0)
     if (peak >= sampling.range_dps).any():
         axis = "xyz"[int(np.argmax(peak))]
@@ -174,9 +201,10 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
         )
     moving = _moving(path, sampling)
     steps = np.diff(path.time_s)
+    # Gaps that a straight line must not bridge.
     long = np.flatnonzero(steps > LONGEST_GAP_S)
     if not moving.any():
-        turned = _lies_otherwise(path, path.rest_g[1:], 0)
+        turned = _shows_another_attitude(path, path.rest_g[1:], 0)
         return "the part was turned while nothing was recorded" if turned else "the part was not turned"
     first, last = int(moving.argmax()), len(moving) - 1 - int(moving[::-1].argmax())
     within = long[(long >= first) & (long < last)]
@@ -186,65 +214,57 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
             f"no samples for {steps[worst]:.2g} s while it was turned; at most {LONGEST_GAP_S:g} s can be"
             " bridged"
         )
-    # A window across a gap sees only one side of it: the motion may have begun within.
-    begin = _begin(path, sampling, first, [int(k) + 1 for k in long if k < first])
-    end = _end(path, sampling, last, [int(k) for k in long if k >= last])
+    # A window across a gap sees only one side of it: the motion may have begun in the gap.
+    begin = max((int(k) + 1 for k in long if k < first), default=0)
+    wanted = int(np.searchsorted(path.time_s, path.time_s[first] - MARGIN_S))
+    if wanted > begin and _is_rest(path, sampling, begin, wanted, path.zero_dps[0]):
+        begin = wanted
+    end = min((int(k) for k in long if k >= last), default=len(path.time_s) - 1)
+    wanted = int(np.searchsorted(path.time_s, path.time_s[last] + MARGIN_S))
+    if wanted < end and _is_rest(path, sampling, wanted, end, path.zero_dps[1]):
+        end = wanted
     edge = sampling.window // 2
-    heads = _lies_otherwise(path, path.force_g[begin : begin + edge], 0)
-    if heads or _lies_otherwise(path, path.force_g[end - edge + 1 : end + 1], 1):
-        return "a part of the turn went by while nothing was recorded"
-    if moving[begin : begin + edge].any() or moving[end - edge + 1 : end + 1].any():
-        return "the part was moving already where the recording begins, or still where it ends"
+    head, tail = slice(begin, begin + edge), slice(end - edge + 1, end + 1)
+    if _shows_another_attitude(path, path.force_g[head], 0) or _shows_another_attitude(
+        path, path.force_g[tail], 1
+    ):
+        return "a part of the turn was not recorded"
+    if moving[head].any() or moving[tail].any():
+        return "the part was already moving when the recording began, or still moving when it ended"
     return integral_over(path, sampling, begin, end)
 
 
-def _lies_otherwise(path: Path, here_g: Floats, rest: int) -> bool:
-    """True where what the accelerometers read (n, 3) is not what they read in one of the dwells.
+def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
+    """True if readings of the accelerometers (n, 3) differ from those in one of the dwells.
 
-    About the vertical nothing shows it.
+    A turn about the vertical changes no reading.
     """
-    off = np.abs(here_g.mean(axis=0) - path.rest_g[rest])
+    off = np.abs(here_g.mean(axis=0) - path.rest_g[dwell])
     noise = here_g.std(axis=0) / math.sqrt(len(here_g))
     return bool((off > np.maximum(SHIFTED_G, MOVING_NOISE * noise)).any())
 
 
-def _moving(path: Path, sampling: Sampling) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """True (n,) where the mean of a window about a sample is beyond rest."""
+def _moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
+    """True (n,) if the mean of a window around a sample exceeds the mean of a part at rest."""
     rate = path.rate_dps - path.zero_dps.mean(axis=0)
+    # Means of windows that shrink at both ends, by differences of the cumulative sum.
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate, axis=0)])
     half = sampling.window // 2
     low = np.maximum(np.arange(len(rate)) - half, 0)
     high = np.minimum(np.arange(len(rate)) + half + 1, len(rate))
     mean = (total[high] - total[low]) / (high - low)[:, None]
-    # The two dwells lie differently, and what gravity does to a gyro is none of its turning.
+    # The attitudes of the two dwells differ, and gravity changes the zero rate of a gyro.
     allowed = sampling.moving_dps + np.abs(path.zero_dps[1] - path.zero_dps[0])
-    moves: np.ndarray[tuple[int], np.dtype[np.bool_]] = (np.abs(mean) > allowed).any(axis=1)
-    return moves
+    return np.asarray((np.abs(mean) > allowed).any(axis=1))
 
 
-def _begin(path: Path, sampling: Sampling, first: int, gaps: list[int]) -> int:
-    """Sample at which the interval begins: after the last long gap, and not long before the motion."""
-    start = max(gaps, default=0)
-    wanted = int(np.searchsorted(path.time_s, path.time_s[first] - MARGIN_S))
-    if wanted > start and _holds_nothing(path, sampling, start, wanted, path.zero_dps[0]):
-        return wanted
-    return start
-
-
-def _end(path: Path, sampling: Sampling, last: int, gaps: list[int]) -> int:
-    stop = min(gaps, default=len(path.time_s) - 1)
-    wanted = int(np.searchsorted(path.time_s, path.time_s[last] + MARGIN_S))
-    if wanted < stop and _holds_nothing(path, sampling, wanted, stop, path.zero_dps[1]):
-        return wanted
-    return stop
-
-
-def _holds_nothing(path: Path, sampling: Sampling, low: int, high: int, zero_dps: Floats) -> bool:
-    """True where what lies between two samples is the zero rate of the dwell beside it and noise."""
+def _is_rest(path: Path, sampling: Sampling, low: int, high: int, zero_dps: Floats) -> bool:
+    """True if the samples between two rows are the zero rate of the adjacent dwell and noise."""
     time, rate = path.time_s[low : high + 1], path.rate_dps[low : high + 1] - zero_dps
     length = float(time[-1] - time[0])
     if length <= 0:
         return True
+    # Integral of the rest, against its uncertainty by white noise and drift.
     held = np.abs(np.trapezoid(rate, time, axis=0))
     noise = np.diagonal(sampling.density_dps2) * length * sampling.period_s
     u = np.sqrt(noise + (sampling.drift_dps * length) ** 2 * 2)
@@ -252,38 +272,38 @@ def _holds_nothing(path: Path, sampling: Sampling, low: int, high: int, zero_dps
 
 
 def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integral | str:
-    """Integral from one sample to another, wherever they lie; where there can be none, why not."""
+    """Integrate from one sample to another; return the reason as text if that is impossible."""
     rows = slice(begin, end + 1)
     time, rate, force = path.time_s[rows], path.rate_dps[rows], path.force_g[rows]
-    steps, length = np.diff(time), float(time[-1] - time[0])
-    weight = np.zeros(len(time))
-    weight[:-1] += steps / 2
-    weight[1:] += steps / 2
-    share = weight / length
+    weight, length = _trapezoid_weights(time), float(time[-1] - time[0])
     bridges = _bridges(time, rate, sampling)
     if bridges is None:
-        return "too many scans were lost while it was turned to tell what is missing"
+        return "too many scans were lost during the turn to estimate the missing part"
     missing, bridged = bridges
     zero = path.zero_dps.mean(axis=0)
-    angle = weight @ rate
-    noise = sampling.density_dps2 * (len(time) - 1) * sampling.period_s**2
+    angle, share = weight @ rate, weight / length
     return Integral(
         begin_s=float(time[0]) - sampling.delay_s,
         end_s=float(time[-1]) - sampling.delay_s,
         angle_deg=angle,
-        covariance_deg2=noise + missing,
+        covariance_deg2=sampling.density_dps2 * (len(time) - 1) * sampling.period_s**2 + missing,
         turned_deg=angle - length * zero,
         force_g=share @ force,
-        moment_g=np.einsum("n,ni,nj->ij", share, force, force),
-        mean_abs_dps=share @ np.abs(smooth(rate - zero, sampling.window)),
-        peak_dps=np.abs(rate).max(axis=0),
+        mean_abs_dps=share @ np.abs(smooth_blocks(rate - zero, sampling.window)),
         samples=len(time),
         bridged=bridged,
     )
 
 
-def smooth(rate: Floats, window: int) -> Floats:
-    """Means of blocks, each for its samples: of noise about zero, |mean| is not mean |…|."""
+def _trapezoid_weights(time_s: Floats) -> Floats:
+    """Weights (n,) in s by which the trapezoidal rule multiplies samples."""
+    steps = np.diff(time_s)
+    return np.asarray((np.append(steps, 0.0) + np.append(0.0, steps)) / 2)
+
+
+def smooth_blocks(rate: Floats, window: int) -> Floats:
+    """Replace samples by the means of their blocks, because noise about zero has a positive mean of |…|."""
+    # Sums over blocks of `window` samples, the last one shorter.
     starts = np.arange(0, len(rate), window)
     counts = np.diff(np.append(starts, len(rate)))
     means = np.add.reduceat(rate, starts, axis=0) / counts[:, None]
@@ -291,9 +311,9 @@ def smooth(rate: Floats, window: int) -> Floats:
 
 
 def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, int] | None:
-    """Covariance (3, 3) in deg² of what straight lines over lost scans leave, and how many were lost.
+    """Covariance (3, 3) in deg² of the error of straight lines over lost scans, and the number of scans.
 
-    None where too few samples are left around a gap.
+    None if too few samples around a gap show that error.
     """
     period = sampling.period_s
     lost = np.rint(np.diff(time) / period).astype(int) - 1
@@ -301,12 +321,14 @@ def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, in
     covariance = np.zeros((3, 3))
     if not gaps.size:
         return covariance, 0
+    # Cumulative angle by the trapezoidal rule.
     means = (rate[1:] + rate[:-1]) / 2
     path = np.concatenate([np.zeros((1, 3)), np.cumsum(means * np.diff(time)[:, None], axis=0)])
     for size in np.unique(lost[gaps]).tolist():
+        # Error of a line over each stretch of `width` steps; `whole` stretches have no lost scan.
         width = size + 1
         span = time[width:] - time[:-width]
-        left = path[width:] - path[:-width] - span[:, None] * (rate[width:] + rate[:-width]) / 2
+        error = path[width:] - path[:-width] - span[:, None] * (rate[width:] + rate[:-width]) / 2
         whole = span < (width + 0.5) * period
         for gap in gaps[lost[gaps] == size].tolist():
             near = whole & (np.abs(time[: len(span)] - time[gap]) < _BRIDGED_NEAR_S + width * period)
@@ -314,33 +336,28 @@ def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, in
                 near = whole
             if int(near.sum()) < _LEAST_BRIDGES:
                 return None
-            rows = left[near]
-            covariance += rows.T @ rows / len(rows)
+            covariance += error[near].T @ error[near] / int(near.sum())
     return covariance, int(lost[gaps].sum())
 
 
 def period_of(times_s: list[Floats]) -> float:
-    """Time between samples where none is lost: the median of all; nan where there is none."""
+    """Time between samples without a loss: the median of all; NaN without samples."""
     steps = [np.diff(time) for time in times_s if len(time) > 1]
     return float(np.median(np.concatenate(steps))) if steps else math.nan
 
 
-PARAMETERS = 21
-"""Of three gyros: A (9, row by row), g-sensitivity (9, row by row) in °/s/g, asymmetry (3)."""
-
-
 @dataclass(frozen=True)
 class AssumedGyros:
-    """What three gyros are taken for.
+    """Assumed parameters of three gyros.
 
     Attributes
     ----------
     sensitivity : (3, 3) float
-        A: gains times directions, a row a gyro.
+        A: gains times directions, a row per gyro.
     per_g : (3, 3) float
-        What force adds, °/s/g.
+        g-sensitivity in °/s/g.
     asymmetry : (3,) float
-        What |rate| adds, relative.
+        Relative error of the gain by |rate|.
     """
 
     sensitivity: Floats
@@ -349,33 +366,36 @@ class AssumedGyros:
 
     @classmethod
     def of(cls, values: Floats) -> AssumedGyros:
-        """From `PARAMETERS` values in their order."""
+        """Make gyros from `PARAMETERS` values in their order."""
         return cls(values[:9].reshape(3, 3), values[9:18].reshape(3, 3), values[18:])
+
+
+def gyro_directions(misalignment_deg: Floats) -> Floats:
+    """Unit vectors (3, 3) of the gyros by the misalignment (3, 3) of each towards the other axes."""
+    sines = np.sin(np.radians(misalignment_deg)) * (1 - np.eye(3))
+    return np.asarray(sines + np.diag(np.sqrt(1 - (sines**2).sum(axis=1))))
 
 
 @dataclass(frozen=True)
 class Attitude:
-    """What a turn did to a direction fixed in space.
+    """Effect of a turn on a direction fixed in space.
 
     Attributes
     ----------
     rotation : (3, 3) float
-        Φ: components in the part after the turn, from those before.
+        Φ: from components in the part before the turn to those after it.
     by_parameter : (3, 21) float
         ∂ε/∂(A, g-sensitivity, asymmetry), rad, rad/(°/s/g), rad.
     by_zero : (3, 3) float
         ∂ε/∂(zero rate), rad/(°/s).
     noise_rad2 : (3, 3) float
-        Covariance of ε for white noise of the rates.
-    travelled_rad : float
-        Length of the way, ∫ |ω| dt.
+        Covariance of ε by white noise of the rates.
     """
 
     rotation: Floats
     by_parameter: Floats
     by_zero: Floats
     noise_rad2: Floats
-    travelled_rad: float
 
 
 def attitude(
@@ -386,33 +406,30 @@ def attitude(
     noise_dps2: Floats,
     magnitude_dps: Floats | None = None,
 ) -> Attitude:
-    """Rotation over a turn.
+    """Compute the rotation over a turn.
 
     Parameters
     ----------
     time_s : (n,) float
     rate_dps : (n, 3) float
-        Readings less the zero rate without force.
+        Readings minus the zero rate without force.
     force_g : (n, 3) float
-        What the accelerometers read beyond the force at which that zero rate holds.
+        Readings of the accelerometers minus the force that belongs to that zero rate.
     gyros : AssumedGyros
     noise_dps2 : (3, 3) float
-        Covariance of one sample, as the spectral density at frequency zero has it.
+        Covariance of one sample, by the spectral density at frequency zero.
     magnitude_dps : (n, 3) float, optional
-        |rate| without the samples' noise; by default of `rate_dps` as it is.
+        |rate| without the noise of the samples; by default |`rate_dps`|.
     """
     inverse = np.linalg.inv(gyros.sensitivity)
     free = rate_dps - force_g @ gyros.per_g.T
     size = np.abs(free) if magnitude_dps is None else magnitude_dps
+    # True rate by the assumed gyros, then Φ(t₁, t) from each sample to the end.
     omega = np.radians(free - gyros.asymmetry * size) @ inverse.T
-    steps = np.diff(time_s)
-    to_end = _to_end((omega[1:] + omega[:-1]) / 2 * steps[:, None])
-    weight = np.zeros(len(time_s))
-    weight[:-1] += steps / 2
-    weight[1:] += steps / 2
-    by_rate = to_end @ inverse
-    weighted = weight[:, None, None] * by_rate
+    to_end = _to_end((omega[1:] + omega[:-1]) / 2 * np.diff(time_s)[:, None])
+    weighted = _trapezoid_weights(time_s)[:, None, None] * (to_end @ inverse)
     rad = math.pi / 180
+    # ∂ε/∂A[i, j] = ∫ (Φ A⁻¹)[:, i] ω[j] dt: one matrix product over samples for all nine, row by row.
     flat = weighted.reshape(-1, 9).T
     by_parameter = np.concatenate(
         [
@@ -422,24 +439,26 @@ def attitude(
         ],
         axis=1,
     )
+    # Sum over samples of W Σ Wᵀ with W = Φ A⁻¹ dt.
     by_row = weighted.transpose(1, 0, 2)
     noise = rad**2 * (by_row @ noise_dps2).reshape(3, -1) @ by_row.reshape(3, -1).T
-    travelled = float(weight @ np.linalg.norm(np.radians(size) @ inverse.T, axis=1))
-    return Attitude(to_end[0], by_parameter, rad * weighted.sum(axis=0), noise, travelled)
+    return Attitude(to_end[0], by_parameter, rad * weighted.sum(axis=0), noise)
 
 
 def _to_end(steps_rad: Floats) -> Floats:
     """Φ(t₁, t) (n + 1, 3, 3) of each sample, from the angles (n, 3) turned between samples.
 
-    Products within blocks of about √n steps, all blocks side by side, then of the blocks.
+    The products run within about √n blocks of about √n steps, all blocks at once, then over the blocks.
     """
+    from scipy.spatial.transform import Rotation
+
     n = len(steps_rad)
     size = max(1, math.isqrt(n))
     blocks = -(-n // size)
     turns = np.broadcast_to(np.eye(3), (blocks * size, 3, 3)).copy()
-    turns[:n] = rotations(-steps_rad)
+    turns[:n] = Rotation.from_rotvec(-steps_rad).as_matrix()
     turns = turns.reshape(blocks, size, 3, 3)
-    # The last step acts last: Φ of a sample is the product of all later steps, the latest to the left.
+    # The last step acts last: Φ of a sample is the product of all later steps, the latest on the left.
     for k in range(size - 2, -1, -1):
         turns[:, k] = turns[:, k + 1] @ turns[:, k]
     after = np.eye(3)
@@ -448,14 +467,3 @@ def _to_end(steps_rad: Floats) -> Floats:
         turns[block] = after @ turns[block]
         after = whole
     return np.concatenate([turns.reshape(-1, 3, 3)[:n], np.eye(3)[None]])
-
-
-def rotations(vectors_rad: Floats) -> Floats:
-    """Matrices (n, 3, 3) of rotation vectors (n, 3): Rodrigues' formula."""
-    angle = np.linalg.norm(vectors_rad, axis=1)[:, None, None]
-    cross = np.zeros((len(vectors_rad), 3, 3))
-    x, y, z = vectors_rad.T
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
-    cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = z, -y, x
-    half = np.sinc(angle / (2 * np.pi))
-    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * (cross @ cross))

@@ -1,18 +1,18 @@
-"""What the part truly turned between two dwells, as a rotation vector in the accelerometers' frame.
+"""True rotation of the part between two dwells, as a rotation vector in the accelerometers' frame.
 
 Gravity on both sides
-    Where the axis does not stand upright, the angle between the two gravities about it is how far the part
-    turned, but for whole turns, which the gyro itself counts. On a stage (plane xy) the axis is z of the
-    frame, and ψ falls as the part turns on; declared angles add what the fixture is worth. In space the
-    axis is the gyro's own: the angle about it is observed, its direction is not.
+    If the axis is not upright, the rotation is the angle between the two directions of gravity about the
+    axis, up to whole turns, and the gyro counts these. On a stage (plane xy) the axis is z of the frame,
+    and ψ decreases as the part turns forward; declared angles improve ψ by the fixture's uncertainty. In
+    space the axis is the gyro's own, so the angle about it is measured and its direction is not.
 Whole turns
-    On a level table the axis is vertical and gravity shows nothing of the angle. From a mark back to the
-    mark it is a whole number of turns: exact without any reference, but for how well the mark is met. The
-    direction of the axis is that in which the accelerometers stay the same while the part turns: they read
+    On a level table the axis is vertical, and gravity does not depend on the angle. From a mark back to the
+    mark the rotation is a whole number of turns: exact without any reference, up to the error of meeting
+    the mark. Along the axis the accelerometers' reading is constant during the turn: they read
     c + a cos θ + b sin θ (the table's tilt) + d ω² + e dω/dt (a part away from the axis), c along it.
 
-A rotation vector is the integral of the rate as it stands where the axis stays the same in the part, as on
-a stage and on a table. A turn about an axis that wanders more than `STRAIGHT` allows is refused in space.
+A rotation vector equals the integral of the rate if the axis is constant in the part, as on a stage and
+on a table. In space a turn about an axis that wanders by more than `STRAIGHT` allows is refused.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from adis_gonio.fitting.estimation.spectrum import noise_of_means
 from adis_gonio.fitting.gyros.turn_integration import Integral, Path
 
 MARK_U_DEG = 0.1
-"""Standard uncertainty with which a part is set against a mark or a stop (an estimate, D)."""
+"""Standard uncertainty of setting a part against a mark or a stop (an estimate, D)."""
 NOT_WHOLE = 0.25
-"""Turns from the nearest whole number beyond which a turn is not whole; a gain of 2 % in ten is less."""
+"""Largest distance of a turn from a whole number of turns; a gain error of 2 % in ten turns is less."""
 LEAST_REFERENCE_DEG = 20.0
-"""Less tells too little about a gain."""
+"""Smallest turn that determines a gain."""
 LEAST_INCLINED = math.sin(math.radians(15))
-"""Sine between the axis and gravity from which gravity tells the angle."""
+"""Smallest sine between the axis and gravity for an angle by gravity."""
 STRAIGHT = math.cos(math.radians(5))
 """Least mean cosine between the rate and the axis of a turn in space."""
 _BLOCKS = 400
@@ -50,11 +50,11 @@ class Reference:
     angle_deg : (3,) float
         Rotation vector, right-handed about the accelerometers' axes.
     covariance_deg2 : (3, 3) float
-        Of it; an infinite variance would be no number: what is not observed has `UNSEEN`² of the angle.
+        Its covariance; an unobserved component has a standard uncertainty of `UNSEEN` times the angle.
     turns : int
-        Whole turns in it, with their sign.
+        Number of whole turns in it, with their sign.
     modes_deg : (3, k) float or None
-        What k errors that turns share add to it, one standard uncertainty each.
+        Change of the rotation by one standard uncertainty of each of k errors that turns share.
     """
 
     kind: Literal["gravity", "whole turns"]
@@ -65,10 +65,10 @@ class Reference:
 
 
 UNSEEN = 0.2
-"""Relative standard uncertainty of what a reference does not observe: no gyro is so far off."""
+"""Relative standard uncertainty of an unobserved component: every gyro is more accurate."""
 
 
-def on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: float) -> Reference | str:
+def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: float) -> Reference | str:
     """Turn about the stage's axis, from the angles ψ of gravity in both dwells.
 
     Parameters
@@ -83,14 +83,14 @@ def on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: float) -> 
     turns = round((seen - part) / 360.0)
     angle = part + 360.0 * turns
     if abs(seen - angle) > max(10.0, 0.1 * abs(angle)):
-        return f"the gyro turned {seen:.1f}° where gravity says {angle:.1f}°: not about the stage's axis"
+        return f"the gyro turned {seen:.1f}°, by gravity {angle:.1f}°: not about the stage's axis"
     if abs(angle) < LEAST_REFERENCE_DEG:
-        return f"a turn of {angle:.1f}° is too short; {LEAST_REFERENCE_DEG:g}° or more tell a gain"
+        return f"a turn of {angle:.1f}° is too short; a gain needs {LEAST_REFERENCE_DEG:g}° or more"
     return Reference("gravity", np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, u_deg**2]), turns)
 
 
-def in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
-    """Turn about the gyro's own axis, its angle from gravity (3,) before and after in the part.
+def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
+    """Turn about the gyro's own axis, with its angle by gravity (3,) before and after in the part.
 
     Parameters
     ----------
@@ -99,46 +99,49 @@ def in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -
     """
     size = float(np.linalg.norm(integral.turned_deg))
     if size < LEAST_REFERENCE_DEG:
-        return f"a turn of {size:.1f}° is too short; {LEAST_REFERENCE_DEG:g}° or more tell a gain"
+        return f"a turn of {size:.1f}° is too short; a gain needs {LEAST_REFERENCE_DEG:g}° or more"
     travelled = float(np.linalg.norm(integral.mean_abs_dps)) * integral.length_s
     if size < STRAIGHT * travelled:
         return "it was not turned about one axis; turn about one axis at a time"
     axis = integral.turned_deg / size
+    # Components of both unit vectors of gravity across the axis.
     across = [g / np.linalg.norm(g) - axis * (axis @ g) / np.linalg.norm(g) for g in gravity]
     inclined = min(float(np.linalg.norm(a)) for a in across)
     if inclined < LEAST_INCLINED:
-        return "the axis stood upright, where gravity tells nothing of the angle; declare whole turns"
-    # What is fixed in space goes backwards in the part: from the second direction to the first.
+        return "the axis was upright, so gravity does not show the angle; declare whole turns"
+    # A direction fixed in space moves backwards in the part: from the second direction to the first.
     part = math.degrees(
         math.atan2(float(axis @ np.cross(across[1], across[0])), float(across[1] @ across[0]))
     )
     turns = round((size - part) / 360.0)
     angle = part + 360.0 * turns
     if abs(angle - size) > max(10.0, 0.1 * size):
-        return f"the gyro turned {size:.1f}° where gravity says {angle:.1f}°: not about one axis, or a slip"
+        return f"the gyro turned {size:.1f}°, by gravity {angle:.1f}°: not about one axis, or a slip"
     u_deg = math.degrees(math.sqrt(2) * u_rad / inclined)
     along = np.outer(axis, axis)
+    # Along the axis the uncertainty by gravity, across it the large one of an unobserved component.
     covariance = u_deg**2 * along + (UNSEEN * angle) ** 2 * (np.eye(3) - along)
     return Reference("gravity", angle * axis, covariance, turns)
 
 
-def whole_turns(
-    integral: Integral, steady: Floats, u_mark_deg: float, axis_rad2: Floats, alike: int = 1
+def reference_of_whole_turns(
+    integral: Integral, steady: Floats, u_mark_deg: float, axis_rad2: Floats, consecutive: int = 1
 ) -> Reference | str:
     """Whole turns about the vertical, from a mark back to it.
 
     Parameters
     ----------
     steady : (3,) float
-        What calibrated accelerometers read that does not change as the part turns: against the upward
-        axis, any unit.
+        Constant part of the calibrated accelerometers' reading during the turn: opposite to the upward
+        axis, in any unit.
     u_mark_deg : float
-        Standard uncertainty with which the mark is met, each time.
+        Standard uncertainty of meeting the mark, each time.
     axis_rad2 : (3, 3) float
-        Covariance of that direction, of what is this turn's own; what lies along it does not count.
-    alike : int
-        Turns there and back that follow one another. Where one ends the next begins: an error of the mark
-        in between is in both, which takes it twice into their difference.
+        Covariance of that direction by errors of this turn alone; its component along the direction does
+        not count.
+    consecutive : int
+        Number of consecutive turns forward and back. One ends where the next begins, so an error of the
+        mark between them is in both, and twice in their difference.
     """
     up = -steady / np.linalg.norm(steady)
     seen = float(up @ integral.turned_deg)
@@ -153,24 +156,26 @@ def whole_turns(
     angle = 360.0 * turns
     along = np.outer(up, up)
     across = np.eye(3) - along
-    mark = 2 * u_mark_deg**2 * (2 - 1 / alike)
+    # Two marks per turn; a mark between consecutive turns counts in both.
+    mark = 2 * u_mark_deg**2 * (2 - 1 / consecutive)
     covariance = mark * along + angle**2 * across @ axis_rad2 @ across
     return Reference("whole turns", angle * up, covariance, turns)
 
 
 def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floats]:
-    """What the accelerometers read that stays the same while the part turns about one axis.
+    """Constant part of the accelerometers' reading while the part turns about one axis.
 
     Returns
     -------
     (3,) and (3, 3) float
-        In the unit of `Path.force_g`, and its covariance by the noise at frequency zero of what is left: a
-        hand's shaking is not white.
+        In the unit of `Path.force_g`, and its covariance by the residual's noise at frequency zero,
+        because a hand's shaking is not white.
     """
     rows = (path.time_s >= begin_s) & (path.time_s <= end_s)
     time, force = path.time_s[rows], path.force_g[rows]
     rate = path.rate_dps[rows] - path.zero_dps.mean(axis=0)
     turned = np.trapezoid(rate, time, axis=0)
+    # Rate about the axis of the whole turn, and its integral.
     spin = np.radians(rate @ (turned / np.linalg.norm(turned)))
     angle = np.concatenate([[0.0], np.cumsum((spin[1:] + spin[:-1]) / 2 * np.diff(time))])
     starts = np.unique(np.linspace(0, len(time), _BLOCKS, endpoint=False).astype(np.intp))
@@ -180,6 +185,7 @@ def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floa
         sums = np.add.reduceat(series, starts, axis=0)
         return np.asarray((sums.T / counts).T)
 
+    # Least squares on means of blocks: constant, tilt of the table, and both terms of a lever arm.
     speed = mean(spin)
     jerk = np.gradient(speed, mean(time))
     terms = [np.cos(angle), np.sin(angle), spin**2]
@@ -187,9 +193,8 @@ def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floa
     size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
     seen = mean(force)
     found = np.linalg.lstsq(design / size, seen, rcond=1e-8)[0] / size[:, None]
-    left = seen - design @ found
+    residual = seen - design @ found
     inverse = np.linalg.pinv((design / size).T @ (design / size))[0, 0] / size[0] ** 2
-    noise = noise_of_means([left])
-    used = len(left) / (len(left) - design.shape[1])
-    covariance = used * len(left) * inverse * noise.covariance[0] + np.diag(noise.flicker)
+    noise, n = noise_of_means([residual]), len(residual)
+    covariance = n**2 / (n - design.shape[1]) * inverse * noise.covariance[0] + np.diag(noise.flicker)
     return np.asarray(found[0]), covariance

@@ -1,44 +1,29 @@
-"""What is said of a position: its three angles, the names that could stand for it, and what to do.
-
-Which positions are wrong, and how: the search over patterns, and what is said of those that stand.
-"""
+"""Diagnosis of wrong positions: the search over patterns of error, and a finding for each position."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.levels import CREDIBLE_SET
+from adis_gonio.base.uncertainty import CREDIBLE_SET
 from adis_gonio.fitting.slips.position_evidence import (
-    Beside,
     Detectability,
+    KnownFaults,
     ScatterPoint,
     Weighed,
     Whitened,
     scatters,
     weigh,
 )
-from adis_gonio.fitting.slips.position_faults import (
-    ACCUSED,
-    Name,
-    Pattern,
-    may_have_been_meant,
-    patterns_of,
-)
-from adis_gonio.fitting.slips.position_model import (
-    BASE,
-    Angles,
-    BelievedParameters,
-    Rows,
-    calibrated_by_length,
-    rows_at,
-)
+from adis_gonio.fitting.slips.position_faults import ACCUSED, Name, Pattern, patterns_of, possible_entries
+from adis_gonio.fitting.slips.position_model import BASE, Angles, Rows, calibrate_by_length, rows_at
 
 Angle = tuple[float, float]
 """An angle and its standard uncertainty in degrees."""
@@ -54,7 +39,7 @@ MEANINGS: dict[Name, str] = {
 }
 
 SIZED: frozenset[Name] = frozenset({"mistyped", "misset", "slipped"})
-"""Names of one error, which has a size."""
+"""Names of one error with a size."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +51,9 @@ class Named(JsonRecord):
     Attributes
     ----------
     positions : tuple of int
-        That it accuses; of what lasts the first one.
+        Accused positions; of a lasting change the first one.
     probability : float
-        Of all that may be wrong here.
+        Share among all possible faults here.
     """
 
     name: Name
@@ -78,32 +63,32 @@ class Named(JsonRecord):
 
 @dataclass(frozen=True)
 class PositionFinding:
-    """One position that is not where it was declared, or whose reading is wrong.
+    """One position away from its declared angle, or with a wrong reading.
 
     Attributes
     ----------
     position : int
-        Number of the dwell; of what lasts the first one.
+        Number of the dwell; of a lasting change the first one.
     finding : Name
         The most probable name.
     declared_deg : float or None
-        None where no angle is declared.
+        None without a declared angle.
     gravity_deg, gyro_deg : Angle or None
         By the reading with the session's own calibration, and by the turn from the dwell before; None
-        without one. Calibration and neighbours are those that remain when what was found is set aside.
+        without one. Calibration and neighbours are those without the accepted faults.
     angle_deg : Angle
-        Both together: where the part stood.
+        Combined angle of the part.
     error_deg : Angle
-        How much more than declared.
+        Angle of the part minus declared angle.
     meant_deg : float or None
-        What the entry should have said, where hands make the declared angle of it.
+        Intended entry, if a usual typing error makes the declared angle of it.
     others : tuple of int
-        Other positions that the same fault touches: the second of a swap, all that follow a slip.
+        Other positions of the same fault: the second of a swap, all later ones of a slip.
     probability : float
-        That something is wrong here.
+        Probability of a fault here.
     names : tuple of Named
-        The smallest set of names that holds 95 % of it, the most probable first; what an error of the first
-        or the last position does, a slip beside it does as well.
+        The smallest set of names with 95 % of that probability, the most probable first. An error of the
+        first or the last position has the same effect as a slip next to it.
     """
 
     position: int
@@ -120,7 +105,7 @@ class PositionFinding:
 
     @property
     def correction(self) -> str | None:
-        """Value of `--angles` that mends the session; None where the position has to be repeated."""
+        """Value of `--angles` that corrects the session; None if the position must be repeated."""
         match self.finding:
             case "swapped":
                 return (
@@ -137,50 +122,42 @@ class PositionFinding:
 
     @property
     def sentence(self) -> str:
-        """What was found, and what to do."""
+        """The finding and its remedy, in a sentence."""
         where = f"position {self.position}"
         declared = "" if self.declared_deg is None else f"declared {self.declared_deg:g}°, "
-        if self.finding == "gravity_wrong":
-            return (
-                f"{where}: {declared}gravity says {_stated(self.gravity_deg)}{self._gyro_agrees}: "
-                f"{self._named}; repeat it, or leave it out"
-            )
-        if self.finding == "slipped":
-            stands = f"{where} stands {_signed(self.error_deg)} from where it is"
-            if self.others:
-                those = f"positions {self.position} to {self.others[-1]}"
-                stands = f"{those} stand {_signed(self.error_deg)} from where they are"
-            repeat = "repeat them" if self.others else "repeat it"
-            return (
-                f"{stands} declared by {self._sources}: {self._named}; clamp the part and {repeat},"
-                f" or give --angles {self.correction}"
-            )
-        if self.finding == "reversed":
-            return (
-                f"from position {self.position} on the part turned against the declared angles by "
-                f"{self._sources}: {self._named}; correct the file or give --angles {self.correction}"
-            )
-        said = f"{where}: {declared}{self._sources} {self._say} {_stated(self.angle_deg)}: {self._named}"
+        sources = "gravity" if self.gyro_deg is None else "gravity and gyro"
+        correct = f"correct the file or give --angles {self.correction}"
+        match self.finding:
+            case "gravity_wrong":
+                gyro = "" if self.gyro_deg is None else f", {_stated(self.gyro_deg)} by the gyro"
+                return (
+                    f"{where}: {declared}{_stated(self.gravity_deg)} by gravity{gyro}: "
+                    f"{self._named}; repeat it, or leave it out"
+                )
+            case "slipped":
+                off = f"{where} is {_signed(self.error_deg)} from its declared angle"
+                if self.others:
+                    those = f"positions {self.position} to {self.others[-1]}"
+                    off = f"{those} are {_signed(self.error_deg)} from their declared angles"
+                repeat = "repeat them" if self.others else "repeat it"
+                return (
+                    f"{off} by {sources}: {self._named}; clamp the part and {repeat},"
+                    f" or give --angles {self.correction}"
+                )
+            case "reversed":
+                return (
+                    f"from position {self.position} on the part turned against the declared angles by "
+                    f"{sources}: {self._named}; {correct}"
+                )
+        text = f"{where}: {declared}{_stated(self.angle_deg)} by {sources}: {self._named}"
         if self.finding == "swapped":
-            said += f" with position {self.others[0]}"
-        return f"{said}; correct the file or give --angles {self.correction}"
-
-    @property
-    def _sources(self) -> str:
-        return "gravity" if self.gyro_deg is None else "gravity and gyro"
-
-    @property
-    def _say(self) -> str:
-        return "says" if self.gyro_deg is None else "say"
-
-    @property
-    def _gyro_agrees(self) -> str:
-        return "" if self.gyro_deg is None else f", the gyro {_stated(self.gyro_deg)}"
+            text += f" with position {self.others[0]}"
+        return f"{text}; {correct}"
 
     @property
     def _named(self) -> str:
-        """The name that stands first, then the others of the set, with places where they are others."""
-        # One angle that is off from all others, or all others from it.
+        """The finding's name, then the other names of the set, with their positions if these differ."""
+        # If one angle differs from all others, all others differ from it by the opposite.
         by = f"by {_signed((-self.error_deg[0], self.error_deg[1]))}"
         own, elsewhere = [_meaning(self.finding, self.position)], dict[int, list[str]]()
         for named in self.names:
@@ -199,19 +176,15 @@ class PositionFinding:
 
     def as_dict(self) -> dict[str, Any]:
         """One entry of `positions`."""
-        gyro = self.gyro_deg
-        return {
-            "position": self.position,
-            "finding": self.finding,
-            "declared_deg": self.declared_deg,
-            "gravity_deg": self.gravity_deg[0],
-            "gravity_u_deg": self.gravity_deg[1],
-            "gyro_deg": None if gyro is None else gyro[0],
-            "gyro_u_deg": None if gyro is None else gyro[1],
-            "angle_deg": self.angle_deg[0],
-            "angle_u_deg": self.angle_deg[1],
-            "error_deg": self.error_deg[0],
-            "error_u_deg": self.error_deg[1],
+        document: dict[str, Any] = {
+            "position": self.position, "finding": self.finding, "declared_deg": self.declared_deg
+        }  # fmt: skip
+        for name in ("gravity", "gyro", "angle", "error"):
+            document[f"{name}_deg"], document[f"{name}_u_deg"] = getattr(self, f"{name}_deg") or (
+                None,
+                None,
+            )
+        return document | {
             "meant_deg": self.meant_deg,
             "others": list(self.others),
             "probability": self.probability,
@@ -222,7 +195,7 @@ class PositionFinding:
 
 
 def listed(findings: Sequence[PositionFinding]) -> dict[str, Any]:
-    """The key `positions` of a result's JSON; nothing where nothing was found."""
+    """The key `positions` of a result's JSON; empty without a finding."""
     return {"positions": [found.as_dict() for found in findings]} if findings else {}
 
 
@@ -247,28 +220,28 @@ def _signed(angle: Angle) -> str:
 
 
 CERTAIN = 0.99
-"""Posterior from which a position is accused."""
+"""Posterior above which a position is accused."""
 MOST_FAULTS = 6
 LARGEST = 120
-"""Dwells beyond which a session is not looked at: the covariance of all rows is worked out as a whole."""
+"""Largest number of dwells of a diagnosis, because it computes the covariance of all rows."""
 LEAST = 3
-"""Dwells from which one can be wrong and the others right; with a gyro two."""
+"""Smallest number of dwells of which one can be wrong and the others right; with a gyro two."""
 SETTLED_RAD = math.radians(0.5)
-"""A calibration that moves the angles by less is not improved upon: its square is 0.004°."""
+"""Largest change of angles by the last calibration; its square is 0.004°."""
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the three angles say of a session.
+    """Findings of a session by the three angles.
 
     Attributes
     ----------
     findings : tuple of PositionFinding
         Accused positions, in their order.
     scatter_deg : float
-        Standard deviation of a position, beyond what was found.
+        Standard deviation of a position without the findings.
     sight : Detectability or None
-        What would have been seen; None where nothing was looked at.
+        Detectable errors; None without a diagnosis.
     """
 
     findings: tuple[PositionFinding, ...] = ()
@@ -276,105 +249,91 @@ class Diagnosis:
     sight: Detectability | None = field(default=None, repr=False, compare=False)
 
     def detectable_deg(self, name: Name = "slipped") -> dict[int, float]:
-        """Smallest error of a name at each position that is accused with 99 % power; inf: none is."""
+        """Smallest error of a name that is accused with 99 % power, by position; inf if there is none."""
         return {} if self.sight is None else self.sight.detectable_deg(name, CERTAIN)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """One line each, swaps once."""
-        said: dict[tuple[object, ...], str] = {}
+        """One line per finding, swaps once."""
+        lines: dict[tuple[object, ...], str] = {}
         for found in self.findings:
             key = (found.finding, *sorted((found.position, *found.others)))
-            said.setdefault(key, found.sentence)
-        return tuple(said.values())
+            lines.setdefault(key, found.sentence)
+        return tuple(lines.values())
 
 
 def diagnose(angles: Angles) -> Diagnosis:
-    """Weigh every fault of `faults` on every position; name those that are certain."""
-    if not _enough(angles):
+    """Weigh every fault of `position_faults` on every position, and report the certain ones."""
+    declared = int(np.isfinite(angles.declared_rad).sum())
+    watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
+    if declared < LEAST - watched or len(angles) > LARGEST:
         return Diagnosis()
     grid = scatters(angles.fixture_rad)
-    calibration = calibrated_by_length(angles)
+    calibration = calibrate_by_length(angles)
     rows = rows_at(angles, calibration)
     accepted, last = _search(rows, grid)
-    moved = _recalibrated(rows, calibration, accepted, last.scatter)
-    if _apart(rows, calibration, moved) > SETTLED_RAD:
-        rows = rows_at(angles, moved)
+    # Calibrate again without the accepted faults, and repeat the search if that changes any angle.
+    step = _posterior(rows, accepted, last.scatter)[0][1 : 1 + BASE]
+    if float(np.abs(rows.design[: len(rows), 1 : 1 + BASE] @ step).max()) > SETTLED_RAD:
+        rows = rows_at(angles, calibration + step)
         accepted, last = _search(rows, grid)
     findings = _findings(angles, rows, grid, accepted)
     return Diagnosis(
         tuple(sorted(findings, key=lambda found: found.position)),
         math.degrees(last.scatter.position_rad),
-        Detectability(angles.position, rows, tuple(grid), Beside.of(rows, accepted)),
+        Detectability(angles.position, rows, tuple(grid), KnownFaults.of(rows, accepted)),
     )
 
 
-def _enough(angles: Angles) -> bool:
-    declared = int(np.isfinite(angles.declared_rad).sum())
-    watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
-    return LEAST - watched <= declared and len(angles) <= LARGEST
-
-
 def _search(rows: Rows, grid: Sequence[ScatterPoint]) -> tuple[list[Pattern], Weighed]:
-    """Faults one after another, the most probable first, until none more is probable."""
+    """Accept faults one after another, the most probable first, until no fault is more probable."""
     accepted: list[Pattern] = []
     while True:
-        beside = Beside.of(rows, accepted)
-        patterns = _others(patterns_of(rows, beside.error_rad), accepted)
-        weighed = weigh(rows, grid, patterns, beside)
-        best = weighed.best
-        if best is None or len(accepted) == MOST_FAULTS:
+        patterns, weighed = _weigh_others(rows, grid, accepted)
+        if weighed.best is None or len(accepted) == MOST_FAULTS:
             return accepted, weighed
-        accepted.append(patterns[best[0]])
+        accepted.append(patterns[weighed.best])
 
 
-def _others(patterns: Sequence[Pattern], accepted: Sequence[Pattern]) -> list[Pattern]:
-    """Patterns that no accepted one holds already."""
+def _weigh_others(
+    rows: Rows, grid: Sequence[ScatterPoint], accepted: Sequence[Pattern]
+) -> tuple[list[Pattern], Weighed]:
+    """Weigh all patterns in addition to accepted ones."""
+    known = KnownFaults.of(rows, accepted)
     taken = {(p.name, p.dwells) for p in accepted}
-    return [p for p in patterns if (p.name, p.dwells) not in taken]
-
-
-def _recalibrated(
-    rows: Rows, calibration: BelievedParameters, accepted: Sequence[Pattern], scatter: ScatterPoint
-) -> BelievedParameters:
-    mean, _ = _posterior(rows, accepted, scatter)
-    return calibration.moved(mean[1 : 1 + BASE])
-
-
-def _apart(rows: Rows, one: BelievedParameters, other: BelievedParameters) -> float:
-    """Most that two calibrations differ in an angle."""
-    step = other.values - one.values
-    return float(np.abs(rows.design[: len(rows), 1 : 1 + BASE] @ step).max())
+    patterns = [p for p in patterns_of(rows, known.error_rad) if (p.name, p.dwells) not in taken]
+    return patterns, weigh(rows, grid, patterns, known)
 
 
 def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -> tuple[Floats, Floats]:
     """Mean (p + q,) and covariance of all columns' values."""
-    beside = Beside.of(rows, accepted)
-    white = Whitened(rows, scatter, beside.known)
-    z = white.white(white.mean_of(beside.left(rows)[:, None]))[:, 0]
+    known = KnownFaults.of(rows, accepted)
+    white = Whitened(rows, scatter, known.columns)
+    z = white.white_residual(known.residual(rows)[:, None])[:, 0]
+    # Posterior of a linear Gaussian model: prior covariance times design, whitened.
     spread = white.white(white.design * white.prior_sd**2)
     mean = spread.T @ z
     mean[: len(rows.prior_mean)] += rows.prior_mean
     return mean, np.diag(white.prior_sd**2) - spread.T @ spread
 
 
-# -- what is said --------------------------------------------------------------------------------------
+# -- findings ------------------------------------------------------------------------------------------
 
 
 def _findings(
     angles: Angles, rows: Rows, grid: Sequence[ScatterPoint], accepted: Sequence[Pattern]
 ) -> list[PositionFinding]:
-    found = []
+    found: dict[tuple[int, Name], PositionFinding] = {}
     for pattern in accepted:
         if pattern.name not in ACCUSED:
             continue
+        # Weigh all patterns again as if this one were the last to be found.
         rest = [other for other in accepted if other is not pattern]
-        beside = Beside.of(rows, rest)
-        patterns = _others(patterns_of(rows, beside.error_rad), rest)
-        weighed = weigh(rows, grid, patterns, beside)
+        patterns, weighed = _weigh_others(rows, grid, rest)
         if weighed.best is None:
             continue
         accusing = [v for (_, name), v in weighed.named.items() if name in ACCUSED]
+        # Posterior probability of all accusing patterns together.
         total = np.logaddexp.reduce([weighed.none, *weighed.named.values()])
         probability = float(np.exp(np.logaddexp.reduce(accusing) - total))
         number, name = weighed.likeliest
@@ -382,20 +341,17 @@ def _findings(
             continue
         chosen = patterns[number]
         names = _set_of_names(angles.position, patterns, weighed)
-        speaker = _Speaker(angles, rows, [*rest, chosen], chosen, weighed.scatter)
-        found += speaker.findings(name, probability, names)
-    return _once(found)
-
-
-def _once(found: Sequence[PositionFinding]) -> list[PositionFinding]:
-    """Each position under each name once."""
-    return list({(one.position, one.finding): one for one in found}.values())
+        account = _Account(angles.position, rows, (*rest, chosen), chosen, weighed.scatter)
+        for k in chosen.dwells:
+            one = account.finding(k, name, probability, names)
+            found[one.position, one.finding] = one
+    return list(found.values())
 
 
 def _set_of_names(
     position: Sequence[int], patterns: Sequence[Pattern], weighed: Weighed
 ) -> tuple[Named, ...]:
-    """Names by their share of what accuses, the smallest set that holds 95 % of it."""
+    """Names by their share among the accusing ones: the smallest set with 95 % of the probability."""
     accusing = {key: value for key, value in weighed.named.items() if key[1] in ACCUSED}
     total = np.logaddexp.reduce(list(accusing.values()))
     ordered = sorted(accusing.items(), key=lambda item: -item[1])
@@ -410,77 +366,72 @@ def _set_of_names(
 
 
 @dataclass(frozen=True)
-class _Speaker:
-    """Says where the accused positions of one pattern stood, given all that was found."""
+class _Account:
+    """Angles of the accused positions of one pattern, given all accepted faults."""
 
-    angles: Angles
+    position: Sequence[int]
     rows: Rows
-    accepted: list[Pattern]
+    accepted: tuple[Pattern, ...]
     pattern: Pattern
     scatter: ScatterPoint
 
-    @property
-    def _beside(self) -> Beside:
-        return Beside.of(self.rows, self.accepted)
+    @cached_property
+    def known(self) -> KnownFaults:
+        return KnownFaults.of(self.rows, self.accepted)
 
-    def findings(self, name: Name, probability: float, names: tuple[Named, ...]) -> list[PositionFinding]:
-        mean, covariance = _posterior(self.rows, self.accepted, self.scatter)
-        error = self._error(mean, covariance)
-        return [self._finding(k, name, probability, names, mean, covariance, error)
-                for k in self.pattern.dwells]  # fmt: skip
+    @cached_property
+    def posterior(self) -> tuple[Floats, Floats]:
+        """Mean and covariance of all columns' values."""
+        return _posterior(self.rows, self.accepted, self.scatter)
 
-    def _error(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-        """E (n,) by the patterns, and the variance of the one free amplitude of this pattern's."""
-        error, first = self._beside.error_rad.copy(), len(self.rows.prior_mean)
-        variance = 0.0
+    @cached_property
+    def error(self) -> tuple[Floats, float]:
+        """E (n,) by the patterns, and the standard uncertainty of this pattern's one free amplitude."""
+        error, first = self.known.error_rad.copy(), len(self.rows.prior_mean)
+        mean, covariance = self.posterior
+        u = 0.0
         for p in self.accepted:
             q = p.columns.shape[1]
+            # Only patterns with one free amplitude have an error of unknown size.
             if q == 1:
                 error += p.unit * mean[first]
                 if p is self.pattern:
-                    variance = float(covariance[first, first])
+                    u = math.sqrt(max(float(covariance[first, first]), 0.0))
             first += q
-        return error, np.array(variance)
+        return error, u
 
-    def _finding(
-        self,
-        k: int,
-        name: Name,
-        probability: float,
-        names: tuple[Named, ...],
-        mean: Floats,
-        covariance: Floats,
-        error: tuple[Floats, Floats],
-    ) -> PositionFinding:
-        number = self.angles.position
+    def finding(self, k: int, name: Name, probability: float, names: tuple[Named, ...]) -> PositionFinding:
+        """Finding of one accused position."""
         declared = _degrees(self.rows.declared_rad[k])
-        gravity = self._gravity(k, mean, covariance)
-        gyro = self._gyro(k, mean, covariance, error[0])
-        stood = _together([gravity, gyro])
+        gravity, gyro = self._gravity(k), self._gyro(k)
+        actual = _weighted_mean([gravity, gyro])
         if name == "gravity_wrong":
-            stood = gyro or (0.0, math.degrees(self.scatter.position_rad))
-        size = stood
+            actual = gyro or (0.0, math.degrees(self.scatter.position_rad))
+        size = actual
+        others = [self.position[j] for j in self.pattern.dwells if j != k]
         if name in ("slipped", "reversed"):
-            size = (math.degrees(error[0][k]), math.degrees(math.sqrt(max(float(error[1]), 0.0))))
-        others = [number[j] for j in self.pattern.dwells if j != k]
-        if name in ("slipped", "reversed"):
-            others = list(number[k + 1 :])
+            size = math.degrees(self.error[0][k]), math.degrees(self.error[1])
+            others = list(self.position[k + 1 :])
+
+        def at(error: Angle) -> Angle:
+            return declared + error[0], error[1]
+
         return PositionFinding(
-            number[k],
+            self.position[k],
             name,
             declared if self.rows.declared[k] else None,
-            _at(declared, gravity),
-            None if gyro is None else _at(declared, gyro),
-            _at(declared, stood),
+            at(gravity),
+            None if gyro is None else at(gyro),
+            at(actual),
             size,
-            self._meant(k, name, declared, stood),
+            self._intended(k, name, declared, actual),
             tuple(others),
             probability,
             names,
         )
 
-    def _meant(self, k: int, name: Name, declared: float, stood: Angle) -> float | None:
-        """What was meant: of a swap the other's angle, else what is on the list or whole and near."""
+    def _intended(self, k: int, name: Name, declared: float, actual: Angle) -> float | None:
+        """Intended entry: the other's angle of a swap, else an angle on the list, or a whole degree."""
         if name == "swapped":
             other = next(j for j in self.pattern.dwells if j != k)
             return _degrees(self.rows.declared_rad[other])
@@ -489,44 +440,48 @@ class _Speaker:
         others = [
             _degrees(v) for j, v in enumerate(self.rows.declared_rad) if self.rows.declared[j] and j != k
         ]
-        near = 3 * math.hypot(stood[1], math.degrees(self.scatter.position_rad))
-        angle = declared + stood[0]
-        for candidates in (may_have_been_meant(declared, others), (float(round(angle)),)):
+        near = 3 * math.hypot(actual[1], math.degrees(self.scatter.position_rad))
+        angle = declared + actual[0]
+        for candidates in (possible_entries(declared, others), (float(round(angle)),)):
             off = {c: abs(wrap_degrees(c - angle)) for c in candidates}
             good = [c for c in candidates if off[c] < near]
             if good:
-                # Of 270 and -90 the one that is among the others.
-                return min(good, key=lambda c: (_outside(c, others), off[c]))
+                # Of 270 and -90 the one within the range of the others, or closest to it.
+                low, high = min(others), max(others)
+                return min(good, key=lambda c: (max(0.0, low - c, c - high), off[c]))
         return None
 
-    def _gravity(self, k: int, mean: Floats, covariance: Floats) -> Angle:
-        """E by the reading alone, with the calibration by all others, in degrees."""
-        rows, beside = self.rows, self._beside
-        columns = rows.design[k]
+    def _stated(self, e: float, row: int, variance: float) -> Angle:
+        """E in degrees, with u by its own variance and the columns of a row."""
+        columns = self.rows.design[row]
         p = len(columns)
-        about = wrap_radians(rows.seen_rad[k] + beside.error_rad[k] - beside.zero_rad)
-        e = beside.error_rad[k] - (about - float(columns @ mean[:p]))
-        own = float(rows.noise[k, k]) + self.scatter.reading**2
-        u = math.sqrt(own + float(columns @ covariance[:p, :p] @ columns))
+        u = math.sqrt(variance + float(columns @ self.posterior[1][:p, :p] @ columns))
         return math.degrees(float(wrap_radians(np.array(e)))), math.degrees(u)
 
-    def _gyro(self, k: int, mean: Floats, covariance: Floats, error: Floats) -> Angle | None:
-        """E by the turn from the dwell before, or to the one after where that was not watched."""
-        rows, n = self.rows, len(self.rows)
+    def _model(self, row: int) -> float:
+        """Value of a row by the posterior mean of its columns."""
+        columns = self.rows.design[row]
+        return float(columns @ self.posterior[0][: len(columns)])
+
+    def _gravity(self, k: int) -> Angle:
+        """E by the reading alone, with the calibration by all others, in degrees."""
+        rows, known = self.rows, self.known
+        about = wrap_radians(rows.seen_rad[k] + known.error_rad[k] - known.zero_rad)
+        e = known.error_rad[k] - (about - self._model(k))
+        return self._stated(e, k, float(rows.noise[k, k]) + self.scatter.reading**2)
+
+    def _gyro(self, k: int) -> Angle | None:
+        """E by the turn from the dwell before, or to the next one if that has no complete record."""
+        rows = self.rows
         for dwell, sign in ((k, 1.0), (k + 1, -1.0)):
             found = np.flatnonzero(rows.turn == dwell)
             if not found.size:
                 continue
-            row = 2 * n + int(found[0])
-            columns = rows.design[row]
-            p = len(columns)
-            start = error[dwell - 1] if sign > 0 else error[dwell]
+            row = 2 * len(rows) + int(found[0])
+            start = self.error[0][dwell - 1] if sign > 0 else self.error[0][dwell]
             asked = rows.declared_rad[dwell] - rows.declared_rad[dwell - 1]
-            turned = float(rows.gyro_rad[int(found[0])] - columns @ mean[:p])
-            e = start + sign * (turned - asked)
-            spread = float(rows.noise[row, row]) + self.scatter.position_rad**2
-            u = math.sqrt(spread + float(columns @ covariance[:p, :p] @ columns))
-            return math.degrees(float(wrap_radians(np.array(e)))), math.degrees(u)
+            e = start + sign * (float(rows.gyro_rad[int(found[0])]) - self._model(row) - asked)
+            return self._stated(e, row, float(rows.noise[row, row]) + self.scatter.position_rad**2)
         return None
 
 
@@ -534,19 +489,11 @@ def _degrees(angle_rad: float) -> float:
     return round(math.degrees(angle_rad), 9)
 
 
-def _outside(angle_deg: float, others_deg: Sequence[float]) -> float:
-    """How far an angle lies outside of the range of others."""
-    return max(0.0, min(others_deg) - angle_deg, angle_deg - max(others_deg))
-
-
-def _together(found: Sequence[Angle | None]) -> Angle:
+def _weighted_mean(found: Sequence[Angle | None]) -> Angle:
     """Weighted mean of angles in degrees, on the turn of the first."""
     known = [one for one in found if one is not None]
     weights = np.array([1 / max(u, 1e-6) ** 2 for _, u in known])
+    # Unwrap all angles to within half a turn of the first.
     first = known[0][0]
     values = np.array([first + wrap_degrees(value - first) for value, _ in known])
     return float((weights * values).sum() / weights.sum()), float(1 / math.sqrt(weights.sum()))
-
-
-def _at(declared_deg: float, error: Angle) -> Angle:
-    return declared_deg + error[0], error[1]

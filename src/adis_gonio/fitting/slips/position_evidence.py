@@ -1,11 +1,12 @@
-"""How probable the rows are under each pattern, calibration and scatter averaged over.
+"""Probability of the rows under each pattern, averaged over calibration and scatter.
 
-The marginal likelihood of a linear Gaussian model: what is unknown of the calibration, of the gyro and of
-the catalogue's effects has a prior and is integrated in closed form; how far positions and readings scatter
-beyond what is stated is averaged over a grid. So the gyro's gain, its g-sensitivity and the fixture are
-nuisances of one likelihood, and none of them is a threshold.
+It is the marginal likelihood of a linear Gaussian model. The unknown parameters of the calibration, of
+the gyro and of the catalogue's effects have priors and are integrated in closed form. The scatter of
+positions and readings beyond their stated uncertainty is averaged over a grid. The gyro's gain, its
+g-sensitivity and the fixture are therefore nuisance parameters of one likelihood, and none of them is a
+threshold.
 
-How large an error has to be for a session to show it.
+`Detectability` is the smallest error that a session shows.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from adis_gonio.fitting.slips.position_faults import PUSH_MG, Name, Pattern, pat
 from adis_gonio.fitting.slips.position_model import Rows, common_zero
 
 NOWHERE_RAD = 10.0
-"""Standard deviation of the error of an angle that is not declared."""
+"""Standard deviation of the error of an undeclared angle."""
 MORE_RAD = tuple(math.radians(value) for value in (0.0, 0.05, 0.2, 0.8))
-"""Scatter of positions beyond a stated fixture, and what it is where none is stated (0: 0.01°)."""
+"""Scatter of positions beyond a stated fixture, or the scatter itself if none is stated (0: 0.01°)."""
 MORE_STATED, MORE_UNSTATED = (0.8, 0.12, 0.06, 0.02), (0.25, 0.25, 0.25, 0.25)
 LEAST_RAD = math.radians(0.01)
 ROUGH = (0.0, 0.001, 0.005)
@@ -35,14 +36,14 @@ LARGER = (1.0, 8.0)
 """Factor on the size of the catalogue's effects."""
 LARGER_PRIOR = (0.7, 0.3)
 WANDERS = ((math.radians(0.1), 0.0), (math.radians(0.5), 0.0), (0.0, 0.002))
-"""What a part that turns slowly in its mount has turned by the end of a session (standard deviation of a
-random walk), and what the zero of an axis has moved, in g."""
+"""Rotation of a part that turns slowly in its mount at the end of a session (standard deviation of a
+random walk), and drift of the zero of an axis, in g."""
 WANDERS_PRIOR = 0.02
-"""Of each of them."""
+"""Prior of each of them."""
 NEGLIGIBLE = 40.0
-"""Nats below the best at which an account is not worked out for all patterns."""
+"""Distance from the best in nats beyond which the case without gyro is not computed for all patterns."""
 GYRO_FAILS = 0.01
-"""Prior probability that a session's gyro says nothing at all: another unit, another axis, dead."""
+"""Prior probability of a useless gyro: another unit, another axis, dead."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +59,10 @@ class ScatterPoint:
 
 
 def scatters(fixture_rad: float | None) -> list[ScatterPoint]:
-    """The grid."""
+    """Grid of scatters."""
     more = MORE_UNSTATED if fixture_rad is None else MORE_STATED
     stated = LEAST_RAD if fixture_rad is None else max(fixture_rad, LEAST_RAD / 10)
+    # Without a random walk: all combinations of the three scatters.
     at_rest = math.log(1 - len(WANDERS) * WANDERS_PRIOR)
     still = [
         ScatterPoint(math.hypot(stated, a), b, c, math.log(pa * pb * pc) + at_rest)
@@ -78,45 +80,44 @@ def scatters(fixture_rad: float | None) -> list[ScatterPoint]:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Faults that are taken as known, beside which the next one is looked for.
+class KnownFaults:
+    """Accepted faults, in addition to which the next one is searched.
 
     Attributes
     ----------
     error_rad : (n,) float
-        Errors that they bring, at the sizes at which they were looked at.
+        Their errors at the sizes of their linearisation.
     zero_rad : float
         α without them.
-    known : (m, q) float
+    columns : (m, q) float
         Directions in which their sizes are free.
     """
 
     error_rad: Floats
     zero_rad: float
-    known: Floats
+    columns: Floats
 
     @classmethod
-    def of(cls, rows: Rows, accepted: Sequence[Pattern]) -> Beside:
-        """Of patterns that were accepted; of none the session as it is declared."""
+    def of(cls, rows: Rows, accepted: Sequence[Pattern]) -> KnownFaults:
+        """Combine accepted patterns; without any the session is as declared."""
         error = sum((p.error_rad for p in accepted), np.zeros(len(rows)))
         zero = common_zero(wrap_radians(rows.seen_rad + error)[rows.declared])
-        return cls(
-            error, zero, np.hstack([np.zeros((len(rows.stands), 0)), *(p.columns for p in accepted)])
-        )
+        none = np.zeros((len(rows.by_error), 0))
+        return cls(error, zero, np.hstack([none, *(p.columns for p in accepted)]))
 
-    def left(self, rows: Rows) -> Floats:
-        """What is left (m,) of the rows."""
+    def residual(self, rows: Rows) -> Floats:
+        """Residual (m,) of the rows."""
         return rows.observed(self.error_rad, self.zero_rad)
 
 
 @dataclass(frozen=True)
 class Whitened:
-    """Rows under one scatter, beside errors that are taken as known but for their size.
+    """Rows under one scatter, with the sizes of known faults free.
 
     Attributes
     ----------
     known : (m, q) float
-        Directions in which those errors are free.
+        Directions in which these sizes are free.
     """
 
     rows: Rows
@@ -130,27 +131,24 @@ class Whitened:
 
     @cached_property
     def prior_sd(self) -> Floats:
-        """Of their values."""
+        """Standard deviation (p + q,) of their values."""
         sd = self.rows.prior_sd * np.where(self.rows.effect, self.scatter.effects, 1.0)
         return np.concatenate([sd, np.full(self.known.shape[1], np.pi)])
-
-    @cached_property
-    def position_sd(self) -> Floats:
-        """Standard deviation (n,) of e where nothing is wrong."""
-        return np.where(self.rows.declared, self.scatter.position_rad, NOWHERE_RAD)
 
     @cached_property
     def noise(self) -> Floats:
         """Covariance (m, m) without the columns."""
         n = len(self.rows)
-        turned = self.rows.stands * self.position_sd
-        added = np.zeros(len(self.rows.stands))
+        # e without a fault scatters around the declared angle, or anywhere without one.
+        turned = self.rows.by_error * np.where(self.rows.declared, self.scatter.position_rad, NOWHERE_RAD)
+        added = np.zeros(len(self.rows.by_error))
         added[: 2 * n] = self.scatter.reading**2
         noise = self.rows.noise + turned @ turned.T + np.diag(added)
         if not (self.scatter.turns_rad or self.scatter.drifts):
             return np.asarray(noise)
+        # Random walks over the session: of the part in its mount, and of the zeros of both axes.
         walk = np.minimum(self.rows.course[:, None], self.rows.course)
-        noise = noise + self.scatter.turns_rad**2 * self.rows.stands @ walk @ self.rows.stands.T
+        noise = noise + self.scatter.turns_rad**2 * self.rows.by_error @ walk @ self.rows.by_error.T
         readings = np.tile(walk, (2, 2)) * (self.rows.reading[: 2 * n] @ self.rows.reading[: 2 * n].T)
         noise[: 2 * n, : 2 * n] += self.scatter.drifts**2 * readings
         return np.asarray(noise)
@@ -161,15 +159,10 @@ class Whitened:
         spread = self.design * self.prior_sd
         return np.asarray(np.linalg.cholesky(self.noise + spread @ spread.T))
 
-    @cached_property
-    def log_scale(self) -> float:
-        """Ln of the density at zero."""
-        root = self.root
-        return float(-np.log(np.diag(root)).sum() - 0.5 * len(root) * math.log(2 * math.pi))
-
     def weight(self, z: Floats) -> Floats:
         """Ln of the scatter's prior times the likelihood of whitened rows, (m, k) → (k,)."""
-        return np.asarray(self.log_scale + self.scatter.log_prior - 0.5 * (z * z).sum(axis=0))
+        scale = -np.log(np.diag(self.root)).sum() - 0.5 * len(self.root) * math.log(2 * math.pi)
+        return np.asarray(scale + self.scatter.log_prior - 0.5 * (z * z).sum(axis=0))
 
     @cached_property
     def _inverse(self) -> Floats:
@@ -181,10 +174,9 @@ class Whitened:
         """Values (m, …) with unit covariance."""
         return np.asarray(self._inverse @ values)
 
-    def mean_of(self, values: Floats) -> Floats:
-        """What the columns would read (m, …) at their prior mean, taken off."""
-        mean = self.rows.design @ self.rows.prior_mean
-        return np.asarray(values - mean[:, None])
+    def white_residual(self, values: Floats) -> Floats:
+        """Values (m, k) minus the columns at their prior mean, with unit covariance."""
+        return self.white(values - (self.rows.design @ self.rows.prior_mean)[:, None])
 
 
 @dataclass(frozen=True)
@@ -194,9 +186,9 @@ class Weighed:
     Attributes
     ----------
     none : float
-        ln of the probability that nothing more is wrong, not normalized.
+        ln of the probability that nothing else is wrong, not normalized.
     named : mapping of (int, Name) to float
-        The same of each pattern, by its number, under each of its names.
+        Logarithm for each pattern, by its number, under each of its names.
     scatter : ScatterPoint
         The grid's most probable point under the best of them.
     """
@@ -207,80 +199,64 @@ class Weighed:
 
     @property
     def likeliest(self) -> tuple[int, Name]:
-        """The most probable pattern and name of all; there has to be one."""
+        """The most probable pattern and name; there must be one."""
         return max(self.named, key=self.named.__getitem__)
 
     @property
-    def best(self) -> tuple[int, Name] | None:
-        """The most probable pattern under all its names, with the best of them; None: no more is wrong."""
+    def best(self) -> int | None:
+        """Number of the most probable pattern by all its names; None if nothing else is wrong."""
         whole: dict[int, float] = {}
         for (k, _), value in self.named.items():
             whole[k] = float(np.logaddexp(whole.get(k, -math.inf), value))
-        if not whole:
-            return None
-        chosen = max(whole, key=whole.__getitem__)
-        if whole[chosen] <= self.none:
-            return None
-        names = {name: value for (k, name), value in self.named.items() if k == chosen}
-        return chosen, max(names, key=names.__getitem__)
+        chosen = max(whole, key=whole.__getitem__, default=None)
+        return None if chosen is None or whole[chosen] <= self.none else chosen
 
 
-def weigh(rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], beside: Beside) -> Weighed:
-    """Weigh patterns beside what is known already, with the gyro and without."""
-    table, keys = _weighed(rows, grid, patterns, beside)
+def weigh(
+    rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
+) -> Weighed:
+    """Weigh patterns in addition to known faults, with the gyro and without."""
+    table, keys = _weighed(rows, grid, patterns, known)
     logs = np.logaddexp.reduce(table, axis=1)
     if len(rows.turn):
-        logs = _or_without_gyro(rows, grid, patterns, beside, logs + math.log(1 - GYRO_FAILS), keys)
+        logs = logs + math.log(1 - GYRO_FAILS)
+        # A useless gyro shows any angle, and its turns have a uniform density.
+        bare = rows.without_gyro()
+        share = math.log(GYRO_FAILS) - len(rows.turn) * math.log(2 * math.pi)
+        cut = replace(known, columns=known.columns[: len(bare.by_error)])
+        top = int(np.argmax(logs))
+        one = patterns if top == 0 else [patterns[keys[top - 1][0]]]
+        first, _ = _weighed(bare, grid, one[:1], cut)
+        if share + float(np.logaddexp.reduce(first, axis=1).max()) >= float(logs.max()) - NEGLIGIBLE:
+            without, _ = _weighed(bare, grid, patterns, cut)
+            logs = np.logaddexp(logs, share + np.logaddexp.reduce(without, axis=1))
     named = {key: float(value) for key, value in zip(keys, logs[1:], strict=True)}
     best = int(np.argmax(table[int(np.argmax(logs))]))
     return Weighed(float(logs[0]), named, grid[best])
 
 
-def _or_without_gyro(
-    rows: Rows,
-    grid: Sequence[ScatterPoint],
-    patterns: Sequence[Pattern],
-    beside: Beside,
-    logs: Floats,
-    keys: list[tuple[int, Name]],
-) -> Floats:
-    """The same (1 + names,) where the gyro may say nothing: it then shows any angle."""
-    bare = rows.without_gyro()
-    share = math.log(GYRO_FAILS) - len(rows.turn) * math.log(2 * math.pi)
-    cut = replace(beside, known=beside.known[: len(bare.stands)])
-    top = int(np.argmax(logs))
-    one = patterns if top == 0 else [patterns[keys[top - 1][0]]]
-    first, _ = _weighed(bare, grid, one[:1], cut)
-    if share + float(np.logaddexp.reduce(first, axis=1).max()) < float(logs.max()) - NEGLIGIBLE:
-        return logs
-    table, _ = _weighed(bare, grid, patterns, cut)
-    return np.asarray(np.logaddexp(logs, share + np.logaddexp.reduce(table, axis=1)))
-
-
 def _weighed(
-    rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], beside: Beside
+    rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
 ) -> tuple[Floats, list[tuple[int, Name]]]:
     """Ln of prior times likelihood (1 + names, grid): of no pattern, then of each pattern and name."""
-    m = len(rows.stands)
-    error = beside.error_rad
-    left = np.stack(
-        [beside.left(rows), *(rows.observed(error + p.error_rad, p.zero_rad) for p in patterns)], axis=1
-    )
-    first = np.zeros((m, 1 + len(patterns)))
-    second = np.zeros((m, 1 + len(patterns)))
-    for k, pattern in enumerate(patterns):
+    m = len(rows.by_error)
+    shifted = [rows.observed(known.error_rad + p.error_rad, p.zero_rad) for p in patterns]
+    residual = np.stack([known.residual(rows), *shifted], axis=1)
+    # First and second free direction of each pattern, zero without one.
+    first, second = np.zeros((2, m, 1 + len(patterns)))
+    for k, pattern in enumerate(patterns, 1):
         free = pattern.columns[:m]
         if free.shape[1] > 0:
-            first[:, 1 + k] = free[:, 0]
+            first[:, k] = free[:, 0]
         if free.shape[1] > 1:
-            second[:, 1 + k] = free[:, 1]
+            second[:, k] = free[:, 1]
     twice = second.any(axis=0)
     keys = [(k, name) for k, pattern in enumerate(patterns) for name in pattern.names]
     plain = np.empty((1 + len(patterns), len(grid)))
     moments = np.empty((5, 1 + len(patterns), len(grid)))
     for g, scatter in enumerate(grid):
-        white = Whitened(rows, scatter, beside.known)
-        z, v = white.white(white.mean_of(left)), white.white(first)
+        white = Whitened(rows, scatter, known.columns)
+        z, v = white.white_residual(residual), white.white(first)
         w = np.zeros_like(v)
         w[:, twice] = white.white(second[:, twice])
         plain[:, g] = white.weight(z)
@@ -291,20 +267,20 @@ def _weighed(
 
 
 def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
-    """Ln of the prior and of what the free directions add to the likelihood, over the grid.
+    """Ln of the prior and of the gain in likelihood by the free directions, over the grid.
 
     Parameters
     ----------
     moments : (5, grid) float
-        Of the whitened directions v and w and what is left, z: vv, vz, ww, wz, vw.
+        Of the whitened directions v and w and the residual z: vv, vz, ww, wz, vw.
     """
     log_prior, amplitude = pattern.names[name]
     vv, vz, ww, wz, vw = moments
     if pattern.columns.shape[1] == 2:
         return np.asarray(log_prior + _pushes(vv, vz, ww, wz, vw))
-    if amplitude is None or not vv.any():  # without the gyro nothing shows what it did
+    if amplitude is None or not vv.any():  # without the gyro its error is not observed
         return np.full(len(vv), log_prior)
-    # What is left is column · step where the pattern is right but for the size looked at.
+    # If only the size of the pattern's linearisation is wrong, the residual is column · step.
     step = vz / vv
     found = amplitude(pattern.amplitude + step, 1 / np.sqrt(vv))
     return np.asarray(log_prior + 0.5 * vz * step + found)
@@ -313,6 +289,7 @@ def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
 def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Floats:
     """Ln of the likelihood gained by two free directions with Gaussian priors of several sizes."""
     inverse = (1000.0 / np.array(PUSH_MG)[:, None]) ** 2
+    # Two by two normal equations for each prior size, solved by hand.
     a, d = vv + inverse, ww + inverse
     det = a * d - vw * vw
     fit = (d * vz * vz - 2 * vw * vz * wz + a * wz * wz) / det
@@ -321,16 +298,16 @@ def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Float
 
 
 POWER = 0.99
-"""Share of sessions that show it."""
+"""Share of sessions that show a detectable error."""
 SIZES_DEG = np.geomspace(0.02, 90.0, 120)
-"""Errors that are tried."""
+"""Sizes of the errors."""
 _DRAWN = 200
-"""Sessions that are imagined for it."""
+"""Number of simulated sessions."""
 
 
 @dataclass(frozen=True)
 class Detectability:
-    """A session with what was found in it taken out, and faults of each size put in.
+    """A session without its accepted faults, into which faults of each size are put.
 
     Attributes
     ----------
@@ -341,36 +318,36 @@ class Detectability:
     position: tuple[int, ...]
     rows: Rows
     grid: tuple[ScatterPoint, ...]
-    beside: Beside
+    known: KnownFaults
 
     def detectable_deg(self, name: Name, certain: float) -> dict[int, float]:
-        """Smallest error at each position whose posterior reaches `certain` with 99 % power, in degrees.
+        """Smallest error at each position with a posterior of `certain` in 99 % of sessions, in degrees.
 
-        By sessions imagined under the scatter of this one, in each of which an error of each size is put.
-        Of names with one free size; other faults at the same time are not thought of.
+        An error of each size is put into sessions simulated with the scatter of this one. Only names with
+        one free size count, and only one fault at a time.
         """
-        every = patterns_of(self.rows, self.beside.error_rad)
+        every = patterns_of(self.rows, self.known.error_rad)
         patterns = [p for p in every if name in p.names and p.columns.shape[1] == 1]
         if not patterns:
             return {}
-        likely = [self._likelihood(scatter) for scatter in self.grid]
-        own = Whitened(self.rows, self.grid[int(np.argmax(likely))], self.beside.known[:, :0])
-        drawn = own.root @ np.random.default_rng(0).standard_normal((len(own.root), _DRAWN))
-        accounts = [Whitened(self.rows, scatter, self.beside.known[:, :0]) for scatter in self.grid]
-        white = [(account, account.white(drawn)) for account in accounts]
+        residual = self.known.residual(self.rows)[:, None]
+        likely = []
+        for scatter in self.grid:
+            white = Whitened(self.rows, scatter, self.known.columns)
+            likely.append(float(white.weight(white.white_residual(residual))[0]))
+        none = self.known.columns[:, :0]
+        accounts = [Whitened(self.rows, scatter, none) for scatter in self.grid]
+        root = accounts[int(np.argmax(likely))].root
+        drawn = root @ np.random.default_rng(0).standard_normal((len(root), _DRAWN))
+        whitened = [(account, account.white(drawn)) for account in accounts]
         found = {}
         for pattern in patterns:
-            shown = self._odds(pattern, name, white) >= math.log(certain / (1 - certain))
+            shown = self._odds(pattern, name, whitened) >= math.log(certain / (1 - certain))
+            # The smallest size from which on every larger one is shown often enough.
             enough = (shown.mean(axis=1) >= POWER)[::-1].cumprod()[::-1].astype(np.bool_)
             least = float(SIZES_DEG[enough.argmax()]) if enough.any() else math.inf
             found[self.position[pattern.dwells[0]]] = least
         return found
-
-    def _likelihood(self, scatter: ScatterPoint) -> float:
-        """Ln of prior times likelihood of the session under a scatter."""
-        white = Whitened(self.rows, scatter, self.beside.known)
-        z = white.white(white.mean_of(self.beside.left(self.rows)[:, None]))
-        return float(white.weight(z)[0])
 
     def _odds(self, pattern: Pattern, name: Name, drawn: list[tuple[Whitened, Floats]]) -> Floats:
         """Log odds (sizes, sessions) of the pattern under the name against none."""
@@ -379,10 +356,12 @@ class Detectability:
         sizes = np.radians(SIZES_DEG)[:, None]
         faulty, none = np.full((2, len(sizes), drawn[0][1].shape[1]), -np.inf)
         for account, z in drawn:
+            # A fault of each size changes whitened rows by −size · v.
             v = account.white(pattern.columns[:, 0])
             vv, vz = float(v @ v), v @ z
             clean = account.weight(z)
             none = np.logaddexp(none, clean - sizes * vz - 0.5 * sizes**2 * vv)
+            # Estimated size in each session, and the gain in likelihood by fitting it.
             seen = sizes + vz / vv
             own = amplitude(seen.ravel(), np.full(seen.size, 1 / math.sqrt(vv))).reshape(seen.shape)
             faulty = np.logaddexp(faulty, clean + 0.5 * vz**2 / vv + log_prior + own)

@@ -1,25 +1,24 @@
-"""Which angle may have been meant where another one is declared: what hands do to numbers.
+"""Possible faults of a position, as patterns of error with priors: the whole list of hypotheses.
 
-What may have gone wrong with a position, as patterns of error with priors: the whole list of hypotheses.
-
-| name | the part stands at θ + e with |
+| name | the part is at θ + e with |
 |---|---|
-| `mistyped` | e in one dwell, so that θ + e is what hands make of θ, or a whole degree |
-| `misset` | e in one dwell, of any size: the stage was set elsewhere, or slipped there alone |
+| `mistyped` | e in one dwell, so that θ + e is a usual typing error of θ, or a whole degree |
+| `misset` | e of any size in one dwell: the stage was set elsewhere, or slipped there alone |
 | `swapped` | the declared angles of two dwells, each in the other's place |
-| `slipped` | e in this dwell and all that follow: the part slipped in its fixture, or the stage's scale |
+| `slipped` | e in this dwell and all later ones: the part slipped in its fixture, or the stage's scale |
 | `reversed` | declared turns of the opposite sign, from this dwell on |
-| `gravity_wrong` | e = 0; the reading itself is off: acceleration, tilt out of the plane |
-| `gyro_wrong` | e = 0; one turn's integral is off: lost scans, saturation |
+| `gravity_wrong` | e = 0; the reading is wrong: acceleration, tilt out of the plane |
+| `gyro_wrong` | e = 0; the integral of one turn is wrong: lost scans, saturation |
 
-Priors are guesses of benches (chosen); a session that says anything has a likelihood beside which they are
-nothing, and where two names predict the same they alone decide, which the set of names then says.
+Priors are guesses about benches (chosen). The likelihood of an informative session outweighs them. If two
+names predict the same readings, the priors alone decide, and the set of names reports both.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -33,11 +32,11 @@ DIGITS = "0123456789"
 LARGEST_DEG = 360.0
 
 
-def may_have_been_meant(declared_deg: float, others_deg: Iterable[float] = ()) -> tuple[float, ...]:
-    """Angles that become `declared_deg` by one mistake, without itself.
+def possible_entries(declared_deg: float, others_deg: Iterable[float] = ()) -> tuple[float, ...]:
+    """Angles that become `declared_deg` by one typing error, without itself.
 
-    A sign, a quarter or half turn (90 for 270), two digits exchanged, one digit wrong, dropped or doubled,
-    a decimal point misplaced; or the angle of another position of the session.
+    The errors are a sign, a quarter or half turn (90 for 270), two digits exchanged, one digit wrong,
+    dropped or doubled, a misplaced decimal point, and the angle of another position of the session.
     """
     text = f"{abs(declared_deg):g}"
     sign = -1.0 if declared_deg < 0 else 1.0
@@ -47,18 +46,12 @@ def may_have_been_meant(declared_deg: float, others_deg: Iterable[float] = ()) -
     written |= {
         text[:k] + digit + text[k + 1 :] for k in range(len(text)) if text[k] != "." for digit in DIGITS
     }
-    found = {sign * value for value in map(_number, written) if value is not None}
-    found |= {-declared_deg, 10 * declared_deg, declared_deg / 10}
+    found = {-declared_deg, 10 * declared_deg, declared_deg / 10, *others_deg}
     found |= {declared_deg + turn for turn in (-180.0, -90.0, 90.0, 180.0)}
-    found |= set(others_deg)
+    for entry in written:
+        with suppress(ValueError):
+            found.add(sign * float(entry))
     return tuple(sorted(v + 0.0 for v in found if abs(v) <= LARGEST_DEG and v != declared_deg))
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 Name = Literal["mistyped", "misset", "swapped", "slipped", "reversed", "gravity_wrong", "gyro_wrong"]
@@ -72,46 +65,47 @@ SHARE: dict[Name, float] = {
     "gravity_wrong": 0.01,
     "gyro_wrong": 0.02,
 }
-"""Prior probability that a session has one of these, at one of all its places."""
+"""Prior probability that a session has such a fault, at one of all its places."""
 ACCUSED: frozenset[Name] = frozenset(
     {"mistyped", "misset", "swapped", "slipped", "reversed", "gravity_wrong"}
 )
-"""Names that say something of a position; a gyro that errs accuses none."""
+"""Names that accuse a position; an error of a gyro accuses none."""
 LEAST_SLIP_RAD = math.radians(0.02)
-"""Size below which every slip is as likely as this one."""
+"""Size below which all slips are equally probable."""
 LISTED, WHOLE = 0.9, 0.07
-"""Part of mistakes that are on the list of `meant`, and part that are other whole degrees.
+"""Share of mistakes on the list of `possible_entries`, and share of other whole degrees.
 
-Of errors in numbers that people copied 79 % were one wrong digit, 10 % two exchanged, 9 % no such thing
-(Verhoeff, Error Detecting Decimal Codes, 1969).
-"""
+Of errors in numbers that people copied 79 % were one wrong digit, 10 % two exchanged digits, 9 % another
+error (Verhoeff, Error Detecting Decimal Codes, 1969)."""
 PUSH_MG = (10.0, 50.0, 250.0)
-"""Standard deviations of what accelerates a reading."""
+"""Standard deviations of an acceleration in a reading."""
 NEAR_RAD = math.radians(6.0)
-"""A swap is looked at where gravity shows both angles as near as this, before anything is calibrated."""
+"""Largest distance of gravity from both angles of a swap, before any calibration, for the swap to be
+considered."""
 
 AmplitudePrior = Callable[[Floats, Floats], Floats]
 """(estimates (g,), their standard uncertainties (g,)) → ln ∫ exp(−(a − estimate)²/2u²) p(a) da."""
+Names = dict[Name, tuple[float, AmplitudePrior | None]]
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """One pattern of error, with the names that could stand for it.
+    """One pattern of error, with the names that may cause it.
 
     Attributes
     ----------
     dwells : tuple of int
-        Rows of the dwells that it accuses; of a gyro's the dwell in which the turn ends.
+        Rows of the accused dwells; for a gyro the dwell in which the turn ends.
     error_rad : (n,) float
-        e at which the pattern is looked at.
+        e at which the pattern is linearised.
     columns : (m, q) float
         Directions of the rows in which it is free; q is 0, 1 or 2.
     unit : (n,) float
         e per unit of the one free amplitude.
     amplitude : float
-        Amplitude that `error_rad` has already.
+        Amplitude that is already in `error_rad`.
     names : mapping of Name to (float, AmplitudePrior or None)
-        ln of the prior, and of the amplitude; None where nothing is free.
+        ln of the prior, and of the amplitude; None without a free amplitude.
     """
 
     dwells: tuple[int, ...]
@@ -119,7 +113,7 @@ class Pattern:
     columns: Floats
     unit: Floats
     amplitude: float
-    names: dict[Name, tuple[float, AmplitudePrior | None]]
+    names: Names
     zero_rad: float
 
     @property
@@ -129,7 +123,7 @@ class Pattern:
 
 
 def patterns_of(rows: Rows, before_rad: Floats) -> list[Pattern]:
-    """All patterns beside errors (n,) that are known already."""
+    """All patterns in addition to known errors (n,)."""
     seen = wrap_radians(rows.seen_rad + before_rad)
     zero = common_zero(seen[rows.declared])
     found = list(_single(rows, seen, zero))
@@ -141,24 +135,24 @@ def patterns_of(rows: Rows, before_rad: Floats) -> list[Pattern]:
     return found
 
 
-def _declared(rows: Rows) -> list[int]:
-    return [int(k) for k in np.flatnonzero(rows.declared)]
-
-
 def _single(rows: Rows, seen: Floats, zero: float) -> Iterator[Pattern]:
-    places = _declared(rows)
+    places = np.flatnonzero(rows.declared).tolist()
     others = np.degrees(rows.declared_rad[rows.declared])
     for k in places:
         unit = np.zeros(len(rows))
         unit[k] = 1.0
+        # The error that moves this dwell onto the angle of the others.
         amplitude = -float(wrap_radians(seen[k] - zero))
         declared = float(np.degrees(rows.declared_rad[k]))
-        listed = np.radians(np.array(may_have_been_meant(declared, others)) - declared)
-        names: dict[Name, tuple[float, AmplitudePrior | None]] = {
-            "mistyped": (math.log(SHARE["mistyped"] / len(places)), partial(_typed, listed, declared)),
+        listed = np.radians(np.array(possible_entries(declared, others)) - declared)
+        names: Names = {
+            "mistyped": (
+                math.log(SHARE["mistyped"] / len(places)),
+                partial(_typing_error, listed, declared),
+            ),
             "misset": (math.log(SHARE["misset"] / len(places)), _any_size),
         }
-        yield Pattern((k,), amplitude * unit, rows.stands @ unit[:, None], unit, amplitude, names, zero)
+        yield Pattern((k,), amplitude * unit, rows.by_error @ unit[:, None], unit, amplitude, names, zero)
 
 
 def _slipped(rows: Rows, seen: Floats) -> Iterator[Pattern]:
@@ -168,24 +162,27 @@ def _slipped(rows: Rows, seen: Floats) -> Iterator[Pattern]:
         later = np.arange(n) >= k
         if not (declared & later).any() or not (declared & ~later).any():
             continue
+        # Median angles before and after the slip.
         zero = common_zero(seen[declared & ~later])
         amplitude = -float(wrap_radians(np.array(common_zero(seen[declared & later]) - zero)))
         unit = later.astype(float)
         halts = rows.halts.get(k)
-        size = _any_size if halts is None else partial(_slipped_on, halts)
-        names: dict[Name, tuple[float, AmplitudePrior | None]] = {"slipped": (prior, size)}
-        yield Pattern((k,), amplitude * unit, rows.stands @ unit[:, None], unit, amplitude, names, zero)
+        names: Names = {
+            "slipped": (prior, _any_size if halts is None else partial(_slip_after_rests, halts))
+        }
+        yield Pattern((k,), amplitude * unit, rows.by_error @ unit[:, None], unit, amplitude, names, zero)
 
 
 def _swapped(rows: Rows, before_rad: Floats, seen: Floats, zero: float) -> Iterator[Pattern]:
-    places = _declared(rows)
+    places = np.flatnonzero(rows.declared).tolist()
     pairs = len(places) * (len(places) - 1) / 2
-    stands = rows.declared_rad + before_rad
+    angle = rows.declared_rad + before_rad
     left = wrap_radians(seen - zero)
     for a, i in enumerate(places):
         for j in places[a + 1 :]:
-            apart = float(wrap_radians(stands[j] - stands[i]))
+            apart = float(wrap_radians(angle[j] - angle[i]))
             error = np.zeros(len(rows))
+            # Each dwell gets the declared angle of the other.
             error[i], error[j] = apart, -apart
             near = np.abs(wrap_radians(left + error)[[i, j]]).max() < NEAR_RAD
             if abs(apart) > LEAST_SLIP_RAD and near:
@@ -194,9 +191,10 @@ def _swapped(rows: Rows, before_rad: Floats, seen: Floats, zero: float) -> Itera
 
 def _reversed(rows: Rows, before_rad: Floats, zero: float) -> Iterator[Pattern]:
     n = len(rows)
-    stands = rows.declared_rad + before_rad
+    angle = rows.declared_rad + before_rad
     for k in range(1, n):
-        error = np.where(np.arange(n) >= k, -2 * (stands - stands[k - 1]), 0.0)
+        # Mirror all later angles at the last one before.
+        error = np.where(np.arange(n) >= k, -2 * (angle - angle[k - 1]), 0.0)
         error[~rows.declared] = 0.0
         if np.abs(wrap_radians(error)).max() > LEAST_SLIP_RAD:
             own = common_zero(wrap_radians(rows.seen_rad + before_rad + error)[rows.declared])
@@ -206,29 +204,25 @@ def _reversed(rows: Rows, before_rad: Floats, zero: float) -> Iterator[Pattern]:
 def _fixed(
     rows: Rows, name: Name, dwells: tuple[int, ...], error: Floats, prior: float, zero: float
 ) -> Pattern:
-    none = np.zeros((len(rows.stands), 0))
+    none = np.zeros((len(rows.by_error), 0))
     return Pattern(dwells, error, none, np.zeros(len(rows)), 0.0, {name: (math.log(prior), None)}, zero)
 
 
 def _pushed(rows: Rows, zero: float) -> Iterator[Pattern]:
     n = len(rows)
+    names: Names = {"gravity_wrong": (math.log(SHARE["gravity_wrong"] / n), None)}
     for k in range(n):
-        columns = np.zeros((len(rows.stands), 2))
+        columns = np.zeros((len(rows.by_error), 2))
         columns[k, 0] = columns[n + k, 1] = 1.0
-        names: dict[Name, tuple[float, AmplitudePrior | None]] = {
-            "gravity_wrong": (math.log(SHARE["gravity_wrong"] / n), None)
-        }
         yield Pattern((k,), np.zeros(n), columns, np.zeros(n), 0.0, names, zero)
 
 
 def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
     n = len(rows)
     for row, k in enumerate(rows.turn):
-        columns = np.zeros((len(rows.stands), 1))
+        columns = np.zeros((len(rows.by_error), 1))
         columns[2 * n + row] = 1.0
-        names: dict[Name, tuple[float, AmplitudePrior | None]] = {
-            "gyro_wrong": (math.log(SHARE["gyro_wrong"] / len(rows.turn)), _any_size)
-        }
+        names: Names = {"gyro_wrong": (math.log(SHARE["gyro_wrong"] / len(rows.turn)), _any_size)}
         yield Pattern((int(k),), np.zeros(n), columns, np.zeros(n), 0.0, names, zero)
 
 
@@ -236,20 +230,22 @@ def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
 
 
 def _any_size(estimate: Floats, u: Floats) -> Floats:
-    """Each order of magnitude of a slip is as likely as another, up to half a turn."""
+    """Each order of magnitude of a slip is equally probable, up to half a turn."""
+    # Density 1/size up to half a turn, constant below the least slip.
     size = np.maximum(np.maximum(np.abs(wrap_radians(estimate)), u), LEAST_SLIP_RAD)
     density = 1 / (2 * size * (1 + math.log(math.pi / LEAST_SLIP_RAD)))
     return np.asarray(np.log(density * u * math.sqrt(2 * math.pi)))
 
 
-def _slipped_on(halts: Halts, estimate: Floats, u: Floats) -> Floats:
-    """Any size, and by how the part came there."""
+def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
+    """Slip of any size, with the evidence of the rests on the way."""
     return _any_size(estimate, u) + halts.log_odds(wrap_radians(estimate), u)
 
 
-def _typed(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
+def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
     """On the list, a whole degree, or anywhere."""
     spread = u * math.sqrt(2 * math.pi)
+    # Mean over the list of Gaussians around each possible entry.
     on_list = np.exp(-0.5 * (wrap_radians(listed_rad[:, None] - estimate) / u) ** 2).mean(axis=0)
     meant = declared_deg + np.degrees(estimate)
     off = np.radians(meant - np.rint(meant))

@@ -1,23 +1,19 @@
-"""Where the part came to rest on its way: a stage that arrives, and then a part that slips, shows twice.
+"""The three angles as one linear model: rows of gravity and of the gyro against the declared angles.
 
-What lasts from a position on may have happened during the move before it, or after the stage had arrived.
-In the second case the part rested where it was declared and then turned on by just the error. Of an error
-of the first or of the last position this is the only thing that tells a slip from a wrong entry: the
-angles themselves are the same.
-
-What a session knows of its positions: declared angles, gravity's readings, the gyro between them.
-
-The three angles as one linear model: gravity's and the gyro's rows against the declared angles.
-
-With ψ = α − φ the angle of gravity to X and φ = θ + e where the part stands (θ declared, e its error),
-around a calibration of the session's own that is near the truth:
+ψ = α − φ is the angle of gravity to X. The part is at φ = θ + e, with declared angle θ and its error e.
+The rows are linear around a calibration of the session that is near the truth:
 
 * *angle* of a reading: y = (ψ by the reading) + θ = α − e + (∂ψ/∂calibration) δ + noise
-* *length* of a reading: (|reading| − model)/G = (∂/∂calibration) δ + noise; no declared angle is in it
+* *length* of a reading: (|reading| − model)/G = (∂/∂calibration) δ + noise; it contains no declared angle
 * *gyro*: γ − Δθ = Δe + s·γ + g-sensitivity·∫force + noise
 
-δ are gains, misalignment, biases and whatever else of the catalogue's effects may be in the readings, each
-with its prior; s and the g-sensitivity are the gyro's. Effects that turn the part act on e.
+δ are gains, misalignment, biases and every other effect of the catalogue that may be in the readings, each
+with its prior. s and the g-sensitivity belong to the gyro. Effects that turn the part act on e.
+
+A change that lasts from a position on may have happened during the move before it, or after the stage had
+arrived. In the second case the part rested at the declared angle and then turned on by exactly the error
+(`Halts`). For an error of the first or of the last position only this separates a slip from a wrong entry,
+because the angles themselves are equal.
 """
 
 from __future__ import annotations
@@ -35,17 +31,19 @@ from adis_gonio.model.effects import Conditions, Enters, catalogue
 from adis_gonio.model.measurement import PlanarTurn
 
 SLOW_DPS = 3.0
-"""Mean rate of a tenth of a second below which a hand rests: its tremor is a degree per second or two."""
+"""Mean rate over a tenth of a second below which a hand rests: its tremor is one or two degrees per
+second."""
 LEAST_S = 0.15
-"""Shortest rest that is one; a hand that changes its grip, or looks at a mark, takes longer."""
+"""Shortest rest; a hand that changes its grip, or looks at a mark, takes longer."""
 AFTERWARDS = 0.5
-"""Prior share of slips that come after the stage has arrived."""
+"""Prior share of slips after the stage has arrived."""
 NEAR_MARK, ASTRAY = 0.05, 0.1
-"""Of the length of a move: where hands rest to correct themselves; how far beyond it they may be."""
+"""Distance from the mark at which hands rest to correct themselves, and the farthest overshoot, both in
+lengths of the move."""
 ORDINARY = (0.5, 0.45, 0.05)
 """Share of the rests of any move that are near its end, anywhere on its way, anywhere at all."""
 REST_GAIN, LEAST_RAD = 0.02, math.radians(0.1)
-"""Uncertainty of the rest of a turn by a gyro, of its size and at least."""
+"""Uncertainty of the rest of a turn by a gyro: relative, and its minimum."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ class Halts:
     Attributes
     ----------
     left_rad : (m,) float
-        How far the part was still turned after each, in the direction of declared angles.
+        Further rotation of the part after each, in the direction of declared angles.
     turned_rad : float
         The whole turn.
     """
@@ -64,16 +62,17 @@ class Halts:
     turned_rad: float
 
     def log_odds(self, error_rad: Floats, u_rad: Floats) -> Floats:
-        """Ln (g,) of how much more probable these rests are if the part slipped in this turn than if not.
+        """Ln (g,) of the ratio of probabilities of these rests with a slip in this turn and without.
 
         Parameters
         ----------
         error_rad, u_rad : (g,) float
-            By how much it slipped, and the standard uncertainty of that.
+            Size of the slip, and its standard uncertainty.
         """
         m = len(self.left_rad)
         if not m:
             return np.full(len(error_rad), math.log(1 - AFTERWARDS))
+        # Density of each rest if it is the arrival before a slip of this size.
         spread = np.sqrt(2 * u_rad**2 + LEAST_RAD**2 + (REST_GAIN * error_rad) ** 2)
         off = (self.left_rad[:, None] - error_rad) / spread
         arrived = np.exp(-0.5 * off**2) / (spread * math.sqrt(2 * math.pi))
@@ -81,10 +80,11 @@ class Halts:
         return np.asarray(np.log(1 - AFTERWARDS + AFTERWARDS * ratio))
 
     def _ordinary(self) -> Floats:
-        """Density (m,) of rests of a move at which nothing slips."""
+        """Density (m,) of rests of a move without a slip."""
         size = max(abs(self.turned_rad), LEAST_RAD)
         left = self.left_rad * np.sign(self.turned_rad) if self.turned_rad else self.left_rad
         sd = math.hypot(NEAR_MARK * size, LEAST_RAD)
+        # Mixture: near the end of the move, anywhere on its way, anywhere at all.
         near = np.exp(-0.5 * (left / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
         on_its_way = (left > -ASTRAY * size) & (left < (1 + ASTRAY) * size)
         even = on_its_way / ((1 + 2 * ASTRAY) * size)
@@ -97,6 +97,7 @@ def halts_of(path: Path, sampling: Sampling) -> Halts:
     rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
     steps = np.diff(path.time_s, append=path.time_s[-1])
     means = (rate + np.append(rate[1:], rate[-1])) / 2
+    # Cumulative angle by the trapezoidal rule.
     turned = np.concatenate([[0.0], np.cumsum(means * steps)])[: len(rate)]
     width = min(sampling.window, len(rate))
     slow = np.abs(np.convolve(rate, np.full(width, 1 / width), mode="same")) < SLOW_DPS
@@ -105,31 +106,31 @@ def halts_of(path: Path, sampling: Sampling) -> Halts:
         return Halts(np.zeros(0), math.radians(float(turned[-1])))
     least = max(1, round(LEAST_S / sampling.period_s))
     inner = slow[moving[0] : moving[-1] + 1]
+    # Begin and end of each run of slow samples between the first and the last motion.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inner, [False]]).astype(np.int8)))
     begins, ends = edges[::2], edges[1::2]
-    # Just before it moves on: what a hand corrects after it has arrived is slow as well.
+    # The end of a rest counts, because a hand's corrections after the arrival are slow as well.
     at = moving[0] + ends[ends - begins >= least] - (least + 1) // 2
     return Halts(np.radians(turned[-1] - turned[at]), math.radians(float(turned[-1])))
 
 
 @dataclass(frozen=True)
 class Increments:
-    """How far the part was turned from each dwell to the next, by the gyro about the axis of rotation.
+    """Rotation of the part from each dwell to the next, by the gyro about the axis of rotation.
 
     Attributes
     ----------
     angle_rad : (n - 1,) float
-        Integral of the rate less its zero, in the direction of declared angles; NaN where nobody watched
-        the whole turn.
+        Integral of the rate minus its zero, in the direction of declared angles; NaN without a complete
+        record of the turn.
     u_rad : (n - 1,) float
-        Standard uncertainty by noise and by what the zero does between the dwells; without gain and
+        Standard uncertainty by noise and by the drift of the zero between the dwells; without gain and
         g-sensitivity, which the turns share.
     force_gs : (n - 1, 2) float
-        Integral over the turn of what X and Y read less the course between the two dwells, in g·s: what a
-        g-sensitivity of 1 rad/s/g adds to the angle.
+        Integral over the turn of the readings of X and Y minus their course between the two dwells, in
+        g·s: a g-sensitivity of 1 rad/s/g changes the angle by this.
     halts : tuple of (Halts or None)
-        Where the part rested on its way, n - 1 of them; None where only the whole turn is known. Empty: of
-        no turn.
+        Rests on the way of each turn; None if only the whole turn is known. Empty if no turn has rests.
     """
 
     angle_rad: Floats
@@ -140,25 +141,25 @@ class Increments:
 
 @dataclass(frozen=True)
 class Angles:
-    """n dwells of a turn in the plane, in the order in which they were recorded.
+    """n dwells of a turn in the plane, in the order of the recording.
 
     Attributes
     ----------
     position : (n,) int
         Numbers of the dwells.
     declared_rad : (n,) float
-        Declared angles; NaN where none is.
+        Declared angles; NaN if there is none.
     reading_mg : (n, 2) float
         Means of X and Y.
     covariance_mg2 : (n, 2, 2) float
     conditions : Conditions
-        What surrounded the dwells, for the effects that may be in the readings besides.
+        Conditions of the dwells, for effects that may be in the readings.
     gravity_mg : float
         Local gravity.
     fixture_rad : float or None
-        Standard uncertainty of a declared angle; None where it is not stated.
+        Standard uncertainty of a declared angle; None if not stated.
     bias_mg : float
-        Standard deviation of a bias of this sensor before it is measured.
+        Standard deviation of a bias of this sensor before a measurement.
     turns : Increments or None
         None without gyros.
     """
@@ -180,25 +181,29 @@ class Angles:
 GAIN = 0.02
 """Standard deviation of a gain (CHIP, B: ±2 %)."""
 SKEW_RAD = math.radians(0.75)
-"""Of the misalignment (CHIP, B: ±0.25° and ±0.5°)."""
+"""Standard deviation of the misalignment (CHIP, B: ±0.25° and ±0.5°)."""
 GYRO_GAIN = 0.01
-"""Of a gyro's gain (D: the sheets at hand have none)."""
+"""Standard deviation of a gyro's gain (D: the sheets at hand state none)."""
 GYRO_FORCE_RAD = math.radians(0.1)
-"""Of a gyro's g-sensitivity in rad/s/g: twice the sheet's 0.05 °/s/g (CHIP, B)."""
+"""Standard deviation of a gyro's g-sensitivity in rad/s/g: twice the sheet's 0.05 °/s/g (CHIP, B)."""
 TYPICAL = 3.0
-"""Standard deviation of an effect that may be there, in the magnitudes that the catalogue calls typical."""
+"""Standard deviation of an effect that may be present, in typical magnitudes of the catalogue."""
 BASE = 5
 """Parameters of the calibration itself: gains, misalignment, biases."""
 _LOOKED_FOR = {"dwell", "cycles"}
-"""Choices of effects that are looked for here: in one dwell, or by cycles of the stage."""
+"""Choices of effects that the patterns themselves look for: in one dwell, or by cycles of the stage."""
 ROUNDS = 4
+
+
+NOMINAL = np.array([1.0, 1.0, 0.0, 0.0, 0.0])
+"""Calibration of a perfect part: K_x, K_y, Δφ in rad, b_x and b_y in mg."""
 TURNED_AWAY = 4.0
-"""Lengths beyond so many robust standard deviations hardly count in the first calibration."""
+"""Length in robust standard deviations above which a reading hardly counts in the first calibration."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of the linear model: n angles, n lengths, then the g turns that were watched.
+    """Rows of the linear model: n angles, n lengths, then the g turns with a complete record.
 
     Attributes
     ----------
@@ -212,10 +217,10 @@ class Rows:
     design : (2n + g, p) float
         Columns: α, the calibration, effects, the gyro's.
     prior_sd, prior_mean : (p,) float
-        Of δ about the calibration at which the rows were made.
+        Of δ about the calibration of the rows.
     effect : (p,) bool
-        Columns of effects, whose size is a guess.
-    stands : (2n + g, n) float
+        Columns of effects, with a guessed size.
+    by_error : (2n + g, n) float
         ∂row/∂e.
     noise : (2n + g, 2n + g) float
     reading : (2n + g, 2) float
@@ -223,10 +228,10 @@ class Rows:
     course : (n,) float
         Time of each dwell as a share of the session.
     declared_rad : (n,) float
-        θ; of a dwell without one what gravity shows.
+        θ; the angle by gravity for a dwell without one.
     declared : (n,) bool
     halts : mapping of int to Halts
-        Rests on the way to a dwell, where they are known.
+        Rests on the way to a dwell, if known.
     """
 
     seen_rad: Floats
@@ -237,7 +242,7 @@ class Rows:
     prior_sd: Floats
     prior_mean: Floats
     effect: NDArray[np.bool_]
-    stands: Floats
+    by_error: Floats
     noise: Floats
     reading: Floats
     course: Floats
@@ -249,42 +254,26 @@ class Rows:
         return len(self.declared)
 
     def without_gyro(self) -> Rows:
-        """The same without turns."""
+        """The rows without the turns."""
         n = 2 * len(self)
         return replace(
             self, gyro_rad=self.gyro_rad[:0], turn=self.turn[:0], design=self.design[:n],
-            stands=self.stands[:n], noise=self.noise[:n, :n], reading=self.reading[:n], halts={},
+            by_error=self.by_error[:n], noise=self.noise[:n, :n], reading=self.reading[:n], halts={},
         )  # fmt: skip
 
     def observed(self, error_rad: Floats, zero_rad: float) -> Floats:
-        """What is left (m,) of the rows if the part stands at θ + `error_rad` (n,) and α is `zero_rad`."""
+        """Residuals (m,) of the rows if the part is at θ + `error_rad` (n,) and α is `zero_rad`."""
         angle = wrap_radians(self.seen_rad + error_rad - zero_rad)
         asked = (self.declared_rad + error_rad)[self.turn] - (self.declared_rad + error_rad)[self.turn - 1]
         return np.concatenate([angle, self.length, wrap_radians(self.gyro_rad - asked)])
 
 
 def common_zero(angle_rad: Floats) -> float:
-    """The angle from which most others are least away (a median on the circle); 0 of none."""
+    """Angle with the least sum of distances from all others (a median on the circle); 0 without angles."""
     if not len(angle_rad):
         return 0.0
     apart = np.abs(wrap_radians(angle_rad[:, None] - angle_rad[None, :])).sum(axis=0)
     return float(angle_rad[int(np.argmin(apart))])
-
-
-@dataclass(frozen=True)
-class BelievedParameters:
-    """Gains, misalignment and biases (5,) as they are believed: K_x, K_y, Δφ in rad, b_x and b_y in mg."""
-
-    values: Floats
-
-    @classmethod
-    def nominal(cls) -> BelievedParameters:
-        """Of a perfect part."""
-        return cls(np.array([1.0, 1.0, 0.0, 0.0, 0.0]))
-
-    def moved(self, step: Floats) -> BelievedParameters:
-        """After a step (5,)."""
-        return BelievedParameters(self.values + step)
 
 
 @dataclass(frozen=True)
@@ -299,66 +288,61 @@ class _Local:
     ideal_mg: Floats
 
 
-def _local(angles: Angles, calibration: BelievedParameters) -> _Local:
+def _local(angles: Angles, calibration: Floats) -> _Local:
     model = PlanarTurn(angles.gravity_mg)
-    base = np.concatenate([[0.0], calibration.values[:3]])
-    psi = model.angle_rad(base, angles.reading_mg - calibration.values[3:])
+    base = np.concatenate([[0.0], calibration[:3]])
+    psi = model.angle_rad(base, angles.reading_mg - calibration[3:])
     zero = np.zeros(len(angles))
     ideal = model.ideal(base, psi, zero)
     tangent = model.tangent(base, psi, zero)[:, :, 0]
     square = (tangent**2).sum(axis=1, keepdims=True)
+    # The normal of the circle at each reading is its tangent turned by 90°.
     across = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.sqrt(square) / angles.gravity_mg
     columns = np.concatenate(
         [model.columns(base, psi, zero)[:, :, 1:], np.tile(np.eye(2), (len(angles), 1, 1))], axis=2
     )
-    left = angles.reading_mg - ideal - calibration.values[3:]
-    return _Local(psi, tangent / square, across, left, columns, ideal)
+    residual = angles.reading_mg - ideal - calibration[3:]
+    return _Local(psi, tangent / square, across, residual, columns, ideal)
 
 
 def _base_sd(angles: Angles) -> Floats:
     return np.array([GAIN, GAIN, SKEW_RAD, angles.bias_mg, angles.bias_mg])
 
 
-def calibrated_by_length(angles: Angles) -> BelievedParameters:
-    """A first calibration, by the lengths of the readings alone: no declared angle can spoil it."""
-    calibration = BelievedParameters.nominal()
-    sd, n = _base_sd(angles), len(angles)
-    for _ in range(ROUNDS):
+def calibrate_by_length(angles: Angles) -> Floats:
+    """First calibration (5,), by the lengths of the readings alone, without any declared angle."""
+    calibration = NOMINAL
+    sd = _base_sd(angles)
+    for _ in range(ROUNDS if len(angles) > 1 else 1):
         near = _local(angles, calibration)
         design = np.einsum("ni,nij->nj", near.across, near.base)
-        left = (near.across * near.left_mg).sum(axis=1)
+        residual = (near.across * near.left_mg).sum(axis=1)
         noise = np.einsum("ni,nij,nj->n", near.across, angles.covariance_mg2, near.across)
-        spread = max(float(np.median(np.abs(left))) / 0.6745, 1e-4)
-        # A reading that a push has lengthened counts little.
-        weight = 1 / ((noise + 1e-4**2) * (1 + (left / (TURNED_AWAY * spread)) ** 2))
-        prior = BelievedParameters.nominal().values - calibration.values
+        spread = max(float(np.median(np.abs(residual))) / 0.6745, 1e-4)
+        # A reading of an accelerated part is too long and has a small weight.
+        weight = 1 / ((noise + 1e-4**2) * (1 + (residual / (TURNED_AWAY * spread)) ** 2))
+        prior = NOMINAL - calibration
         precision = np.diag(sd**-2) + (design * weight[:, None]).T @ design
-        step = np.linalg.solve(precision, prior / sd**2 + design.T @ (weight * left))
-        calibration = calibration.moved(step)
-        if n < 2:
-            break
+        step = np.linalg.solve(precision, prior / sd**2 + design.T @ (weight * residual))
+        calibration = calibration + step
     return calibration
 
 
-def _course(time_s: Floats) -> Floats:
-    gone = time_s - time_s.min()
-    return np.asarray(gone / max(float(gone.max()), 1e-300))
-
-
-def rows_at(angles: Angles, calibration: BelievedParameters) -> Rows:
-    """The linear model about a calibration."""
+def rows_at(angles: Angles, calibration: Floats) -> Rows:
+    """The linear model about a calibration (5,)."""
     near, n = _local(angles, calibration), len(angles)
     seen_by = near.psi_rad + (near.along * near.left_mg).sum(axis=1)
     declared = np.isfinite(angles.declared_rad)
     given = np.where(declared, angles.declared_rad, 0.0)
     zero = common_zero(wrap_radians(seen_by + given)[declared])
     theta = np.where(declared, given, zero - seen_by)
-    added, turned, sizes = _beside(replace(angles, declared_rad=theta), near)
+    added, turned, sizes = _effect_columns(replace(angles, declared_rad=theta), near)
     reading = np.concatenate([near.base, added], axis=2)
     by_angle = np.einsum("ni,nij->nj", near.along, reading)
     by_length = np.einsum("ni,nij->nj", near.across, reading)
     turn, gyro, gyro_u, force = _turns(angles)
     g, still = len(turn), np.zeros((n, turned.shape[1]))
+    # Difference of each turn: angle of its end minus angle of the dwell before.
     steps = np.zeros((g, n))
     steps[np.arange(g), turn], steps[np.arange(g), turn - 1] = 1.0, -1.0
     calibrating = np.zeros((g, reading.shape[2]))
@@ -371,9 +355,10 @@ def rows_at(angles: Angles, calibration: BelievedParameters) -> Rows:
     )
     sd = np.concatenate([[np.pi], _base_sd(angles), sizes, [GYRO_GAIN, GYRO_FORCE_RAD, GYRO_FORCE_RAD]])
     mean = np.zeros(len(sd))
-    mean[1 : 1 + BASE] = BelievedParameters.nominal().values - calibration.values
+    mean[1 : 1 + BASE] = NOMINAL - calibration
     effect = np.zeros(len(sd), dtype=np.bool_)
     effect[1 + BASE : -3] = True
+    # Covariance of angle and length of each dwell, by the covariance of its reading.
     both = np.stack([near.along, near.across], axis=1)
     pairs = np.einsum("nai,nij,nbj->nab", both, angles.covariance_mg2, both)
     noise = np.zeros((2 * n + g, 2 * n + g))
@@ -382,6 +367,8 @@ def rows_at(angles: Angles, calibration: BelievedParameters) -> Rows:
         for b in range(2):
             noise[own + a * n, own + b * n] = pairs[:, a, b]
     noise[2 * n + np.arange(g), 2 * n + np.arange(g)] = gyro_u**2
+    gone = angles.conditions.time_s - angles.conditions.time_s.min()
+    halts = () if angles.turns is None else angles.turns.halts
     return Rows(
         wrap_radians(seen_by + theta),
         (near.across * near.left_mg).sum(axis=1),
@@ -394,17 +381,15 @@ def rows_at(angles: Angles, calibration: BelievedParameters) -> Rows:
         np.concatenate([-np.eye(n), np.zeros((n, n)), steps]),
         noise,
         np.concatenate([near.along * angles.gravity_mg, near.across * angles.gravity_mg, np.zeros((g, 2))]),
-        _course(angles.conditions.time_s),
+        gone / max(float(gone.max()), 1e-300),
         theta,
         declared,
-        {}
-        if angles.turns is None
-        else {k: h for k, h in enumerate(angles.turns.halts, 1) if h is not None},
+        {k: one for k, one in enumerate(halts, 1) if one is not None},
     )
 
 
 def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
-    """Dwells in which watched turns end, with angle, u and force."""
+    """Dwells in which completely recorded turns end, with angle, u and force."""
     if angles.turns is None:
         return np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros((0, 2))
     watched = np.flatnonzero(np.isfinite(angles.turns.angle_rad))
@@ -416,7 +401,7 @@ def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
     )
 
 
-def _beside(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
+def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
     """Effects of the catalogue: columns on readings (n, 2, q) in mg and on ψ (n, r), sizes (q + r,)."""
     conditions = _by_gravity(angles.conditions, near, angles)
     added: list[Floats] = []
@@ -447,8 +432,8 @@ def _beside(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
 
 
 def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditions:
-    """Conditions at the angles that gravity shows: a declared one may be what is wrong."""
+    """Conditions at the angles of gravity, because a declared angle may be wrong."""
     zero = common_zero(wrap_radians(near.psi_rad + angles.declared_rad))
-    stands = zero - near.psi_rad
-    before = np.concatenate([stands[:1], stands[:-1]])
-    return replace(conditions, angle_rad=stands, previous_angle_rad=before)
+    angle = zero - near.psi_rad
+    before = np.concatenate([angle[:1], angle[:-1]])
+    return replace(conditions, angle_rad=angle, previous_angle_rad=before)

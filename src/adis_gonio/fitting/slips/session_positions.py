@@ -10,48 +10,56 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.gyros.gyro_readings import path_between
-from adis_gonio.fitting.gyros.turn_integration import LONGEST_GAP_S, Path, Sampling, integrate, period_of
+from adis_gonio.fitting.gyros.turn_integration import (
+    LONGEST_GAP_S,
+    Path,
+    Sampling,
+    dps_per_unit,
+    integrate,
+    path_between,
+    period_of,
+)
 from adis_gonio.fitting.slips.position_diagnosis import LARGEST, Diagnosis, diagnose
 from adis_gonio.fitting.slips.position_model import Angles, Halts, Increments, halts_of
 from adis_gonio.model.records import Dwell, Session
 
 BIAS_MG = 60.0
-"""Standard deviation of a bias before it is measured: one real ADIS16350 had +57, −21 and +46 mg (CHIP)."""
+"""Standard deviation of a bias before a measurement: one real ADIS16350 had +57, −21 and +46 mg (CHIP)."""
 INSTABILITY_DPS = 0.015
-"""What a gyro's zero does between dwells where no figure is known (the simulator's default, D)."""
+"""Drift of a gyro's zero between dwells if no figure is known (the simulator's default, D)."""
 BLOCK_S = 0.25
-"""Means over this are independent, whatever the filter."""
+"""Means over this length are independent with every filter."""
 UNKNOWN_MG = 1.0
-"""Standard uncertainty taken for a reading of which nothing tells it."""
+"""Standard uncertainty assumed for a reading without one."""
 
 
 def positions_of(session: Session) -> Diagnosis:
-    """What the three angles say of a session's positions; worked out once and kept with it.
+    """Diagnose a session's positions by the three angles; computed once and kept with the session.
 
-    Nothing is said of sessions in space, without declared angles, or of more than `LARGEST` dwells.
+    There are no findings for sessions in space, without declared angles, or with more than `LARGEST`
+    dwells.
 
     Raises
     ------
     DataError
         As `adis_gonio.fitting.estimation.readings_of`.
     """
-    kept: Diagnosis | None = vars(session).get("_positions")  # the session is frozen: it cannot go stale
-    if kept is None:
-        angles = angles_of(session)
-        kept = Diagnosis() if angles is None else diagnose(angles)
-        vars(session)["_positions"] = kept
-    return kept
+    return session.once(_diagnosed)
 
 
-def in_context(session: Session, error: Exception) -> str:
-    """Message of a failed fit with its file, and with what is wrong with positions, which may be why."""
-    told = "; ".join((str(error), *positions_of(session).sentences))
-    return f"{session.source}: {told}" if session.source else told
+def _diagnosed(session: Session) -> Diagnosis:
+    angles = angles_of(session)
+    return Diagnosis() if angles is None else diagnose(angles)
+
+
+def failure_message(session: Session, error: Exception) -> str:
+    """Message of a failed fit with its file, and with faults of positions, which may be the cause."""
+    text = "; ".join((str(error), *positions_of(session).sentences))
+    return f"{session.source}: {text}" if session.source else text
 
 
 def angles_of(session: Session) -> Angles | None:
-    """Declared angles, readings and increments; None where no declared angle could be wrong."""
+    """Declared angles, readings and increments; None if no declared angle can be wrong."""
     if session.plane != "xy" or session.free_attitudes or not 2 <= len(session.dwells) <= LARGEST:
         return None
     readings = readings_of(session)
@@ -82,12 +90,13 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
         return None
     sampling, zero_dps2 = _sampling(session, dwells)
     pairs = list(zip(readings.position[:-1].tolist(), readings.position[1:].tolist(), strict=True))
+    # Angle, u and both forces of each turn; NaN without a record.
     rows = np.full((len(pairs), 4), np.nan)
     halts: list[Halts | None] = [None] * len(pairs)
     for k, pair in enumerate(pairs):
         if pair in turns and pair[0] in by_position and pair[1] in by_position:
             ends = by_position[pair[0]], by_position[pair[1]]
-            path = path_between(session, turns[pair], *ends, _scale(session))
+            path = path_between(session, turns[pair], *ends)
             found = None if path is None else _turned(path, sampling, zero_dps2)
             rows[k] = np.nan if found is None else found
             halts[k] = None if path is None or found is None else halts_of(path, sampling)
@@ -97,9 +106,9 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
 
 
 def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
-    """Angle about z and its u in degrees between two dwells, as the bench had them while it watched.
+    """Angle about z and its u in degrees between two dwells, as the bench recorded them during the session.
 
-    The g-sensitivity is in that u.
+    The u includes the g-sensitivity.
     """
     dwells = session.facts.get("dwells") or []
     number = {entry["attempt"]: k for k, entry in enumerate(dwells)}
@@ -108,10 +117,6 @@ def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
         for entry in session.facts.get("turned") or []
         if entry["since"] in number and entry["attempt"] in number
     }
-
-
-def _scale(session: Session) -> float:
-    return math.degrees(1.0) if session.gyro_unit == "radps" else 1.0
 
 
 def _sampling(session: Session, dwells: Sequence[Dwell]) -> tuple[Sampling, float]:
@@ -137,15 +142,19 @@ def _density(session: Session, dwells: Sequence[Dwell], period_s: float) -> Floa
         whole = len(dwell) // block
         if whole < 2 or dwell.gyro is None:
             continue
+        # Means of whole blocks; their scatter gives the density at low frequencies.
         means = dwell.gyro[: whole * block].reshape(whole, block, 3).mean(axis=1)
         left = means - means.mean(axis=0)
         squares += left.T @ left
         count += whole - 1
-    return np.asarray(_scale(session) ** 2 * block * squares / max(count, 1))
+    return np.asarray(dps_per_unit(session) ** 2 * block * squares / max(count, 1))
 
 
 def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, float, float, float] | None:
-    """Angle about z and its u in degrees, and the force beyond that of rest in g·s; None if not watched."""
+    """Angle about z and its u in degrees, and the force minus that at rest in g·s.
+
+    None if the record of the turn has a gap.
+    """
     found = integrate(path, sampling)
     if not isinstance(found, str):
         angle, variance = float(found.turned_deg[2]), float(found.covariance_deg2[2, 2])
@@ -159,18 +168,20 @@ def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, fl
     else:
         return None
     rest = path.rest_g.mean(axis=0)
+    # Error of the zero rate: noise of both dwells, and drift.
     zero = length**2 * (zero_dps2 / 2 + float(sampling.drift_dps[2]) ** 2)
-    beyond = np.nan_to_num(length * (mean - rest))  # of counts nobody knows how many g they are
+    beyond = np.nan_to_num(length * (mean - rest))  # NaN for counts of unknown size in g
     return angle, math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])
 
 
 def _stayed(path: Path, sampling: Sampling) -> bool:
-    """True where the part was watched all the time and not turned."""
+    """True if the record of the part has no gap and shows no turn."""
     if float(np.diff(path.time_s).max()) > LONGEST_GAP_S:
         return False
     window = min(sampling.window, len(path.time_s))
     whole = len(path.time_s) // window
     rate = path.rate_dps[: whole * window] - path.zero_dps.mean(axis=0)
+    # Means of windows must all stay within the noise of a part at rest.
     means = rate.reshape(whole, window, 3).mean(axis=1)
     allowed = sampling.moving_dps + np.abs(path.zero_dps[1] - path.zero_dps[0])
     return bool((np.abs(means) <= allowed).all())

@@ -1,4 +1,7 @@
-"""The catalogue of effects: named physical terms that the seed paper's model lacks.
+"""The catalogue of effects by name: the effects of this package, and the effects of other packages.
+
+An effect is a named physical term that the seed paper's model lacks; other packages add effects by entry
+points.
 
 >>> from adis_gonio.model.effects import parse_effect
 >>> effect, values = parse_effect("quadratic:k2_x=2.5")
@@ -6,15 +9,196 @@
 ('quadratic', ['k2_x', 'k2_y'], [2.5, 0.0])
 """
 
-from adis_gonio.model.effects.base import AXES, COVARIATES, Conditions, Effect, Enters, Parameter
-from adis_gonio.model.effects.dwell_terms import (
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
+from adis_gonio.model.effects import gyro_terms, sensor_terms, stage_terms
+from adis_gonio.model.effects.base import (
+    AXES,
+    COVARIATES,
+    Conditions,
+    Effect,
+    Enters,
+    Parameter,
+    did_you_mean,
+)
+from adis_gonio.model.effects.stage_terms import (
     NoiseChange,
     OutlierDwell,
     Quantization,
     Saturation,
     Settling,
 )
-from adis_gonio.model.effects.registry import BUILT_IN, ENTRY_POINT_GROUP, catalogue, effect, parse_effect
+
+ENTRY_POINT_GROUP = "adis_gonio.effects"
+
+BUILT_IN: dict[str, type[Effect]] = {
+    kind.name: kind
+    for module in (sensor_terms, stage_terms, gyro_terms)
+    for kind in vars(module).values()
+    if isinstance(kind, type) and issubclass(kind, Effect)
+    if kind.__module__ == module.__name__ and "name" in vars(kind)
+}
+"""Effects of this package, in the order of their definition: every class that declares a name."""
+
+
+def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
+    """All installed effects by name: the built-in effects, then the effects of other packages.
+
+    Parameters
+    ----------
+    part : str, optional
+        Return only the effects of this part of the sensor (`Measurement.part`).
+
+    Raises
+    ------
+    UsageError
+        An entry point cannot be loaded, is no effect, differs in name from the effect, names no covariate
+        or an unknown one, or repeats a name.
+    """
+    found = dict(BUILT_IN)
+    for point in _installed(tuple(sys.path)):
+        try:
+            kind = point.load()
+        except Exception as error:  # a foreign module may raise anything on import
+            raise UsageError(f"effect '{point.name}' of {point.value} cannot be loaded: {error}") from error
+        if not (isinstance(kind, type) and issubclass(kind, Effect)):
+            raise UsageError(f"effect '{point.name}': {point.value} is no subclass of Effect")
+        if getattr(kind, "name", None) != point.name:
+            raise UsageError(f"effect '{point.name}': {point.value} calls itself something else")
+        if not hasattr(kind, "covariates"):
+            raise UsageError(
+                f"effect '{point.name}' of {point.value} declares neither covariates nor needs that "
+                f"name one: give it covariates, some of {', '.join(COVARIATES)}, or () for a constant"
+            )
+        unknown = [word for word in kind.covariates if word not in COVARIATES]
+        if unknown:
+            raise UsageError(
+                f"effect '{point.name}' of {point.value}: no covariate is called '{unknown[0]}'; "
+                f"name some of {', '.join(COVARIATES)}"
+            )
+        if point.name in found and found[point.name] is not kind:
+            raise UsageError(f"effect '{point.name}' of {point.value}: the name is taken")
+        found[point.name] = kind
+    if part is None:
+        return found
+    own = {name: kind.of_part(part) for name, kind in found.items()}
+    return {name: kind for name, kind in own.items() if kind is not None}
+
+
+@cache
+def _installed(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """Entry points of the packages on a path, cached because reading them takes longer than a fit."""
+    return tuple(entry_points(group=ENTRY_POINT_GROUP))
+
+
+def effect(name: str, axes: Sequence[str] = ("x", "y"), **choices: int) -> Effect:
+    """Effect by name.
+
+    Parameters
+    ----------
+    name : str
+        One of `catalogue()`.
+    axes : sequence of str
+        Axes of the effect; ignored for an effect without a choice of axes (of the stage).
+    choices : int
+        Fields other than the axes: `dwell` of `position_slip` and `outlier_dwell`, `degree` of
+        `bias_temperature`, `cycles` of `stage_periodic`.
+
+    Raises
+    ------
+    UsageError
+        No effect has this name (the message has the nearest), or axes or choices are not possible.
+    """
+    kind = BUILT_IN.get(name) or _kind(name)
+    wrong = [choice for choice in choices if choice not in kind.choices()]
+    if wrong:
+        raise UsageError(f"{name} has no choice '{wrong[0]}'; it has {', '.join(kind.choices()) or 'none'}")
+    return kind(tuple(axes) if kind.by_axis else (), **choices)
+
+
+def _kind(name: str) -> type[Effect]:
+    known = catalogue()
+    if name not in known:
+        raise UsageError(
+            f"no effect is called '{name}'{did_you_mean(name, list(known))}; "
+            f"known: {', '.join(sorted(known))}"
+        )
+    return known[name]
+
+
+def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, Floats]:
+    """Effect and its values from a word of a command line.
+
+    `quadratic` has all parameters at their typical size. `quadratic:k2_x=2.5` sets the named parameters;
+    other amplitudes are zero, shapes (such as time constants) stay typical. Choices belong to this list:
+    `position_slip:dwell=3,slip=0.1`. A parameter of the z axis adds that axis.
+
+    Parameters
+    ----------
+    text : str
+        `name` or `name:parameter=value,parameter=value`.
+    axes : sequence of str
+        Axes of the effect.
+
+    Returns
+    -------
+    effect : Effect
+    values : (p,) float
+        In the order of `effect.parameters`, in their units.
+
+    Raises
+    ------
+    UsageError
+        Unknown effect or parameter (the message lists the known ones), a value that is no number, is given
+        twice, or is outside its physical bounds.
+    """
+    name, colon, listed = (part.strip() for part in text.partition(":"))
+    kind = BUILT_IN.get(name) or _kind(name)
+    given: dict[str, float] = {}
+    choices: dict[str, int] = {}
+    for item in listed.split(",") if colon else ():
+        key, equals, value = (part.strip() for part in item.partition("="))
+        if not (key and equals and value):
+            raise UsageError(f"effect '{text}': write {name}:parameter=value, not '{item.strip()}'")
+        if key in given or key in choices:
+            raise UsageError(f"effect '{text}': {key} is given twice")
+        if key in kind.choices():
+            choices[key] = _whole(text, key, value)
+        else:
+            given[key] = _number(text, key, value)
+
+    made = effect(name, axes, **choices)
+    if kind.by_axis and any(key not in _names(made) for key in given):
+        in_space = effect(name, AXES, **choices)
+        if all(key in _names(in_space) for key in given):
+            made = in_space
+    return made, made.defaults(given, others="zero" if given else "typical")
+
+
+def _names(made: Effect) -> set[str]:
+    return {parameter.name for parameter in made.parameters}
+
+
+def _whole(text: str, key: str, value: str) -> int:
+    try:
+        return int(value)
+    except ValueError:
+        raise UsageError(f"effect '{text}': {key} is a whole number, not '{value}'") from None
+
+
+def _number(text: str, key: str, value: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        raise UsageError(f"effect '{text}': {key} is a number, not '{value}'") from None
+
 
 __all__ = [
     "AXES",

@@ -1,20 +1,25 @@
-"""What an effect is: a named physical term that the seed paper's model lacks.
+"""Effects: named physical terms that the seed paper's model lacks.
 
-An effect says its name, its parameters with units and bounds, what it adds to a reading and the
-derivative of that, which covariates it needs, what causes it in one sentence, and what would separate it
-from its rivals. The simulated world and the fit run the same objects: the world calls them for single
-samples, the fit for whole readings, both as rows of arrays.
+An effect states its name, its parameters with units and bounds, the term that it adds to a reading and its
+derivative, the covariates that it needs, its cause in one sentence, and the measurement that separates it
+from its rivals. The simulated world and the fit run the same objects, both with rows of arrays: the world
+calls them for single samples, the fit for whole readings.
 
-Where an effect enters
+Place of an effect in the model
     `Enters.ATTITUDE`: it turns the part against the stage (an angle in the plane, added to the true
-    angle ψ = α − θ); `Enters.READING`: it adds to what an axis reads, as a function of what the axis
-    should read and of the conditions; `Enters.SAMPLES`: it changes the samples of a dwell (noise,
-    quantization, a tone, saturation), which the world applies sample by sample and the tracing finds
+    angle ψ = α − θ); `Enters.READING`: it adds to the reading of an axis, as a function of the ideal
+    reading and of the conditions; `Enters.SAMPLES`: it changes the samples of a dwell (noise,
+    quantization, a tone, saturation). The world applies it sample by sample, and the trace finds it
     within the dwells.
 
 Units
     Readings are in mg (thousandths of the standard gravity) for an effect of the accelerometers, in °/s for
-    one of the gyros (`Effect.parts`); angles in radians, parameters in the unit that `Parameter.unit` says.
+    an effect of the gyros (`Effect.parts`); angles in radians, parameters in `Parameter.unit`.
+
+Families share their equations: linear in their parameters, or amplitudes of one common time course. An
+effect of a family gives its basis function once; value and derivative both follow from it. Sums are written
+out, because a matrix product may round differently for another number of rows, and the world must give the
+same samples however the times are grouped into calls.
 
 Another package adds an effect by an entry point of group `adis_gonio.effects`.
 """
@@ -23,10 +28,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -34,17 +39,86 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import UsageError
-from adis_gonio.model.effects.lag import lagged
+
+
+def _scan(factor: Floats, term: Floats) -> Floats:
+    """Solve x_k = factor_k · x_{k−1} + term_k, x_{−1} = 0, for all k; (m,) → (m,).
+
+    By doubling (each pass joins the recurrences of twice as many steps): log₂ m passes over arrays, and no
+    growing exponentials, since factors are at most 1.
+    """
+    factor, term = factor.copy(), term.copy()
+    reach = 1
+    while reach < len(term):
+        term[reach:] += factor[reach:] * term[:-reach]
+        factor[reach:] *= factor[:-reach].copy()
+        reach *= 2
+    return term
+
+
+def lagged(record_s: Floats, record: Floats, time_s: Floats, tau_s: float) -> tuple[Floats, Floats]:
+    """Lagged series y with τ dy/dt = x − y and its derivative by τ.
+
+    Parameters
+    ----------
+    record_s, record : (m,) float
+        Increasing times in s, and values x there; y starts at x of the first record. x is linear between
+        records and constant outside.
+    time_s : (n,) float
+        Times of the result.
+    tau_s : float
+        Time constant τ > 0 in s.
+
+    Returns
+    -------
+    y : (n,) float
+        In the unit of x.
+    by_tau : (n,) float
+        ∂y/∂τ, in that unit per second.
+
+    Raises
+    ------
+    UsageError
+        No record, times that do not increase, or τ ≤ 0.
+
+    Notes
+    -----
+    The lag e = x − y obeys de/dt = s − e/τ with x's slope s. Over a step h, with r = exp(−h/τ):
+    e' = r e + s τ (1 − r), and ∂e'/∂τ = r ∂e/∂τ + (e − s τ) r h/τ² + s (1 − r).
+    """
+    if not len(record_s) or len(record_s) != len(record) or (np.diff(record_s) <= 0).any():
+        raise UsageError("a history needs one value a time, and times that increase")
+    if not tau_s > 0:
+        raise UsageError(f"a time constant is greater than 0, not {tau_s:g} s")
+
+    steps = np.diff(record_s)
+    slopes = np.diff(record) / steps
+    # Lag and its derivative at each record, by the recurrences in the notes.
+    kept = np.exp(-steps / tau_s)
+    lag = np.concatenate([[0.0], _scan(kept, slopes * tau_s * (1 - kept))])
+    feed = (lag[:-1] - slopes * tau_s) * kept * steps / tau_s**2 + slopes * (1 - kept)
+    lag_by_tau = np.concatenate([[0.0], _scan(kept, feed)])
+
+    # From the record at or before each time on; before the first one nothing has happened yet.
+    k = np.clip(np.searchsorted(record_s, time_s, side="right") - 1, 0, len(record_s) - 1)
+    h = np.maximum(time_s - record_s[k], 0.0)
+    s = np.append(slopes, 0.0)[k]
+    r = np.exp(-h / tau_s)
+    # Continue from that record with the slope after it.
+    y = record[k] + s * h - (r * lag[k] + s * tau_s * (1 - r))
+    by_tau = -(r * lag_by_tau[k] + (lag[k] - s * tau_s) * r * h / tau_s**2 + s * (1 - r))
+    return y, by_tau
+
 
 AXES = ("x", "y", "z")
 COVARIATES = (
     "angle", "approach", "force", "order", "previous_angle", "reading", "rotation", "supply",
     "temperature", "temperature_rate", "time", "variance",
 )  # fmt: skip
-"""What an effect can follow; the trace compares effects and functions without a name by these words."""
+"""Covariates of effects; the trace compares effects and unnamed functions by these words."""
 CYCLE = "repeat a few positions about 10 °C warmer, and again after it has cooled"
 ONE_TURN = "remount the part turned by 180° and repeat some angles"
-MEMORY = "depends on what was before the reading, which a single reading does not show"
+MEMORY = "depends on the history before the reading, which a single reading does not show"
 OF_DWELL = "belongs to a dwell of the session"
 _OF_CONDITION = {
     "angle_rad": "angle",
@@ -60,7 +134,7 @@ _OF_CONDITION = {
 
 
 class Enters(StrEnum):
-    """Where an effect enters."""
+    """Place of an effect in the model."""
 
     ATTITUDE = "attitude"
     READING = "reading"
@@ -78,8 +152,8 @@ class Parameter:
     typical : float
         Magnitude that a bench would see; the starting point of a simulation by name.
     shape : bool
-        False for an amplitude, which is absent at zero; True for a parameter that says how, where or
-        when (a time constant, a frequency, a limit). A shape has no meaning where its amplitude is zero.
+        False for an amplitude: the effect is absent at zero. True for a time constant, a frequency or a
+        limit, which has no meaning if the amplitude is zero.
     """
 
     name: str
@@ -101,7 +175,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What surrounded each of n rows (samples or readings); None where it was not recorded.
+    """Circumstances of each of n rows (samples or readings); None if not recorded.
 
     Attributes
     ----------
@@ -125,13 +199,13 @@ class Conditions:
     temperatures_c : (n, 3) float
         Temperatures of the dies of the three gyros, of which `temperature_c` is the mean.
     force_g : (n, 3) float
-        What the accelerometers read, in g.
+        Readings of the accelerometers, in g.
     rate_dps : (n, 3) float
         True mean rate of turn in °/s, about the axes of the accelerometers; 0 at rest.
     abs_rate_dps : (n, 3) float
-        Mean of the modulus of that rate; None: that of the mean.
+        Mean modulus of that rate; None to use the modulus of the mean.
     load_history : tuple of (m,) float, (m, axes) float
-        The same of what the axes read, in mg.
+        Times and readings of the axes of the whole session, in mg.
     variance_mg2 : (n, axes) float
         Variance of the samples within the dwell.
 
@@ -182,11 +256,11 @@ class Conditions:
 
     @cached_property
     def _late(self) -> dict[tuple[int, float], tuple[Floats, Floats]]:
-        """What `late_load` has found: candidates have few time constants, each on every choice of axes."""
+        """Results of `late_load`, because candidates repeat few time constants for all choices of axes."""
         return {}
 
     def late_load(self, axis: int, tau_s: float) -> tuple[Floats, Floats]:
-        """Load (n,) of an axis in mg that lags by a time constant, and its derivative by that, in mg/s."""
+        """Load (n,) of an axis in mg after a lag with time constant τ, and its derivative by τ in mg/s."""
         if self.load_history is None:
             raise UsageError("the session does not record load_history")
         if (axis, tau_s) not in self._late:
@@ -204,10 +278,10 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Effect(ABC):
-    """Base of all effects; frozen, without state: parameters are passed in.
+    """Base class of all effects: frozen, without state; parameters are passed in.
 
-    A subclass names itself by the class attributes below. Fields beside `axes` are choices: whole numbers
-    that no gradient can find, such as the dwell that slipped.
+    A subclass describes itself by the class attributes below. Fields other than `axes` are choices: whole
+    numbers that no gradient can find, such as the number of the dwell that slipped.
 
     Attributes
     ----------
@@ -217,50 +291,50 @@ class Effect(ABC):
     Raises
     ------
     UsageError
-        On creation: axes that do not exist, or none or some where that makes no sense.
+        On creation: unknown axes, no axes for an effect of axes, or axes for an effect without axes.
     """
 
     axes: tuple[str, ...] = ()
 
     name: ClassVar[str]
     cause: ClassVar[str]
-    """What causes it, in one sentence."""
+    """Cause, in one sentence."""
     formula: ClassVar[str]
-    """What it adds, as a line of text; i is an axis, p an axis across it, a a reading in mg."""
+    """Added term as a line of text; i is an axis, p an axis across it, a a reading in mg."""
     separated_by: ClassVar[str]
-    """What its rivals are and which measurement tells it from them."""
+    """Rivals, and the measurement that separates them."""
     covariates: ClassVar[tuple[str, ...]]
-    """What it follows, in words of `COVARIATES`, the leading one first; empty for a constant.
+    """Covariates in words of `COVARIATES`, the most important first; empty for a constant.
 
-    A class that declares none follows what it names in `needs`; `catalogue` refuses one with neither.
+    The default follows from `needs`; `catalogue` refuses an effect that declares neither.
     """
     enters: ClassVar[Enters] = Enters.READING
     needs: ClassVar[tuple[str, ...]] = ()
     """Fields of `Conditions` without which it cannot be computed."""
     by_axis: ClassVar[bool] = True
-    """True where it acts on the axes of `axes`; False where it has none to choose."""
+    """True if it acts on the axes of `axes`, False if it has no choice of axes."""
     one_axis: ClassVar[bool] = False
-    """True where a candidate acts on one axis only, since on several it holds another cause besides."""
+    """True if a candidate acts on one axis only, because on several axes it includes another cause."""
     within_dwell: ClassVar[bool] = False
-    """True where its trace stands among the samples of a dwell rather than between readings."""
+    """True if the samples of a dwell show it, and not the differences between readings."""
     in_base: ClassVar[bool] = False
-    """True if the model that every session fits holds it already."""
+    """True if it is part of the model that every session fits."""
     prior: ClassVar[str] = ""
     """Group of common effects: `constant`, `curvature` or `force`; empty for the prior weight 1."""
     remedy: ClassVar[str] = ""
-    """What to do by hand where no further position tells it from its rivals."""
+    """Advice to the operator if no further position separates it from its rivals."""
     remedy_in_space: ClassVar[str] = ""
-    """The remedy if attitudes are free and another one is needed: gravity is in no plane it could leave."""
+    """Remedy for free attitudes, if `remedy` needs a plane of rotation."""
     correctable: ClassVar[bool] = False
     """True for a function of the reading, the rate, the force, the temperature or the supply."""
     not_corrected: ClassVar[str] = ""
-    """Why no later reading can be corrected for it."""
+    """Reason why later readings cannot be corrected for it."""
     shown_over: ClassVar[str] = ""
-    """Covariate of its figure, if that is not the first of `covariates`."""
+    """Covariate of its figure, if it is not the first of `covariates`."""
     parts: ClassVar[tuple[str, ...]] = ("accelerometer",)
-    """Parts of the sensor that it is an effect of, as `Measurement.part` names them."""
+    """Parts of the sensor that show it, in words of `Measurement.part`."""
     options: ClassVar[dict[str, tuple[int, ...]]] = {}
-    """Values that a choice can have in any session; names and units of the parameters tell which it is."""
+    """Possible values of the choices; names and units of the parameters identify the choice."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -283,33 +357,32 @@ class Effect(ABC):
 
     @classmethod
     def choices(cls) -> tuple[str, ...]:
-        """Names of the fields beside `axes`, all whole numbers."""
+        """Names of the fields other than `axes`, all whole numbers."""
         return tuple(f.name for f in fields(cls) if f.init and f.name != "axes")
 
     @classmethod
     def of_part(cls, part: str) -> type[Effect] | None:
-        """The effect as the readings of a part have it; None where it is no effect of that part."""
+        """Class of the effect for the readings of a part; None if the part does not show it."""
         return cls if part in cls.parts else None
 
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters in a fixed order; those of an axis carry its letter (`bias_x`)."""
+        """Parameters in a fixed order; the name of an axis' parameter ends in its letter (`bias_x`)."""
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
         """Angle (n,) in rad that is added to the true angle of the part; `Enters.ATTITUDE` only."""
         return np.zeros(len(conditions))
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """What is added to the readings, (n, axes) in their unit; `Enters.READING` only.
+        """Terms that are added to the readings, (n, axes) in their unit; `Enters.READING` only.
 
         Parameters
         ----------
         values : (p,) float
             Parameters in the order of `parameters`.
         ideal : (n, axes) float
-            What each axis of the sensor should read (after gain and misalignment); two columns x, y or
-            three x, y, z.
+            Ideal reading of each axis (after gain and misalignment); two columns x, y or three x, y, z.
 
         Raises
         ------
@@ -341,6 +414,7 @@ class Effect(ABC):
         if self.enters is Enters.SAMPLES:
             raise UsageError(f"{self.name} changes samples: a reading has no derivative by its parameters")
         typical = np.array([abs(parameter.typical) for parameter in self.parameters])
+        # Step relative to the value or its typical size, never 0.
         step = 1e-4 * np.maximum(np.maximum(np.abs(values), typical), 1e-9)
         if self.enters is Enters.ATTITUDE:
             return central_differences(lambda v: self.attitude_rad(v, conditions), values, step)
@@ -349,7 +423,7 @@ class Effect(ABC):
     def defaults(
         self, given: Mapping[str, float] | None = None, others: Literal["typical", "zero"] = "typical"
     ) -> Floats:
-        """Values in order: those given by name, the others typical, or zero where they are amplitudes.
+        """Values in order: given by name, and else typical, or zero for amplitudes.
 
         Raises
         ------
@@ -382,6 +456,177 @@ class Effect(ABC):
 
 
 def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """Piece of a message with the nearest match of a name, empty if nothing is near."""
+    """Part of a message with the nearest match of a name; empty if no name is near."""
     near = get_close_matches(name, known, n=1)
     return f" (did you mean '{near[0]}'?)" if near else ""
+
+
+def by_letters(prototypes: Sequence[Parameter], letters: Sequence[str]) -> tuple[Parameter, ...]:
+    """Each prototype for each of the letters, letters outermost: `k2` becomes `k2_x`, `k2_y`."""
+    return _by_letters(tuple(prototypes), tuple(letters))
+
+
+@lru_cache(maxsize=1024)
+def _by_letters(prototypes: tuple[Parameter, ...], letters: tuple[str, ...]) -> tuple[Parameter, ...]:
+    return tuple(replace(p, name=f"{p.name}_{suffix}") for suffix in letters for p in prototypes)
+
+
+@dataclass(frozen=True)
+class AxisEffect(Effect):
+    """An effect of single axes; by default of the two in the plane of rotation."""
+
+    axes: tuple[str, ...] = ("x", "y")
+
+
+class LinearEffect(AxisEffect):
+    """An effect of single axes that is linear in its parameters: its derivative gives the reading."""
+
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """Sum of parameters times basis functions, (n, axes) in the unit of the readings."""
+        added = np.zeros(ideal.shape)
+        for value, rows in zip(
+            values, np.moveaxis(self.derivative(values, ideal, conditions), -1, 0), strict=True
+        ):
+            added += value * rows
+        return added
+
+
+@dataclass(frozen=True)
+class LinearAxisEffect(LinearEffect):
+    """Reading i gets Σ_k value_ik · basis_k(i): k coefficients an axis, nothing across axes."""
+
+    coefficients: ClassVar[tuple[Parameter, ...]]
+    """One prototype for each basis function; the letter of the axis is appended to its name."""
+
+    def active(self) -> tuple[Parameter, ...]:
+        """Prototypes in use; a choice of the effect may omit some."""
+        return self.coefficients
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Coefficients axis by axis."""
+        return by_letters(self.active(), self.axes)
+
+    @abstractmethod
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Basis functions (n,) of column `axis`, one for each coefficient in use."""
+
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """Basis functions (n, axes, p) of the readings; `values` do not matter, the effect is linear."""
+        columns = self.columns_of(ideal)
+        count = len(self.active())
+        design = np.zeros((*ideal.shape, count * len(columns)))
+        for k, column in enumerate(columns):
+            # Column k · count + j is coefficient j of axis k.
+            for j, rows in enumerate(self.basis(column, ideal, conditions)):
+                design[:, column, k * count + j] = rows
+        return design
+
+
+@dataclass(frozen=True)
+class CrossEffect(LinearEffect):
+    """Reading i gets Σ_p value_ip · basis(a_i, a_p, conditions) over the axes p across it.
+
+    In the plane (`axes` without z) each of x and y has the other as its partner; with z each axis has two
+    partners. Names of parameters end in both letters, `name_ip`.
+    """
+
+    coefficient: ClassVar[Parameter]
+
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs (axis, axis across it) in the order of the parameters."""
+        reach = AXES if "z" in self.axes else AXES[:2]
+        return tuple((axis, other) for axis in self.axes for other in reach if other != axis)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One coefficient a pair."""
+        return by_letters((self.coefficient,), [axis + other for axis, other in self.pairs()])
+
+    @abstractmethod
+    def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
+        """Basis function (n,) of the axis' own ideal reading, the one across and the conditions."""
+
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """Basis functions (n, axes, p) of the readings; `values` do not matter, the effect is linear."""
+        self.columns_of(ideal)
+        pairs = self.pairs()
+        design = np.zeros((*ideal.shape, len(pairs)))
+        for k, (axis, other) in enumerate(pairs):
+            i, p = AXES.index(axis), AXES.index(other)
+            design[:, i, k] = self.basis(ideal[:, i], ideal[:, p], conditions)
+        return design
+
+
+@dataclass(frozen=True)
+class CourseEffect(AxisEffect):
+    """Reading i gets value_i · course(shape): an amplitude an axis, one common course with one shape."""
+
+    amplitude: ClassVar[Parameter]
+    shape: ClassVar[Parameter]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The amplitudes, then the shape."""
+        return (*by_letters((self.amplitude,), self.axes), self.shape)
+
+    def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
+        """Course (n,) that all axes share, and its derivative (n,) with respect to the shape."""
+        raise NotImplementedError
+
+    def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
+        """Course (n,) of each axis in `axes`, and its derivative (n,) with respect to the shape."""
+        return [self.course(shape, conditions)] * len(self.axes)
+
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """Amplitude times course, (n, axes) in the unit of the readings."""
+        added = np.zeros(ideal.shape)
+        courses = self.courses(float(values[-1]), ideal, conditions)
+        for value, column, (course, _) in zip(values[:-1], self.columns_of(ideal), courses, strict=True):
+            added[:, column] = value * course
+        return added
+
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """Derivative (n, axes, p): the course by the amplitudes, its slope by the shape."""
+        design = np.zeros((*ideal.shape, len(values)))
+        courses = self.courses(float(values[-1]), ideal, conditions)
+        for k, (column, (course, slope)) in enumerate(zip(self.columns_of(ideal), courses, strict=True)):
+            design[:, column, k] = course
+            design[:, column, -1] = values[k] * slope
+        return design
+
+
+def decay(time_s: Floats, tau_s: float) -> tuple[Floats, Floats]:
+    """exp(−t/τ) and its derivative by τ, (n,) each."""
+    elapsed = time_s / tau_s
+    course = np.exp(-elapsed)
+    return course, course * elapsed / tau_s
+
+
+@dataclass(frozen=True)
+class StageEffect(Effect):
+    """An effect of the stage: the true angle gets Σ_k value_k · basis_k, in degrees."""
+
+    coefficients: ClassVar[tuple[Parameter, ...]]
+    enters = Enters.ATTITUDE
+    by_axis = False
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One coefficient a basis function."""
+        return self.coefficients
+
+    @abstractmethod
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """Basis functions (n,), without unit."""
+
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """Derivative (n, p) of the angle, in rad per degree of each coefficient."""
+        return np.deg2rad(np.stack(self.basis(conditions), axis=-1))
+
+    def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
+        """Angle (n,) in rad that is added to the true angle of the part."""
+        angle = np.zeros(len(conditions))
+        for value, rows in zip(values, self.basis(conditions), strict=True):
+            angle += np.deg2rad(value) * rows
+        return angle

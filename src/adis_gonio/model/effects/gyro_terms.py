@@ -1,8 +1,8 @@
-"""Terms of the gyros: what adds to a mean rate beside the zero rate.
+"""Effects of the gyros: terms of a mean rate in addition to the zero rate.
 
-Readings are in °/s, forces what the accelerometers read in g, rates of turn Ω true ones about the axes of
-the accelerometers. Sizes are estimates; the sheet of the siblings gives a g-sensitivity of 0.05 °/s/g and a
-supply sensitivity of 0.25 °/s/V.
+Readings are in °/s, forces are the readings of the accelerometers in g, Ω are the true rates of turn about
+the axes of the accelerometers. Sizes are estimates; the sheet of the siblings gives a g-sensitivity of 0.05
+°/s/g and a supply sensitivity of 0.25 °/s/V.
 """
 
 from __future__ import annotations
@@ -14,10 +14,17 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.model.effects.base import AXES, CYCLE, Conditions, Parameter
-from adis_gonio.model.effects.dwell_terms import OutlierDwell
-from adis_gonio.model.effects.environment import REFERENCE_C, BiasTemperature, SupplyBias, WarmUp
-from adis_gonio.model.effects.families import AxisEffect, LinearAxisEffect, by_letters
+from adis_gonio.model.effects.base import (
+    AXES,
+    CYCLE,
+    AxisEffect,
+    Conditions,
+    LinearAxisEffect,
+    Parameter,
+    by_letters,
+)
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, BiasTemperature, SupplyBias, WarmUp
+from adis_gonio.model.effects.stage_terms import OutlierDwell
 
 GYRO = ("gyro",)
 _OTHER_ORDER = "repeat the first poses last, or all in another order: a drift goes on, a force comes back"
@@ -25,14 +32,14 @@ WHOLE_TURNS = "turn the part by whole turns about each axis, to both sides (plan
 
 
 def _die_c(axis: int, conditions: Conditions) -> Floats:
-    """Temperature (n,) of the gyro's own die; of the only thermometer where there is but one."""
+    """Temperature (n,) of the gyro's own die, or of the only thermometer."""
     mean = conditions.covariate("temperature_c")
     return mean if conditions.temperatures_c is None else conditions.temperatures_c[:, axis]
 
 
 @dataclass(frozen=True)
 class GyroBiasTemperature(BiasTemperature):
-    """A polynomial of degree 1 to 3 in T − 25 °C, T of the gyro's own die where all three are recorded.
+    """A polynomial of degree 1 to 3 in T − 25 °C; T is the gyro's own die if all three are recorded.
 
     Attributes
     ----------
@@ -44,7 +51,7 @@ class GyroBiasTemperature(BiasTemperature):
     cause = "The zero rate of a gyro moves with the temperature of its die."
     formula = "ω_i += gyro_bias_temperature_i · ΔT + …2_i · ΔT² + …3_i · ΔT³ to `degree`, ΔT = T_i − 25 °C"
     separated_by = (
-        "Where temperature only rises it is `gyro_drift` or `gyro_warm_up`: let it fall again, or repeat "
+        "If the temperature only rises it is `gyro_drift` or `gyro_warm_up`: let it fall again, or repeat "
         "poses at two temperatures in changed order; `gyro_scale_temperature` shows in turns alone."
     )
     remedy = CYCLE
@@ -68,8 +75,8 @@ class GSensitivity(LinearAxisEffect):
     Attributes
     ----------
     force : int
-        0: along all three axes; 1 to 3: along x, y or z alone. Where that component follows the order of
-        the poses it is one column, as a drift is, and the two are judged on equal terms.
+        0: along all three axes; 1 to 3: along x, y or z alone. If that component follows the order of the
+        poses it is one column like a drift, and both are compared on equal terms.
     """
 
     force: int = 0
@@ -79,7 +86,7 @@ class GSensitivity(LinearAxisEffect):
     formula = "ω_i += g_sensitivity_ix · f_x + g_sensitivity_iy · f_y + g_sensitivity_iz · f_z"
     separated_by = (
         "With poses in one order force is time: repeat the first poses last, or shuffle them; `gyro_drift` "
-        "goes on where the pose comes back. `g2_sensitivity` does not change its sign with the force."
+        "continues if a pose is repeated. `g2_sensitivity` does not change its sign with the force."
     )
     remedy = _OTHER_ORDER
     correctable = True
@@ -100,7 +107,7 @@ class GSensitivity(LinearAxisEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient for each axis of force: the gyro's letter, then that of the force."""
+        """One coefficient for each axis of force: the letter of the gyro, then the letter of the force."""
         return by_letters(self.coefficients, [own + AXES[k] for own in self.axes for k in self._along])
 
     def active(self) -> tuple[Parameter, ...]:
@@ -114,7 +121,7 @@ class GSensitivity(LinearAxisEffect):
 
 @dataclass(frozen=True)
 class G2Sensitivity(LinearAxisEffect):
-    """The square of the force along one axis: three squares at 1 g are a constant, so one is asked for.
+    """The square of the force along one axis only, since the three squares at 1 g add up to 1.
 
     Attributes
     ----------
@@ -130,8 +137,8 @@ class G2Sensitivity(LinearAxisEffect):
     )
     formula = "ω_i += g2_sensitivity_ij · f_j², j the axis `force`"
     separated_by = (
-        "At rest f_x² + f_y² + f_z² = 1, so that the square of one component is that of the two others "
-        "with the opposite sign: poses between the axes tell one from two, vibration tells all."
+        "At rest f_x² + f_y² + f_z² = 1, so that the square of one component is minus the squares "
+        "of the two others: poses between the axes tell one from two, vibration tells all."
     )
     remedy = "point two axes at once along gravity (±0.7 g), and repeat the first poses last"
     correctable = True
@@ -147,7 +154,7 @@ class G2Sensitivity(LinearAxisEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient a gyro: its letter, then that of the force."""
+        """One coefficient for each gyro: the letter of the gyro, then the letter of the force."""
         return by_letters(self.coefficients, [axis + AXES[self.force] for axis in self.axes])
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -199,10 +206,10 @@ class GyroScaleTemperature(LinearAxisEffect):
 
 
 class GyroMisalignment(AxisEffect):
-    """The axis of a gyro is misaligned towards others; its direction stays a unit vector.
+    """The axis of a gyro is misaligned towards other axes; its direction remains a unit vector.
 
     With s_p the sine of the misalignment towards axis p the direction is (√(1 − Σ s_p²), s_p, …):
-    1° costs 1.5·10⁻⁴ of the gain, which ten turns show.
+    1° reduces the gain by 1.5·10⁻⁴, which ten turns show.
     """
 
     name = "gyro_misalignment"
@@ -228,7 +235,7 @@ class GyroMisalignment(AxisEffect):
         return by_letters((self.coefficient,), [AXES[i] + AXES[p] for i, p in self._pairs()])
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """What the misalignments add, (n, 3) in °/s."""
+        """Terms of the misalignments, (n, 3) in °/s."""
         rate = conditions.covariate("rate_dps")
         self.columns_of(ideal)
         added = np.zeros(ideal.shape)
@@ -263,7 +270,8 @@ class GyroDrift(LinearAxisEffect):
     Attributes
     ----------
     steps : int
-        0: with time; 1: by as much from each dwell to the next, however long it took, as by handling.
+        0: with time; 1: by an equal step from each dwell to the next, independent of the time, as by
+        handling.
     """
 
     steps: int = 0
@@ -277,7 +285,7 @@ class GyroDrift(LinearAxisEffect):
         "tell time from the number of the dwell."
     )
     remedy = _OTHER_ORDER
-    not_corrected = "follows the clock of the session; the zero rate is that of its start"
+    not_corrected = "follows the clock of the session; the zero rate applies to its start"
     covariates = ("time",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"steps": (0, 1)}
@@ -313,7 +321,7 @@ class GyroWarmUp(WarmUp):
         "`gyro_bias_temperature`: switch off and on within the session."
     )
     remedy = "switch the sensor off, let it cool, and repeat a few poses after switching on"
-    not_corrected = "follows the clock of the session; the zero rate is that of the warm part"
+    not_corrected = "follows the clock of the session; the zero rate applies to the warm part"
     covariates = ("time",)
     parts = GYRO
     amplitude = Parameter("gyro_warm_up", "dps", -10.0, 10.0, 0.2)
@@ -360,7 +368,7 @@ class GyroAsymmetry(LinearAxisEffect):
 
 
 class GyroOutlierDwell(OutlierDwell):
-    """`outlier_dwell` as the readings of gyros have it."""
+    """`outlier_dwell` for the readings of gyros."""
 
     coefficients = (Parameter("offset", "dps", -300.0, 300.0, 0.1),)
     parts = GYRO

@@ -1,17 +1,34 @@
-"""Static terms of the sensor: what an axis answers to acceleration, along it and across it.
+"""Effects of the sensor and its surroundings: response, temperature, supply, time, local gravity.
 
-The order is that of the model equation of IEEE Std 1293: E/K1 = K0 + a_i + K2 a_i² + K3 a_i³ + K_ip a_i a_p
-+ K_pp a_p² + δ a_p. All typical sizes are estimates; the sheet of the siblings gives non-orthogonality
-±0.25° and nonlinearity ±0.2 % of full scale (3.4 mg at 1.7 g, hence K3 ≈ 0.7 mg/g³).
+The static terms have the order of the model equation of IEEE Std 1293: E/K1 = K0 + a_i + K2 a_i² + K3 a_i³
++ K_ip a_i a_p + K_pp a_p² + δ a_p. All typical sizes are estimates. The data sheet of the siblings gives
+non-orthogonality ±0.25° and nonlinearity ±0.2 % of full scale (3.4 mg at 1.7 g, hence K3 ≈ 0.7 mg/g³).
+Estimates for the ADIS16354: 0.5 mg/°C and 40 ppm/°C like its better sibling; self-heating of a few degrees
+with a time constant of minutes; a gain that changes with the supply a hundred times less than in a fully
+ratiometric sensor (1/5 V, 200 000 ppm/V), and changes with time at 1 g as much as the zero.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.model.effects.base import ONE_TURN, Conditions, Parameter
-from adis_gonio.model.effects.families import CrossEffect, LinearAxisEffect
+from adis_gonio.base.errors import UsageError
+from adis_gonio.model.effects.base import (
+    CYCLE,
+    MEMORY,
+    ONE_TURN,
+    Conditions,
+    CourseEffect,
+    CrossEffect,
+    Effect,
+    LinearAxisEffect,
+    Parameter,
+    decay,
+    lagged,
+)
 from adis_gonio.model.records import MG_PER_G
 
 _OUT_OF_PLANE = "repeat the session with the part on its side, so that gravity leaves the plane"
@@ -25,7 +42,7 @@ class Bias(LinearAxisEffect):
     """A constant: mean term K0 of the tumble."""
 
     name = "bias"
-    cause = "An axis reads other than zero where no acceleration acts along it."
+    cause = "An axis does not read zero without acceleration along it."
     formula = "a_i += bias_i"
     separated_by = (
         "Two positions cannot see it, opposite ones (0/180°) can; in one plane at 1 g the mean of an even "
@@ -52,7 +69,7 @@ class Scale(LinearAxisEffect):
     formula = "a_i += scale_i · a_i"
     separated_by = (
         "It is a base parameter (the gain) in every model; `gravity` changes all gains alike and needs "
-        "another place or a known g to be told apart, `cubic` needs the third harmonic."
+        "another place or a known g to be separated, `cubic` needs the third harmonic."
     )
     remedy = "enter the local gravity, as from --latitude and --height"
     correctable = True
@@ -67,9 +84,9 @@ class Scale(LinearAxisEffect):
 class Misalignment(CrossEffect):
     """The linear part of cross-axis sensitivity.
 
-    In the plane the four linear terms (two gains, two misalignments) are the base model's K_x, K_y, α and
-    Δφ; in space with free attitudes six of the nine linear terms are gains and skews and the other three
-    are a rotation, which nobody can see. So a fit finds it in the base parameters, never beside them.
+    In the plane the four linear terms (two gains, two misalignments) are the base parameters K_x, K_y, α
+    and Δφ; in space with free attitudes six of the nine linear terms are gains and skews, and the other
+    three are a rotation, which gravity cannot show. A fit therefore finds it in the base parameters.
     """
 
     name = "misalignment"
@@ -94,9 +111,9 @@ class Misalignment(CrossEffect):
 class CrossAxis(CrossEffect):
     """Cross coupling K_ip: the sensitivity of an axis depends on the acceleration across it.
 
-    The linear part of cross-axis sensitivity is `misalignment`: in every session it lies in the span of the
-    base model, so that a second name for it could never be found. What makes cross-axis response visible is
-    the product a_i a_p, which gives sin 2t in a tumble.
+    The linear part of cross-axis sensitivity is `misalignment`, which the base model contains in every
+    session. The visible part of the cross-axis response is the product a_i a_p, which gives sin 2t in a
+    tumble.
     """
 
     name = "cross_axis"
@@ -172,7 +189,7 @@ class Asymmetry(LinearAxisEffect):
         "All even harmonics, 2/π and 4/(3π) cos 2t first, so that few positions take it for `quadratic`; "
         "readings near zero, where |a| has its kink and a² is flat, tell them apart."
     )
-    remedy = "add angles where an axis reads near zero, five degrees apart"
+    remedy = "add angles with readings of an axis near zero, five degrees apart"
     remedy_in_space = _OBLIQUE
     correctable = True
     coefficients = (Parameter("asymmetry", "mg/g", -100.0, 100.0, 1.0),)
@@ -222,3 +239,270 @@ class VibrationRectification(LinearAxisEffect):
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Variance in g²."""
         return (conditions.covariate("variance_mg2")[:, axis] / MG_PER_G**2,)
+
+
+REFERENCE_C = 25.0
+"""Temperature at which the terms in temperature are zero: zero of the chip's temperature words."""
+REFERENCE_V = 5.0
+"""Supply at which the terms in the supply are zero: the nominal one."""
+
+
+@dataclass(frozen=True)
+class BiasTemperature(LinearAxisEffect):
+    """A polynomial of degree 1 to 3 in T − 25 °C; by default a line.
+
+    Attributes
+    ----------
+    degree : int
+        Highest power, 1 to 3.
+    """
+
+    degree: int = 1
+
+    name = "bias_temperature"
+    cause = "The zero of an axis moves with the temperature of the die."
+    formula = "a_i += tempco_i · ΔT + tempco2_i · ΔT² + tempco3_i · ΔT³ up to `degree`, ΔT = T − 25 °C"
+    separated_by = (
+        "If the temperature only rises it is `bias_drift` or `warm_up`: let it fall again, or repeat "
+        "positions at two temperatures in changed order; `scale_temperature` grows with the reading."
+    )
+    remedy = CYCLE
+    correctable = True
+    needs = ("temperature_c",)
+    coefficients = (
+        Parameter("tempco", "mg/°C", -20.0, 20.0, 0.5),
+        Parameter("tempco2", "mg/°C²", -1.0, 1.0, 0.01),
+        Parameter("tempco3", "mg/°C³", -0.05, 0.05, 0.0001),
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.degree <= len(self.coefficients):
+            raise UsageError(f"{self.name}: degree is {self.degree}, it can be 1, 2 or 3")
+
+    def active(self) -> tuple[Parameter, ...]:
+        """Coefficients up to `degree`."""
+        return self.coefficients[: self.degree]
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Powers of T − 25 °C."""
+        above = self.die_c(axis, conditions) - REFERENCE_C
+        return tuple(above**power for power in range(1, self.degree + 1))
+
+    def die_c(self, axis: int, conditions: Conditions) -> Floats:
+        """Temperature (n,) for an axis."""
+        return conditions.covariate("temperature_c")
+
+
+class ScaleTemperature(LinearAxisEffect):
+    """The gain follows the temperature."""
+
+    name = "scale_temperature"
+    cause = "The sensitivity of an axis changes with the temperature of the die."
+    formula = "a_i += scale_tempco_i · 10⁻⁶ · (T − 25 °C) · a_i"
+    separated_by = (
+        "`bias_temperature` does not change its sign with the reading: the same temperatures at +1 g and "
+        "at −1 g; `scale_drift` needs the temperature to go both ways."
+    )
+    remedy = CYCLE
+    correctable = True
+    needs = ("temperature_c",)
+    coefficients = (Parameter("scale_tempco", "ppm/°C", -2000.0, 2000.0, 40.0),)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Reading times T − 25 °C, per ppm."""
+        return (1e-6 * (conditions.covariate("temperature_c") - REFERENCE_C) * ideal[:, axis],)
+
+
+class MisalignmentTemperature(CrossEffect):
+    """The direction of an axis follows the temperature.
+
+    In the plane a misalignment of both axes is the misalignment of one axis and a turn of the whole part. A
+    part that turns with its mount is not misaligned, so a candidate of the trace misaligns one axis; two
+    candidates represent both.
+    """
+
+    name = "misalignment_temperature"
+    cause = "The misalignment of an axis changes with the temperature of the die."
+    formula = "a_i += misalignment_tempco_ip · (T − 25 °C) · a_p (angle in radians)"
+    separated_by = (
+        "`scale_temperature` shows if the axis is along gravity, this effect if it is across: several "
+        "angles at two temperatures. A mount that turns with the temperature moves both axes by the same "
+        "angle; a misalignment that goes on in time needs the temperature to go both ways."
+    )
+    remedy = CYCLE
+    correctable = True
+    needs = ("temperature_c",)
+    one_axis = True
+    coefficient = Parameter("misalignment_tempco", "deg/°C", -0.1, 0.1, 0.002)
+
+    def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
+        """Reading across times T − 25 °C, per degree."""
+        return np.deg2rad(across_mg * (conditions.covariate("temperature_c") - REFERENCE_C))
+
+
+class ThermalLag(CourseEffect):
+    """The zero follows a part that is warmer or cooler than the sensor of temperature.
+
+    With τ dT_lag/dt = T − T_lag and T_lag = T at the first record of the session, the term is
+    lag_i (T_lag − T). It is zero at constant temperature, so that it does not compete with
+    `bias_temperature`; a zero that follows only T_lag has lag_i = tempco_i.
+    """
+
+    name = "thermal_lag"
+    cause = "The element that shifts the zero warms later than the die with the thermometer."
+    formula = "a_i += lag_i · (T_lag − T), τ dT_lag/dt = T − T_lag"
+    separated_by = (
+        "`bias_temperature` is the same on the way up and on the way down: heat and cool at different "
+        "rates through the same temperature; at one constant rate it is a `bias`."
+    )
+    remedy = "heat and let cool at different speeds, with a dwell every few minutes"
+    not_corrected = MEMORY
+    shown_over = "temperature_lag"
+    needs = ("temperature_c", "temperature_history")
+    amplitude = Parameter("lag", "mg/°C", -50.0, 50.0, 0.5)
+    shape = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
+
+    def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
+        """T_lag − T in °C, and its derivative by τ in °C/s."""
+        history = conditions.temperature_history
+        if history is None:
+            raise UsageError("the session does not record temperature_history")
+        late, by_tau = lagged(*history, conditions.time_s, shape)
+        return late - conditions.covariate("temperature_c"), by_tau
+
+
+class SupplyBias(LinearAxisEffect):
+    """The zero follows the supply."""
+
+    name = "supply_bias"
+    cause = "The zero of an axis moves with the supply voltage."
+    formula = "a_i += supply_i · (V − 5 V)"
+    separated_by = (
+        "A supply that sinks while the part warms imitates `bias_temperature`, `bias_drift`: change the "
+        "supply by hand at one position."
+    )
+    remedy = "change the supply by hand at one position, such as from 4.8 to 5.2 V"
+    correctable = True
+    needs = ("supply_v",)
+    coefficients = (Parameter("supply", "mg/V", -500.0, 500.0, 5.0),)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """V − 5 V."""
+        return (conditions.covariate("supply_v") - REFERENCE_V,)
+
+
+class SupplyScale(LinearAxisEffect):
+    """The gain follows the supply."""
+
+    name = "supply_scale"
+    cause = "The sensitivity of an axis changes with the supply voltage."
+    formula = "a_i += supply_scale_i · 10⁻⁶ · (V − 5 V) · a_i"
+    separated_by = (
+        "`supply_bias` does not change its sign with the reading: the same voltages at +1 g and at −1 g. A "
+        "supply that sinks while the part warms imitates `scale_temperature`, one that sinks evenly "
+        "`scale_drift`: change it by hand."
+    )
+    remedy = "change the supply by hand at +1 g and at −1 g, such as from 4.8 to 5.2 V"
+    correctable = True
+    needs = ("supply_v",)
+    coefficients = (Parameter("supply_scale", "ppm/V", -500000.0, 500000.0, 2000.0),)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Reading times V − 5 V, per ppm."""
+        return (1e-6 * (conditions.covariate("supply_v") - REFERENCE_V) * ideal[:, axis],)
+
+
+class BiasDrift(LinearAxisEffect):
+    """The zero moves evenly with time."""
+
+    name = "bias_drift"
+    cause = "The zero of an axis moves evenly with time (ageing, relaxing stress, creep of the mount)."
+    formula = "a_i += drift_i · t/60, t from the session's start"
+    separated_by = (
+        "With positions in one order, time is angle: repeat positions in another order (forth and back, or "
+        "shuffled); `bias_temperature` needs the temperature to fall, `warm_up` a longer session."
+    )
+    remedy = "repeat some positions in another order, and once more after a break"
+    covariates = ("time",)
+    coefficients = (Parameter("drift", "mg/min", -50.0, 50.0, 0.05),)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Time in minutes."""
+        return (conditions.time_s / 60.0,)
+
+
+class ScaleDrift(LinearAxisEffect):
+    """The gain moves evenly with time."""
+
+    name = "scale_drift"
+    cause = "The sensitivity of an axis moves evenly with time (ageing, a reference that drifts)."
+    formula = "a_i += scale_drift_i · 10⁻⁶ · t/60 · a_i, t from the session's start"
+    separated_by = (
+        "`bias_drift` does not change its sign with the reading: +1 g and −1 g early and late. If "
+        "temperature or supply only rise or sink it is `scale_temperature` or `supply_scale`: let them go "
+        "both ways. A gain that moves after the load has changed is `creep`."
+    )
+    remedy = "repeat +1 g and −1 g of an axis early and late, and once more after a break"
+    not_corrected = "follows the clock of the session; the gain applies to its start"
+    covariates = ("time",)
+    coefficients = (Parameter("scale_drift", "ppm/min", -50000.0, 50000.0, 50.0),)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Reading times minutes, per ppm."""
+        return (1e-6 * conditions.time_s / 60.0 * ideal[:, axis],)
+
+
+class WarmUp(CourseEffect):
+    """The zero settles exponentially after power-on."""
+
+    name = "warm_up"
+    cause = "The zero of an axis settles while the part heats itself after power-on."
+    formula = "a_i += warm_up_i · exp(−t/τ), t from the session's start"
+    separated_by = (
+        "Shorter than τ it is `bias_drift`, much longer it is a `bias` of the first dwells; with the "
+        "temperature recorded it competes with `bias_temperature`: switch off and on within the session."
+    )
+    remedy = "switch the sensor off, let it cool, and repeat a few positions after switching on"
+    not_corrected = "follows the clock of the session; the bias applies to the warm part"
+    covariates = ("time",)
+    amplitude = Parameter("warm_up", "mg", -200.0, 200.0, 2.0)
+    shape = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
+
+    def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
+        """exp(−t/τ) and its derivative by τ."""
+        return decay(conditions.time_s, shape)
+
+
+class Gravity(Effect):
+    """All axes scale alike.
+
+    With g the local gravity and g′ the declared gravity of the session, the readings are (g/g′) times the
+    ideal ones: `gravity` = g/g′ − 1. On the Earth's surface g lies between 9.764 and 9.834 m/s².
+    """
+
+    name = "gravity"
+    covariates = ("reading",)
+    cause = "Local gravity differs from the declared gravity of the session."
+    formula = "a_i += gravity · a_i on every axis"
+    separated_by = (
+        "Equal to a common error of all gains; ΔK and Δφ do not depend on it. A measured g, or a second "
+        "place of known difference in g, separates it from `scale`."
+    )
+    remedy = "enter the local gravity, as from --latitude and --height"
+    not_corrected = "belongs to the place: state its gravity; no angle depends on it"
+    in_base = True
+    by_axis = False
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Relative error of the declared gravity."""
+        return (Parameter("gravity", "1", -0.01, 0.01, 0.001),)
+
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """Relative error times the reading, (n, axes) in mg."""
+        return ideal * float(values[0])
+
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """The readings themselves, (n, axes, 1)."""
+        return ideal[:, :, None].copy()

@@ -1,11 +1,11 @@
-"""What every bus promises, as a class of pytest tests: subclass `BusContract` and give it a rig.
+"""The promises of every bus as a class of pytest tests: subclass `BusContract` and give it a rig.
 
 A class `TestMyBus(BusContract)` with a method `make` is all that a package needs to prove its bus. The
-contract in prose is the text of `adis_gonio.device.bus.contract`; the name of a test says which sentence a
-bus breaks.
+contract in prose is the text of `adis_gonio.device.bus.contract`; the name of a failing test says which
+sentence the bus breaks.
 
-The rig joins the bus under test with a simulated chip that remembers what its pins saw, so that replies
-and timing are judged by the wire and not by what the bus says of itself.
+The rig connects the bus under test to a simulated chip that records all frames on its pins, so that replies
+and timing are judged by the wire and not by the reports of the bus.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import BusClosedError, BusError, CapabilityError, UsageError
 from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words
 from adis_gonio.sim.chip import SimulatedChip
-from adis_gonio.sim.inputs import Floats
 
 TIMINGS = (
     SpiTiming(250e3, 75.0, 160.0),
@@ -39,7 +39,7 @@ SLACK_S = 2e-9
 
 @dataclass(frozen=True)
 class WireFrame:
-    """A frame as the pins saw it."""
+    """A frame as seen by the pins."""
 
     word: int
     start_s: float
@@ -53,12 +53,12 @@ class WireFrame:
         return self.start_s + 16 / self.clock_hz + self.cs_hold_s
 
     def given_to(self, chip: SimulatedChip) -> int:
-        """What another chip answers to the same. The hold counts: the chip takes the word at the rise."""
+        """Reply of another chip to this frame with its hold: the chip takes the word at the rise."""
         return chip.frame(self.word, start_s=self.start_s, clock_hz=self.clock_hz, cs_hold_s=self.cs_hold_s)
 
 
 class WatchedChip(SimulatedChip):
-    """A chip that writes down every frame."""
+    """A chip that records every frame."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.seen: list[WireFrame] = []
@@ -67,13 +67,13 @@ class WatchedChip(SimulatedChip):
     def frame(
         self, word: int, *, start_s: float, clock_hz: float, bits: int = 16, cs_hold_s: float = 0.0
     ) -> int:
-        """As the chip's own, written down in `seen`."""
+        """Take a frame and record it in `seen`."""
         reply = super().frame(word, start_s=start_s, clock_hz=clock_hz, bits=bits, cs_hold_s=cs_hold_s)
         self.seen.append(WireFrame(word, start_s, clock_hz, reply, cs_hold_s))
         return reply
 
     def frames_at(self, words: Words, starts_s: Floats, *, clock_hz: float) -> Words:
-        """Frame by frame, so that each is written down."""
+        """Take the frames one by one, so that each is recorded."""
         return np.array(
             [
                 self.frame(int(word), start_s=float(start), clock_hz=clock_hz)
@@ -90,15 +90,15 @@ class Rig:
     Attributes
     ----------
     bus : SpiBus
-        Under test, freshly opened.
+        Bus under test, freshly opened.
     chip : WatchedChip
-        At its pins.
+        Chip at its pins.
     twin : SimulatedChip
-        Alike in all, and untouched: the reference.
+        An identical chip without a bus: the reference.
     faults : mapping of str to (callable, error)
-        Ways to make the next exchange fail, and the typed error that has to come of it.
+        Ways to make the next exchange fail, and the expected error.
     slowest_hz : float
-        The bridge's slowest clock: whoever asks for less is refused.
+        Slowest clock of the bridge; a slower timing is refused.
     """
 
     bus: SpiBus
@@ -109,15 +109,15 @@ class Rig:
 
 
 class BusContract(ABC):
-    """The contract of `adis_gonio.device.bus.contract`, for a subclass whose name begins with `Test`.
+    """The contract of `adis_gonio.device.bus.contract`, for a subclass with a name that begins with `Test`.
 
-    Tests of a capability that the bus has not, and of a clock limit that the rig does not name, prove
-    nothing and pass; the test that such a capability is refused by its name stands in their place.
+    Tests of a capability that the bus lacks, and of a clock limit that the rig does not name, pass without
+    a check; another test proves that a missing capability is refused by name.
     """
 
     @abstractmethod
     def make(self) -> Rig:
-        """A new rig; its bus is closed by the fixture."""
+        """Make a new rig; the fixture closes its bus."""
 
     @pytest.fixture
     def rig(self) -> Iterator[Rig]:
@@ -419,7 +419,7 @@ def random_batches(rng: np.random.Generator, count: int) -> list[list[int]]:
 
 
 def assert_timing(frames: list[WireFrame], timing: SpiTiming, clock_from: int = 0) -> None:
-    """Every frame keeps the timing towards the one before."""
+    """Check the timing of every frame relative to the previous frame."""
     assert len(frames) > 1
     assert all(frame.clock_hz <= timing.clock_hz for frame in frames[clock_from:])
     for before, after in pairwise(frames):

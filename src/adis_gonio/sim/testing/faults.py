@@ -1,11 +1,14 @@
-"""Seeded faults between a host and a device: what a cable, a hub or a firmware may do.
+"""Seeded faults between a host and a device: of bytes and USB packets, and of SPI frames.
 
-`Faults` decides, `FaultyStream` applies them to the bytes of a serial line; a model of USB packets asks
-`Faults` for each. What may happen to SPI frames themselves stands in `adis_gonio.sim.testing.faulty_bus`.
+`Faults` draws the faults, `FaultyStream` applies them to the bytes of a serial line; a model of USB packets
+asks `Faults` for each packet. The rates are probabilities: `drop`, `duplicate`, `flip`, `delay` and `chunk`
+apply to a byte of a stream or a packet of USB; `hang`, `busy`, `progress` (the device reports that it is at
+work), `stuck`, `short` and `unplug` to a packet. A serial line knows `drop`, `duplicate`, `flip`, `delay`,
+`chunk` and `hang`.
 
-Rates are probabilities: of `drop`, `duplicate`, `flip`, `delay` and `chunk` a byte of a stream or a packet
-of USB, of `hang`, `busy`, `progress` (the device says that it is at work), `stuck`, `short` and `unplug` a
-packet. A serial line knows `drop`, `duplicate`, `flip`, `delay`, `chunk` and `hang`.
+`FaultyBus` is a bus around another bus that corrupts its frames, for drivers and host code that have to
+notice. Each kind of fault has its own generator, so that the same frames meet the same faults, independent
+of their grouping into batches and of the other kinds.
 """
 
 from __future__ import annotations
@@ -13,12 +16,20 @@ from __future__ import annotations
 import math
 import random
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.errors import BusTimeoutError, ProtocolError, UsageError
+from adis_gonio.device.bus.contract import FRAME_BITS, FrameBlock, FrameStream, SpiBus, SpiTiming, Words
 
 
 @dataclass
 class Faults:
-    """Rates and the dice; everything that happened is counted in `seen`."""
+    """Rates and the dice; `seen` counts the faults that happened."""
 
     seed: int = 0
     drop: float = 0.0
@@ -41,7 +52,7 @@ class Faults:
         self.hung_until_s = -math.inf
 
     def happens(self, kind: str) -> bool:
-        """Throw the dice for a kind of fault."""
+        """Draw whether a kind of fault happens now."""
         rate = getattr(self, kind)
         if rate and self.dice.random() < rate:
             self.seen[kind] += 1
@@ -49,13 +60,13 @@ class Faults:
         return False
 
     def hangs(self, now_s: float) -> bool:
-        """True while the device does not react; may begin now."""
+        """True while the device does not react; a hang may begin now."""
         if now_s >= self.hung_until_s and self.happens("hang"):
             self.hung_until_s = now_s + self.hang_s
         return now_s < self.hung_until_s
 
     def flipped(self, data: bytes, first: int, last: int) -> bytes:
-        """Bytes with one bit turned in some of those from first to last (exclusive)."""
+        """Bytes with one flipped bit in some of the bytes from first to last (exclusive)."""
         out = bytearray(data)
         for k in range(first, min(last, len(out))):
             if self.happens("flip"):
@@ -63,17 +74,17 @@ class Faults:
         return bytes(out)
 
     def delayed_s(self) -> float:
-        """Extra time that something takes."""
+        """Additional delay in s, or 0."""
         return self.delay_s * self.dice.random() * 2 if self.happens("delay") else 0.0
 
     @property
     def total(self) -> int:
-        """Faults so far."""
+        """Number of faults so far."""
         return sum(self.seen.values())
 
 
 class FaultyStream:
-    """Bytes on their way, each with its time of arrival; order is kept."""
+    """Bytes in transit, each with its time of arrival, in order."""
 
     def __init__(self, faults: Faults, byte_s: float = 0.0) -> None:
         self.faults = faults
@@ -83,21 +94,21 @@ class FaultyStream:
         self._last_s = -math.inf
 
     def put(self, data: bytes, now_s: float) -> None:
-        """Bytes enter."""
+        """Add bytes to the line."""
         faults = self.faults
         for byte in data:
             if faults.happens("drop"):
                 continue
             if faults.happens("flip"):
                 byte ^= 1 << faults.dice.randrange(8)
-            # A chunk is a pause inside a packet, as a hub or a driver makes it; a delay may be long.
+            # A chunk is a pause inside a packet, as made by a hub or a driver; a delay may be long.
             extra = faults.delayed_s() + (0.002 if faults.happens("chunk") else 0.0)
             self._last_s = max(self._last_s, now_s) + self._byte_s + extra
             for _ in range(2 if faults.happens("duplicate") else 1):
                 self._queue.append((self._last_s, byte))
 
     def next_s(self) -> float | None:
-        """Time at which the next byte arrives; None where none is on its way."""
+        """Time at which the next byte arrives; None if no byte is in transit."""
         return self._queue[self._at][0] if self._at < len(self._queue) else None
 
     def take(self, now_s: float, size: int) -> bytes:
@@ -113,7 +124,7 @@ class FaultyStream:
         return data
 
     def waiting(self, now_s: float) -> int:
-        """Bytes that have arrived and were not taken."""
+        """Number of bytes that have arrived and were not taken."""
         count = 0
         for k in range(self._at, len(self._queue)):
             if self._queue[k][0] > now_s:
@@ -122,6 +133,204 @@ class FaultyStream:
         return count
 
     def clear(self) -> None:
-        """Throw away what is on its way."""
+        """Discard all bytes in transit."""
         self._queue.clear()
         self._at = 0
+
+
+_KINDS = ("bit_errors", "lost_frames", "stuck_words", "busy", "silent")
+
+
+@dataclass(frozen=True)
+class BusFaults:
+    """Faults of frames, as probabilities from 0 to 1.
+
+    Attributes
+    ----------
+    seed : int
+        Seed of all dice.
+    bit_errors : float
+        Probability that a bit of a reply is flipped, as by noise on the data line; SPI cannot detect it.
+    lost_frames : float
+        Probability that a frame does not reach the chip, as with a loose chip select: its reply is
+        `idle_word`, and the next reply is late by one frame. A stream omits the scan and counts it as lost.
+    stuck_words : float
+        Probability that a reply replaces the `stuck_frames` replies after it.
+    stuck_frames : int
+        At least 1.
+    busy : float
+        Probability that the bridge refuses a batch before it sends a frame: `ProtocolError`.
+    silent : float
+        Probability that a batch is sent but not answered: `BusTimeoutError`.
+    idle_word : int
+        Word that an undriven data line gives.
+    """
+
+    seed: int = 0
+    bit_errors: float = 0.0
+    lost_frames: float = 0.0
+    stuck_words: float = 0.0
+    stuck_frames: int = 1
+    busy: float = 0.0
+    silent: float = 0.0
+    idle_word: int = 0xFFFF
+
+    def __post_init__(self) -> None:
+        for kind in _KINDS:
+            rate = getattr(self, kind)
+            if not 0 <= rate <= 1:
+                raise UsageError(f"{kind} is {rate}: a probability from 0 to 1")
+        if self.stuck_frames < 1:
+            raise UsageError(f"stuck_frames is {self.stuck_frames}: 1 or more")
+        if not 0 <= self.idle_word <= 0xFFFF:
+            raise UsageError(f"idle_word is {self.idle_word}: a word of 16 bits")
+
+
+NO_FAULTS = BusFaults()
+
+
+class FaultyBus(SpiBus):
+    """A bus that corrupts the frames of another bus.
+
+    Parameters
+    ----------
+    inner : SpiBus
+        Other bus; `close` also closes it.
+    faults : BusFaults
+
+    Attributes
+    ----------
+    seen : Counter
+        Number of faults of each kind: flipped bits, lost frames, repeated replies, batches.
+    """
+
+    def __init__(self, inner: SpiBus, faults: BusFaults = NO_FAULTS) -> None:
+        super().__init__(inner.timing)
+        self.inner = inner
+        self.url = inner.url
+        self.capabilities = inner.capabilities
+        self.edge_rises = inner.edge_rises
+        self.unbroken_frames = inner.unbroken_frames
+        self.seen: Counter[str] = Counter()
+        self.faults = faults
+
+    @property
+    def faults(self) -> BusFaults:
+        """Probabilities of the faults; setting them resets the dice."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: BusFaults) -> None:
+        with self._lock:
+            self._faults = faults
+            seeds = np.random.SeedSequence(faults.seed).spawn(len(_KINDS))
+            self._dice = {k: np.random.default_rng(s) for k, s in zip(_KINDS, seeds, strict=True)}
+            self._stuck_left, self._stuck_word = 0, 0
+
+    # -- unchanged calls -----------------------------------------------------------------------------
+
+    @property
+    def stage(self) -> Any:
+        """Stage of the inner bus; None if it has none."""
+        return getattr(self.inner, "stage", None)
+
+    @property
+    def world(self) -> Any:
+        """World of the inner bus; None if it has none."""
+        return getattr(self.inner, "world", None)
+
+    def now_s(self) -> float:
+        """Time of the inner bus."""
+        return self.inner.now_s()
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait on the inner bus's clock."""
+        self.inner.sleep_s(seconds)
+
+    def hard_reset(self) -> None:
+        """Pull the RST line of the inner bus."""
+        self.inner.hard_reset()
+
+    def read_event_counter(self) -> int:
+        """Edges that the inner bus has counted."""
+        return self.inner.read_event_counter()
+
+    def count_events(self) -> tuple[int, float]:
+        """Edges and time of the inner bus."""
+        return self.inner.count_events()
+
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        return self.inner.configure(timing)
+
+    def _close(self) -> None:
+        self.inner.close()
+
+    # -- faulty calls --------------------------------------------------------------------------------
+
+    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
+        """Start a stream of the inner bus, with faults in its words."""
+        return _FaultyFrames(self, self.inner.stream(frames, block_scans=block_scans))
+
+    def _exchange(self, frames: Words) -> Words:
+        if self._happens("busy"):
+            raise ProtocolError(f"{self.url}: the bridge is busy and has sent nothing (a fault by seed)")
+        replies = self._sent(frames)
+        if self._happens("silent"):
+            raise BusTimeoutError(f"{self.url}: the bridge does not answer (a fault by seed)")
+        return self._spoilt(replies)
+
+    def _sent(self, frames: Words) -> Words:
+        lost = self._struck("lost_frames", len(frames))
+        replies = np.full(len(frames), self._faults.idle_word, np.uint16)
+        edges = np.flatnonzero(np.diff(lost)) + 1
+        for part in np.split(np.arange(len(frames)), edges):
+            if lost[part[0]]:
+                self.inner.sleep_s(len(part) * self.timing.frame_s)  # the bridge still clocks them
+            else:
+                replies[part] = self.inner.exchange_array(frames[part])
+        return replies
+
+    def _spoilt(self, words: Words) -> Words:
+        """Replies (n,) with repeated words and flipped bits."""
+        words = words.copy()
+        sticks = self._struck("stuck_words", len(words))
+        if self._stuck_left or sticks.any():
+            for k, word in enumerate(words):
+                if self._stuck_left:
+                    self._stuck_left -= 1
+                    words[k] = self._stuck_word
+                elif sticks[k]:
+                    self._stuck_left, self._stuck_word = self._faults.stuck_frames, int(word)
+        turned = self._struck("bit_errors", FRAME_BITS * len(words)).reshape(-1, FRAME_BITS)
+        return words ^ (turned @ (1 << np.arange(FRAME_BITS))).astype(np.uint16)
+
+    def _struck(self, kind: str, count: int) -> NDArray[np.bool_]:
+        """Draw which of `count` items a kind of fault hits, (count,)."""
+        rate = getattr(self._faults, kind)
+        if not rate:
+            return np.zeros(count, bool)
+        struck: NDArray[np.bool_] = self._dice[kind].random(count) < rate
+        self.seen[kind] += int(struck.sum())
+        return struck
+
+    def _happens(self, kind: str) -> bool:
+        return bool(self._struck(kind, 1)[0])
+
+
+class _FaultyFrames(FrameStream):
+    """A stream with faults in its words."""
+
+    def __init__(self, bus: FaultyBus, inner: FrameStream) -> None:
+        self._bus = bus
+        self._inner = inner
+
+    def __next__(self) -> FrameBlock:
+        block = next(self._inner)
+        with self._bus._lock:
+            words = self._bus._spoilt(block.words.ravel()).reshape(block.words.shape)
+            lost = self._bus._struck("lost_frames", words.size).reshape(words.shape).any(axis=1)
+        return FrameBlock(words[~lost], block.time_s[~lost], block.lost + int(lost.sum()))
+
+    def close(self) -> None:
+        """End the inner stream."""
+        self._inner.close()

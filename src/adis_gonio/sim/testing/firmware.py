@@ -1,8 +1,8 @@
 """The project's firmware as a device model, byte by byte, written from firmware_proto/PROTOCOL.md alone.
 
-It shares no code with the package nor with the C core: framing, CRC and bodies are done here again.
-`feed` takes the bytes that arrive now, `run` lets it live until a time, `out` holds what it sends, each
-packet with the time at which its last byte is ready.
+It shares no code with the package or with the C core: framing, CRC and bodies are implemented here again.
+`feed` takes the bytes that arrive now, `run` simulates until a time, `out` contains the packets that it
+sends, each with the time at which its last byte is ready.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ TRIGGER_S = 4e-6
 
 
 def crc(data: bytes) -> int:
-    """CRC-32/ISO-HDLC, the one of zlib."""
+    """CRC-32/ISO-HDLC, as in zlib."""
     return zlib.crc32(data)
 
 
 def stuff(data: bytes) -> bytes:
-    """COBS."""
+    """Encode bytes by COBS."""
     out, run = bytearray(), bytearray()
     for k, byte in enumerate(data):
         if byte:
@@ -45,7 +45,7 @@ def stuff(data: bytes) -> bytes:
 
 
 def unstuff(data: bytes) -> bytes | None:
-    """Undo COBS; None for what is no COBS."""
+    """Decode COBS; None for invalid bytes."""
     out, k = bytearray(), 0
     while k < len(data):
         size = data[k]
@@ -64,9 +64,9 @@ class SimulatedFirmware:
     Parameters
     ----------
     pins : ChipPins
-        On the clock that the firmware lives by.
+        Pins with the clock of the firmware.
     baud : int
-        Time of a byte on its way out.
+        Baud rate of the bytes that it sends.
     drift : float
         Relative error of the board's own clock.
     start_us : int
@@ -108,7 +108,7 @@ class SimulatedFirmware:
     # -- life -------------------------------------------------------------------------------------------
 
     def restart(self) -> None:
-        """Power-on, or the reset that DTR makes."""
+        """Start as after power-on or a reset by DTR."""
         self.awake_s = self.pins.clock.now_s() + self.boot_s
         self._buffer = bytearray()
         self._session = False
@@ -126,7 +126,7 @@ class SimulatedFirmware:
         return (self.start_us + round(time_s * 1e6 * (1 + self.drift))) & 0xFFFF_FFFF
 
     def feed(self, data: bytes) -> None:
-        """Bytes arrive now."""
+        """Take bytes that arrive now."""
         if self.pins.clock.now_s() < self.awake_s:
             return
         for byte in data:
@@ -139,13 +139,13 @@ class SimulatedFirmware:
                 self._packet(taken)
 
     def next_event_s(self) -> float | None:
-        """When something happens without any input."""
+        """Time of the next event without input; None if there is none."""
         if self._stream is None:
             return None
         return self._stream.next_trigger_s()
 
     def run(self, time_s: float) -> None:
-        """Live until a time."""
+        """Simulate until a time."""
         while self._stream is not None:
             trigger = self._stream.next_trigger_s()
             if trigger is None or trigger > time_s:
@@ -155,7 +155,7 @@ class SimulatedFirmware:
     # -- packets ----------------------------------------------------------------------------------------
 
     def send(self, kind: int, request_id: int, body: bytes) -> None:
-        """A packet leaves."""
+        """Send a packet."""
         self._put(self._packed(kind, request_id, body))
 
     @staticmethod
@@ -233,26 +233,10 @@ class SimulatedFirmware:
         self._session, self._nonce = True, nonce
         self._stream = None
         self._timing = DEFAULTS
-        self.send(
-            0x81,
-            request_id,
-            struct.pack(
-                "<BBBBHBBBHII6I",
-                self.version,
-                0,
-                1,
-                0,
-                self.capabilities,
-                MAX_FRAMES,
-                MAX_LIST,
-                MAX_SCAN_BYTES,
-                MAX_WAIT,
-                self.now_us(self.pins.clock.now_s()),
-                nonce,
-                *CLOCKS,
-            )
-            + self.board.encode(),
-        )
+        limits = (MAX_FRAMES, MAX_LIST, MAX_SCAN_BYTES, MAX_WAIT)
+        fixed = (self.version, 0, 1, 0, self.capabilities, *limits)
+        times = (self.now_us(self.pins.clock.now_s()), nonce, *CLOCKS)
+        self.send(0x81, request_id, struct.pack("<BBBBHBBBHII6I", *fixed, *times) + self.board.encode())
 
     def _do_02(self, request_id: int, body: bytes) -> None:
         if len(body) != 8:
@@ -288,7 +272,7 @@ class SimulatedFirmware:
             self.send(0x83, request_id, struct.pack(f"<{count}H", *words))
 
     def frame(self, word: int, not_before_s: float = -math.inf) -> int:
-        """One frame on the pins, as soon as the timing allows."""
+        """Send one frame on the pins as soon as the timing allows."""
         clock, stall, period = self._timing
         start = max(
             self.pins.clock.now_s() if math.isinf(not_before_s) else not_before_s,
@@ -367,7 +351,7 @@ class SimulatedFirmware:
 
 
 class _Stream:
-    """A running stream; scans are made when the firmware is run past their trigger."""
+    """A running stream; scans are made when the firmware runs past their trigger."""
 
     def __init__(
         self,
@@ -405,7 +389,7 @@ class _Stream:
         return None if first is None else first + (self.decimation - 1) * chip.update_period_s
 
     def scan(self, trigger_s: float) -> None:
-        """Run the list and the idle frame; what was triggered meanwhile is lost."""
+        """Run the list and the idle frame; triggers during the scan are lost."""
         firmware = self.firmware
         if trigger_s < self._blocked_s:
             self._lose(1)
@@ -445,7 +429,7 @@ class _Stream:
             (last - first) & 0xFFFF_FFFF,
         )
         body = head + struct.pack(f"<{len(self._words)}H", *self._words)
-        # Two buffers: one is sent while the other fills; where both are full, triggers are lost.
+        # Two buffers: one is sent while the other fills; if both are full, triggers are lost.
         self._blocked_s = firmware._line_free_s
         firmware._put(firmware._packed(0xC4, self.id, body), now_s)
         firmware.scan_packets += 1

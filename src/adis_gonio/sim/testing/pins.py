@@ -1,16 +1,85 @@
-"""The four SPI wires and RST between a bridge and a simulated chip."""
+"""The SPI wires and RST between a bridge and a simulated chip, and the clocks of device models.
+
+`VirtualClock` advances only if the program waits or works; `DeviceClock` and `WorkClock` follow the wall
+clock.
+"""
 
 from __future__ import annotations
 
+import time
 from typing import Protocol
 
 from adis_gonio.sim.chip import SimulatedChip
+
+
+class VirtualClock:
+    """Clock that advances only by waits and work; a time-out costs nothing."""
+
+    def __init__(self, now_s: float = 0.0) -> None:
+        self._now_s = now_s
+
+    def now_s(self) -> float:
+        """Time in s."""
+        return self._now_s
+
+    def sleep_s(self, seconds: float) -> None:
+        """Let time pass."""
+        if seconds > 0:
+            self._now_s += seconds
+
+    def advance_to(self, time_s: float) -> None:
+        """Advance to the time at which work ends."""
+        self._now_s = max(self._now_s, time_s)
+
+
+class DeviceClock:
+    """Wall clock that starts at 0, for device models in real time (pty, USB/IP)."""
+
+    def __init__(self) -> None:
+        self._zero_s = time.monotonic()
+
+    def now_s(self) -> float:
+        """Time since it was made, in s."""
+        return time.monotonic() - self._zero_s
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait."""
+        time.sleep(max(0.0, seconds))
+
+    def advance_to(self, time_s: float) -> None:
+        """Wait until the work is done."""
+        self.sleep_s(time_s - self.now_s())
+
+
+class WorkClock(DeviceClock):
+    """Wall clock for a model that marks its answers with the time at which they are ready.
+
+    Work advances it at once, ahead of the wall clock; the sender of an answer waits for its time. A model
+    that slept for every frame would be late by as many wake-ups of a busy machine.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._done_s = 0.0
+
+    def wall_s(self) -> float:
+        """The wall's clock."""
+        return super().now_s()
+
+    def now_s(self) -> float:
+        """Time of the wall, or the time of the finished work if that is later."""
+        return max(self.wall_s(), self._done_s)
+
+    def advance_to(self, time_s: float) -> None:
+        """Note that work is done until a time."""
+        self._done_s = max(self._done_s, time_s)
+
 
 RIGHT_MODE = 3
 
 
 class PinClock(Protocol):
-    """A clock on which work takes its time (see `adis_gonio.sim.testing.clocks`)."""
+    """A clock on which work takes its time (see `adis_gonio.sim.testing.pins`)."""
 
     def now_s(self) -> float:
         """Time in s."""
@@ -20,13 +89,13 @@ class PinClock(Protocol):
 
 
 class ChipPins:
-    """A chip on a bridge's pins; the bridge says what it does with them, the chip punishes what is wrong.
+    """A chip on the pins of a bridge; a wrong use of the pins gives wrong replies.
 
     Parameters
     ----------
     chip : SimulatedChip
     clock : PinClock
-        Work on the wires takes its time on it.
+        Clock on which transfers take time.
     """
 
     def __init__(self, chip: SimulatedChip, clock: PinClock) -> None:
@@ -47,7 +116,7 @@ class ChipPins:
     ) -> bytes:
         """One chip-select period; returns as many bytes as it was given.
 
-        It starts now, or at `start_s` where the bridge times its frames itself.
+        It starts now, or at `start_s` if the bridge times its frames itself.
         """
         now = self.clock.now_s() if start_s is None else start_s
         start = max(now, self.free_s, self.chip.time_s)
@@ -58,7 +127,7 @@ class ChipPins:
             return b"\xff" * len(data)
         word, bits = int.from_bytes(data[:2].ljust(2, b"\0"), "big"), 8 * len(data)
         if mode != RIGHT_MODE:
-            # A wrong edge or level costs the chip one of the clocks; what it sees is shifted.
+            # A wrong edge or level costs the chip one of the clocks, so that its word is shifted.
             word, bits = word >> 1, bits - 1
         reply = self.chip.frame(word, start_s=start, clock_hz=clock_hz, bits=bits, cs_hold_s=cs_hold_s)
         if bits != 16:
@@ -66,9 +135,9 @@ class ChipPins:
         return reply.to_bytes(2, "big").ljust(len(data), b"\xff")[: len(data)]
 
     def hard_reset(self) -> None:
-        """RST goes high again."""
+        """Release RST."""
         self.chip.hard_reset(max(self.clock.now_s(), self.chip.time_s))
 
     def data_ready_edges(self) -> int:
-        """Edges so far."""
+        """Number of data-ready edges so far."""
         return self.chip.data_ready_edges(max(self.clock.now_s(), self.chip.time_s))

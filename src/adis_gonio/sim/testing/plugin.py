@@ -3,8 +3,8 @@
     @pytest.mark.adis_gonio(url="sim:?seed=3&delta_k=0.01")
     def test_it(simulated_sensor): ...
 
-A mark nearer to the test overrides one of its class or module, name by name. Without a use nothing but this
-module is imported.
+A mark nearer to the test overrides a mark of its class or module, name by name. If no test uses a fixture,
+only this module is imported.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from adis_gonio.sim.testing.board import SimulatedBoard
-    from adis_gonio.sim.testing.simulated import SimulatedSensor
+    from adis_gonio.sim.testing.doubles import SimulatedBoard, SimulatedSensor
 
 MARK = "adis_gonio"
 OPTIONS = {
@@ -28,11 +27,11 @@ OPTIONS = {
     "transport": "of the board: pty or tcp",
     "boot_s": "silence of the board at first",
 }
-"""What the mark takes."""
+"""Options of the mark."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Make the mark known."""
+    """Register the mark."""
     config.addinivalue_line(
         "markers", f"{MARK}({', '.join(OPTIONS)}): how a simulated sensor or board of adis-gonio is made"
     )
@@ -41,7 +40,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def simulated_sensor(request: pytest.FixtureRequest) -> Iterator[SimulatedSensor]:
     """An open driver over a simulated chip, with `stage`, `world`, `truth()` and `faulty`; virtual time."""
-    from adis_gonio.sim.testing.simulated import open_simulated
+    from adis_gonio.sim.testing.doubles import open_simulated
 
     with _made(open_simulated, request, ("url", "check", "bus_faults")) as sensor:
         yield sensor
@@ -50,14 +49,14 @@ def simulated_sensor(request: pytest.FixtureRequest) -> Iterator[SimulatedSensor
 @pytest.fixture
 def simulated_board(request: pytest.FixtureRequest) -> Iterator[SimulatedBoard]:
     """A board with the project's firmware behind a serial port, `path` or `host` and `port`; real time."""
-    from adis_gonio.sim.testing.board import open_board
+    from adis_gonio.sim.testing.doubles import open_board
 
     with _made(open_board, request, ("url", "line_faults", "transport", "boot_s")) as board:
         yield board
 
 
 def _made(make: Any, request: pytest.FixtureRequest, names: tuple[str, ...]) -> Any:
-    """What `make` returns for the marks of a test; a mistake in them fails the test in one line."""
+    """Call `make` with the marks of a test; a mistake in them fails the test in one line."""
     from adis_gonio.base.errors import AdisGonioError
 
     options = _options(request)

@@ -1,1 +1,1 @@
-"""What the samples inside the dwells show."""
+"""Search for effects in the samples inside the dwells."""

@@ -1,13 +1,13 @@
 """Courses that all dwells share: a slope, or settling after each move.
 
-Each dwell is projected on the course (a line; exponentials of time constants from a few samples to half a
-dwell), and the amplitudes are tested against their own scatter from dwell to dwell (t): whatever slow noise
-there is within a dwell, it is independent between dwells, so that no model of it is needed. The amplitude
-is the same in all dwells, or proportional to the change of the axis' own reading in the move before it.
-Time counts from the first sample of the dwell: the file does not say when the move ended.
+Each dwell is projected on the course (a line, or exponentials with time constants from a few samples to
+half a dwell). The amplitudes are tested by their own scatter from dwell to dwell (t-test). Slow noise
+within a dwell is independent between dwells, so no model of the noise is needed. The amplitude is equal
+in all dwells, or proportional to the change of the axis's reading in the preceding move. Time starts at
+the first sample of the dwell, since the file does not contain the end of the move.
 
-The time constant is then fitted, and standard uncertainties are those of a least-squares fit whose
-residuals are correlated within dwells (sandwich, one cluster a dwell).
+The time constant is then fitted. Standard uncertainties follow from least squares with residuals that are
+correlated within dwells (sandwich estimator, one cluster per dwell).
 """
 
 from __future__ import annotations
@@ -19,11 +19,17 @@ from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
 from adis_gonio.model.records import MG_PER_G
-from adis_gonio.tracing.within.samples import Place, Samples, View, WithinFinding, corrected
+from adis_gonio.tracing.within.samples import (
+    Place,
+    Samples,
+    View,
+    WithinFinding,
+    corrected,
+    neighbour_means,
+)
 
 Usable = NDArray[np.bool_]
 
@@ -31,30 +37,30 @@ LEAST_DWELLS = 4
 LEAST_SAMPLES = 6
 _TAUS = 12
 _LONGEST = 0.5
-"""Longest time constant in lengths of a dwell: slower ones are a line."""
+"""Longest time constant in lengths of a dwell; a longer one is a line."""
 _BENT = 9.0
-"""Gain, in units of the noise, from which a course is settling and no line."""
+"""Gain, in units of the noise, that an exponential needs over a line."""
 _POINTS = 120
 _ROUNDING_MG = 1e-9
-"""Least scatter of a projection: a word that stands still projects on its rounding, alike in all dwells."""
+"""Least scatter of a projection. Constant samples project on their rounding, equal in all dwells."""
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A course (tau none: a line) on one axis, and what its amplitude is proportional to."""
+    """A course on one axis (a line if `tau` is None), and the regressor of its amplitude."""
 
     axis: int
     tau: float | None
     by_move: bool
     p_value: float
     explained: float
-    """Sum of squares that it takes, in mg²."""
+    """Explained sum of squares in mg²."""
     noise: float
     """Variance of a dwell's projection on the course, in mg²."""
 
 
 def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Samples]:
-    """Courses that the dwells share, and the samples without them."""
+    """Find the courses that the dwells share, and subtract them from the samples."""
     found: list[WithinFinding] = []
     while len(found) < most:
         usable = samples.counts >= LEAST_SAMPLES
@@ -63,19 +69,19 @@ def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Sampl
         best = _best(samples, usable)
         if best is None:
             break
-        finding, samples = _fitted(samples, usable, best)
+        finding, samples = _fit_course(samples, usable, best)
         found.append(finding)
     return found, samples
 
 
 def _regressors(samples: Samples) -> Floats:
-    """What amplitudes may be proportional to (2, d, axes): one; the change of the own reading in g."""
+    """Return possible regressors of amplitudes (2, d, axes): one; the change of the axis's reading in g."""
     change = np.diff(samples.reading, axis=0, prepend=samples.reading[:1]) / MG_PER_G
     return np.stack([np.ones_like(change), change])
 
 
 def grid(samples: Samples, usable: Usable) -> list[float | None]:
-    """Time constants in s that are tried; None is a line."""
+    """Return time constants in s to try; None is a line."""
     lengths = [float(samples.elapsed_s(k)[-1]) for k in np.flatnonzero(usable).tolist()]
     longest = float(np.median(lengths))
     shortest = 3 * samples.period_s
@@ -90,7 +96,7 @@ def _course(elapsed_s: Floats, tau: float | None) -> Floats:
 
 
 def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Floats, Floats]:
-    """Amplitudes of each dwell times the norm of the course (d, axes), and that norm (d,)."""
+    """Return amplitudes of each dwell times the norm of the course (d, axes), and that norm (d,)."""
     z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
     for k in np.flatnonzero(usable).tolist():
         course = _course(samples.elapsed_s(k), tau)
@@ -102,7 +108,7 @@ def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Fl
 
 
 def _best(samples: Samples, usable: Usable) -> _Candidate | None:
-    """The course that explains most of those that are significant."""
+    """Return the significant course that explains most."""
     taus = grid(samples, usable)
     kinds = _regressors(samples)
     tests = len(taus) * 2 * samples.axes
@@ -111,12 +117,13 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
     for tau in taus:
         z, norm = projections(samples, usable, tau)
         for by_move in (False, True):
+            # Regression of the projections z on the regressor, without a constant.
             g = norm[:, None] * kinds[int(by_move)]
             energy = (g**2).sum(axis=0)
             alive = energy > 1e-12 * float((norm**2).sum())
             slope = np.where(alive, (g * z).sum(axis=0) / np.where(alive, energy, 1.0), 0.0)
             dof = int(usable.sum()) - 1
-            # Dwells in which the regressor is zero have a scatter but no say.
+            # Dwells in which the regressor is zero do not influence the slope, but show the scatter.
             residual = np.maximum(((z - g * slope)[usable] ** 2).sum(axis=0) / dof, _ROUNDING_MG**2)
             t = slope * np.sqrt(energy / residual)
             for axis in range(samples.axes):
@@ -131,18 +138,18 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
                     best = own
                 if tau is None and (line is None or explained > line.explained):
                     line = own
-    # An exponential has a shape to choose: where it explains hardly more than a line, a line it is.
+    # An exponential has a free shape: a line is preferred unless the exponential explains much more.
     if best is not None and line is not None and best.explained - line.explained < _BENT * best.noise:
         return line
     return best
 
 
-def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinFinding, Samples]:
+def _fit_course(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinFinding, Samples]:
     weight = _regressors(samples)[int(best.by_move)]
     dwells = np.flatnonzero(usable).tolist()
     times = {k: samples.elapsed_s(k) for k in dwells}
     centred = {k: samples.values[k] - samples.values[k].mean(axis=0) for k in dwells}
-    axes = _axes_with(samples, usable, best)
+    axes = _significant_axes(samples, usable, best)
 
     def amplitudes(tau: float | None) -> tuple[Floats, float]:
         z, norm = projections(samples, usable, tau)
@@ -175,9 +182,11 @@ def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinF
         for j, axis in enumerate(axes):
             jacobian[:, j, j] = offset * weight[k, axis]
             if tau is not None:
+                # Derivative of exp(−t/τ) by τ.
                 bend = course * times[k] / tau**2
                 jacobian[:, j, -1] = slope[axis] * weight[k, axis] * (bend - bend.mean())
         residual = centred[k][:, axes] - offset[:, None] * (slope * weight[k])[axes]
+        # One score per dwell: its outer products sum to the middle of the sandwich.
         score = np.einsum("naj,na->j", jacobian, residual)
         normal += np.einsum("naj,nai->ji", jacobian, jacobian)
         meat += np.outer(score, score)
@@ -192,8 +201,8 @@ def _fitted(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinF
     return finding, samples.with_values(values)
 
 
-def _axes_with(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
-    """Axes that share the course: the first one, and those on which it is significant by itself."""
+def _significant_axes(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
+    """Return the axes that share the course: the first, and those on which it is significant alone."""
     z, norm = projections(samples, usable, best.tau)
     g = norm[:, None] * _regressors(samples)[int(best.by_move)]
     energy = np.maximum((g**2).sum(axis=0), 1e-300)
@@ -241,7 +250,7 @@ def _finding(
         parameters["tau"] = Value(tau, float(u[-1]), "s")
         largest = float(np.abs(slope[axes] * weight[dwells][:, axes]).max())
         shift = float(np.abs(shifts[:, axes]).max())
-        needed = _wait(samples, largest, tau)
+        needed = _waiting_time(samples, largest, tau)
         sentence = (
             f"each dwell settles: {sizes} at its first sample, time constant "
             f"{parameters['tau']}{by}; it moves the means by up to {format_number(shift, 2)} mg"
@@ -250,13 +259,7 @@ def _finding(
             wait = format_number(needed, 2)
             advice = f"wait {wait} s longer after each move before recording: the dwells settle"
         places = tuple(
-            Place(
-                int(samples.position[k]),
-                samples.letters[axis],
-                float(samples.time_s[k][0]),
-                Value(float(slope[axis] * weight[k, axis]), None, "mg"),
-                float(shifts[k, axis]),
-            )
+            samples.place(k, axis, slope[axis] * weight[k, axis], at=0, shift=float(shifts[k, axis]))
             for k in dwells
             for axis in axes
             if best.by_move
@@ -275,8 +278,8 @@ def _finding(
     )
 
 
-def _wait(samples: Samples, amplitude: float, tau: float) -> float:
-    """Time in s after which settling moves a mean by less than a third of its noise (white, n samples)."""
+def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
+    """Time in s until settling moves a mean by less than a third of its noise (white, n samples)."""
     sizes = []
     for k in range(len(samples)):
         n = len(samples.values[k])
@@ -290,19 +293,16 @@ def _wait(samples: Samples, amplitude: float, tau: float) -> float:
 def _view(
     samples: Samples, best: _Candidate, tau: float | None, slope: float, weight: Floats, dwells: list[int]
 ) -> View:
-    """Mean course of the dwells, each counted by its weight, in at most `_POINTS` means of neighbours."""
+    """Weighted mean course of the dwells, as at most `_POINTS` means of neighbours."""
     length = min(len(samples.values[k]) for k in dwells)
     norm = float((weight[dwells] ** 2).sum())
+    # Least-squares course: each dwell weighted by its regressor.
     mean = sum(
         weight[k] * (samples.values[k][:length, best.axis] - samples.values[k][:, best.axis].mean())
         for k in dwells
     ) / max(norm, 1e-300)
     first = max(dwells, key=lambda k: len(samples.values[k]) == length)
-    time = samples.elapsed_s(first)[:length]
-    cuts = np.unique(np.linspace(0, length, min(length, _POINTS), endpoint=False).astype(np.intp))
-    counts = np.diff(np.append(cuts, length))
-    x = np.add.reduceat(time, cuts) / counts
-    y = np.add.reduceat(np.asarray(mean, dtype=np.float64), cuts) / counts
+    x, y = neighbour_means(_POINTS, samples.elapsed_s(first)[:length], np.asarray(mean))
     whole = _course(samples.elapsed_s(first), tau)
     model = slope * (_course(x, tau) - whole.mean())
     letter = samples.letters[best.axis]
@@ -310,10 +310,9 @@ def _view(
     return View(
         x,
         y,
-        x,
-        model,
         "time since the first sample / s",
         f"{letter} about its mean / {unit}",
         f"Mean course of {letter} over {len(dwells)} dwells, with what was fitted.",
+        model,
         points=True,
     )

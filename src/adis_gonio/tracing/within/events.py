@@ -1,13 +1,14 @@
-"""What happens in single dwells: a step at a moment, a slope, a transient.
+"""Events in single dwells: a step, a slope, a transient.
 
-At each of several scales (from a few samples to half a dwell) means of neighbouring stretches are
-subtracted (Haar's wavelet at every place). For stationary noise of any spectrum, 1/f noise among them, such
-differences of one scale are of one normal distribution, and their own scatter over all places and dwells is
-the measure for the largest: no model of the noise is needed. Where a scale has many independent places the
-scatter is taken from the median absolute deviation; at the longest scales, which a dwell holds once or
-twice, from the other dwells but those that are far off themselves: few degrees of freedom, little power.
+At each of several scales (from a few samples to half a dwell) the means of neighbouring stretches are
+subtracted (Haar wavelet at every position). For stationary noise of any spectrum, 1/f noise included, the
+differences of one scale have one normal distribution. Their scatter over all positions and dwells therefore
+judges the largest difference, and no model of the noise is needed. If a scale has many independent
+positions, the scatter is the median absolute deviation. At the longest scales, with one or two
+differences per dwell, it comes from the other dwells without outliers, with few degrees of freedom and
+little power.
 
-A dwell that stands out is then described by the form that leaves least: a step, a line, an exponential.
+A significant dwell is described by the form with the smallest residual: a step, a line or an exponential.
 """
 
 from __future__ import annotations
@@ -18,33 +19,33 @@ from typing import Literal, get_args
 import numpy as np
 from scipy import stats
 
-from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
+from adis_gonio.base.arrays import MAD_TO_SD, Floats
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
-from adis_gonio.fitting.estimation.robust import MAD_TO_SD
+from adis_gonio.base.uncertainty import FOUND_WITHIN
 from adis_gonio.tracing.within.samples import (
     Place,
     Samples,
     View,
     WithinFinding,
+    axes_and_positions,
     corrected,
     deviation,
+    neighbour_means,
     positions_text,
 )
 
 _SHORTEST = 8
 _LEAST_SAMPLES = 6
 _MANY = 300
-"""Independent places from which the median absolute deviation is the scale."""
+"""Independent places above which the median absolute deviation is used as scale."""
 _RARE, _FEW = 1e-3, 0.15
 _LEAST_DWELLS = 6
 _EFFICIENCY = 0.37
-"""Of the median absolute deviation, against a standard deviation."""
+"""Efficiency of the median absolute deviation relative to the standard deviation."""
 _LIVELY = 0.6
 _TAUS = 8
 _CLEAR = 4.0
-"""Standard uncertainties by which a form has to stand out to describe a dwell."""
+"""Standard uncertainties that a form must reach to describe a dwell."""
 _POINTS = 300
 
 
@@ -53,7 +54,7 @@ class _Scale:
     """Differences of neighbouring means over stretches of one length (or one share of the dwell)."""
 
     differences: list[Floats]
-    """Of each dwell (m, axes), in units of what white noise of the dwell's scatter would give."""
+    """For each dwell (m, axes), in units of their value for white noise of the dwell's scatter."""
     places: list[Floats]
     """First sample of the later stretch (m,)."""
     independent: Floats
@@ -65,31 +66,31 @@ _Form = Literal["step", "drift", "settling", "disturbance"]
 
 @dataclass(frozen=True)
 class _Look:
-    """What the scales showed: where each dwell and axis differs most, and the noise at every scale."""
+    """Largest difference of each dwell and axis over all scales, and the noise of each scale."""
 
     place: Floats
     stretch: Floats
     difference_mg: Floats
     """All (d, axes): first sample of the later stretch, length of the stretches, their difference."""
     noise: list[tuple[Floats, Floats]]
-    """Of each scale: length of the stretches (d,), standard deviation (d, axes) in units of `unit`."""
+    """For each scale: length of the stretches (d,), standard deviation (d, axes) in units of `unit`."""
     unit: Floats
 
     def u_mg(self, dwell: int, axis: int, stretch: float) -> float:
-        """Standard uncertainty of a difference of two means over stretches of some length."""
+        """Standard uncertainty of a difference of two means over stretches of this length."""
         best = min(self.noise, key=lambda one: abs(np.log(max(one[0][dwell], 1e-9) / stretch)))
         return float(best[1][dwell, axis] * np.sqrt(2 / max(best[0][dwell], 1.0)) * self.unit[dwell, axis])
 
 
 def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFinding]:
-    """Steps, slopes and transients of single dwells.
+    """Find steps, slopes and transients of single dwells.
 
     Parameters
     ----------
     samples : Samples
-        Without what all dwells share.
+        Samples without the courses that all dwells share.
     unlike : list of int
-        Axes whose scatter differs between dwells: there each dwell is measured by its own.
+        Axes with different scatter in the dwells; there each dwell is scaled by its own scatter.
     reach : int
         Samples over which neighbours are correlated.
     """
@@ -100,7 +101,7 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     tests = sum(sum(len(own) for own in scale.differences) for scale in scales) * samples.axes
     p = np.ones((len(samples), samples.axes))
     look = _Look(np.zeros_like(p), np.ones_like(p), np.zeros_like(p), [], unit)
-    # Noise below the converter's step: a mean may be off by half of one.
+    # If the noise is below the converter's step, a mean may be wrong by half a step.
     spread = np.array([rows.std(axis=0) for rows in samples.values])
     coarse = np.where(spread < _LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
     for scale in scales:
@@ -146,6 +147,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
                 differences.append(np.zeros((0, samples.axes)))
                 places.append(np.zeros(0))
                 continue
+            # Adjacent stretches of `own` samples at every quarter of a stretch; sums from cumulative sums.
             middle = np.arange(own, n - own + 1, max(1, own // 4))
             before = total[middle] - total[middle - own]
             after = total[middle + own] - total[middle]
@@ -158,7 +160,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
 
 
 def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Lower the p-values (d, axes) by those of one scale."""
+    """Lower the p-values (d, axes) to the values of this scale if these are smaller."""
     noise = np.zeros_like(p)
     look.noise.append((np.array([float(own[0]) if len(own) else 0.0 for own in scale.places]), noise))
     every = np.concatenate(scale.differences)
@@ -178,6 +180,7 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
         else:
             known, weight = _without_outliers(np.nan_to_num(squares), weight)
             total = float(weight.sum())
+            # Variance from all other dwells, weighted by their independent places.
             others = (weight @ known - weight * known) / np.maximum(total - weight, 1e-12)
             spreads = np.sqrt(np.maximum(others, 1e-24))
             own_p = np.asarray(stats.t.sf(largest / spreads, np.maximum(total - weight, 1e-12)))
@@ -189,15 +192,16 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
                 at = int(np.abs(scale.differences[k][:, axis]).argmax())
                 look.place[k, axis] = scale.places[k][at]
                 look.stretch[k, axis] = stretch[k]
+                # Back to the difference of two means in mg.
                 height = scale.differences[k][at, axis] * np.sqrt(2 / stretch[k])
                 look.difference_mg[k, axis] = height * look.unit[k, axis]
 
 
 def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Mean squares and weights with those dwells weighted 0 that are far above most of the others.
+    """Return mean squares and weights, with weight 0 for dwells far above most of the others.
 
-    A coarse converter leaves many dwells without any difference, so that the upper quartile is the measure;
-    where more than a few are far, none is.
+    With a coarse converter many dwells have no difference at all, so the upper quartile is the reference.
+    If more than a few dwells are far above it, none is excluded.
     """
     use = weight > 0
     if use.sum() < _LEAST_DWELLS:
@@ -211,34 +215,34 @@ def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
 
 
 def _independent(nominal: Floats, squares: Floats) -> Floats:
-    """Independent places of each dwell (d,): no more than the scatter of the dwells' mean squares allows.
+    """Return independent places of each dwell (d,), limited by the scatter of the dwells' mean squares.
 
-    A filter longer than the stretches makes neighbouring places alike. The median absolute deviation of the
-    mean squares is used, so that the few dwells that are looked for do not count.
+    A filter longer than the stretches correlates neighbouring places. The median absolute deviation of the
+    mean squares is used, so that a few unusual dwells do not matter.
     """
     use = np.isfinite(squares) & (nominal > 0)
     if use.sum() < _LEAST_DWELLS:
         return nominal
     logs = np.log(np.maximum(squares[use], 1e-300))
     spread = float(deviation(logs))
-    # The logarithm of a mean of ν squares has the variance 2/ν.
+    # The logarithm of a mean of ν squares has variance 2/ν.
     each = max(2 / max(spread, 1e-6) ** 2, 1.0)
     return np.where(use, np.minimum(nominal, each), 0.0)
 
 
 def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, Place, Floats]:
-    """The form that describes a dwell best, and its course (n,) about the dwell's mean.
+    """Return the form that describes a dwell best, and its course (n,) about the dwell's mean.
 
-    A form that does not stand out of the noise of its own scale describes nothing: what was seen is then a
-    disturbance of the length at which it was seen.
+    If the form is not significant in the noise of its scale, the event is a disturbance of the length at
+    which it was found.
     """
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     elapsed = samples.elapsed_s(k)
     n = len(rows)
-    position, letter = int(samples.position[k]), samples.letters[axis]
-    # A step: the sum of squares falls by n1 n2/n times the squared difference of the means.
+    # Step: the sum of squares falls by n1 n2/n times the squared difference of the means.
     total = np.cumsum(rows)[:-1]
     first = np.arange(1, n)
+    # `total` is the sum of the first part; the sum of all rows is zero.
     gain = total**2 * n / (first * (n - first))
     inner = slice(2, max(n - 3, 3))
     cut = int(np.argmax(gain[inner])) + inner.start
@@ -246,34 +250,18 @@ def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, 
     height = float(rows[cut + 1 :].mean() - rows[: cut + 1].mean())
     model = np.where(np.arange(n) > cut, height, 0.0)
     model = model - model.mean()
-    smaller = min(cut + 1, n - cut - 1) / n
-    fitted["step"] = (
-        float(gain[cut]),
-        model,
-        Place(
-            position,
-            letter,
-            float(samples.time_s[k][cut + 1]),
-            Value(height, look.u_mg(k, axis, min(cut + 1, n - cut - 1)), "mg"),
-            height * smaller * (1 if cut + 1 >= n - cut - 1 else -1),
-        ),
-    )
+    before, after = cut + 1, n - cut - 1
+    shift = height * (min(before, after) / n) * (1 if before >= after else -1)
+    u = look.u_mg(k, axis, min(before, after))
+    fitted["step"] = float(gain[cut]), model, samples.place(k, axis, height, u, at=cut + 1, shift=shift)
     line = elapsed - elapsed.mean()
     energy = max(float(line @ line), 1e-300)
     slope = float(line @ rows) / energy
     length = max(float(elapsed[-1]), 1e-12)
-    fitted["drift"] = (
-        slope**2 * energy,
-        slope * line,
-        # Half-means of a line are half its span apart.
-        Place(
-            position,
-            letter,
-            None,
-            Value(slope, 2 * look.u_mg(k, axis, n / 2) / length, "mg/s"),
-            slope * length / 2,
-        ),
-    )
+    # The means of the two halves of a line differ by half of its span.
+    u = 2 * look.u_mg(k, axis, n / 2) / length
+    place = samples.place(k, axis, slope, u, "mg/s", shift=slope * length / 2)
+    fitted["drift"] = slope**2 * energy, slope * line, place
     best: tuple[float, float, float, Floats, float] | None = None
     for tau in (
         np.geomspace(3 * samples.period_s, length / 3, _TAUS) if length > 9 * samples.period_s else ()
@@ -286,18 +274,9 @@ def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, 
             best = (amplitude**2 * own, amplitude, float(course.mean()), centred, float(tau))
     if best is not None:
         explained, amplitude, mean, centred, tau = best
-        decay = min(tau / samples.period_s, n / 2)
-        fitted["settling"] = (
-            explained,
-            amplitude * centred,
-            Place(
-                position,
-                letter,
-                float(samples.time_s[k][0]),
-                Value(amplitude, look.u_mg(k, axis, decay), "mg"),
-                amplitude * mean,
-            ),
-        )
+        u = look.u_mg(k, axis, min(tau / samples.period_s, n / 2))
+        place = samples.place(k, axis, amplitude, u, at=0, shift=amplitude * mean)
+        fitted["settling"] = explained, amplitude * centred, place
     kind = max(fitted, key=lambda name: fitted[name][0])
     _, course, place = fitted[kind]
     size = place.value
@@ -307,9 +286,8 @@ def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, 
     height = float(look.difference_mg[k, axis])
     course = np.zeros(n)
     course[at : at + int(stretch)] = height
-    shown = Value(height, look.u_mg(k, axis, stretch), "mg")
-    shift = height * stretch / n
-    return "disturbance", Place(position, letter, float(samples.time_s[k][at]), shown, shift), course
+    u = look.u_mg(k, axis, stretch)
+    return "disturbance", samples.place(k, axis, height, u, at=at, shift=height * stretch / n), course
 
 
 _WORDS: dict[_Form, tuple[str, str, str]] = {
@@ -337,8 +315,8 @@ def _finding(
 ) -> WithinFinding:
     words, name, cause = _WORDS[kind]
     places = tuple(place for _, _, place, _ in chosen)
+    axes, positions = axes_and_positions(places)
     k, axis, worst, model = max(chosen, key=lambda one: abs(one[2].shift_mg or 0.0))
-    positions = tuple(dict.fromkeys(place.position for place in places))
     assert worst.value is not None
     when = "" if worst.time_s is None or kind == "settling" else f" at {worst.time_s:.1f} s"
     where = positions_text(positions, len(samples))
@@ -346,7 +324,7 @@ def _finding(
     return WithinFinding(
         kind=kind,
         effect=None,
-        axes=tuple(sorted({place.axis for place in places})),
+        axes=axes,
         positions=positions,
         parameters={f"{name}_{worst.axis}": worst.value},
         p_value=p_value,
@@ -362,21 +340,17 @@ def _finding(
 
 
 def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> View:
-    """Course of one dwell in at most `_POINTS` means of neighbours."""
+    """Course of one dwell as at most `_POINTS` means of neighbours."""
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     time = samples.elapsed_s(k)
-    n = len(rows)
-    cuts = np.unique(np.linspace(0, n, min(n, _POINTS), endpoint=False).astype(np.intp))
-    counts = np.diff(np.append(cuts, n))
-    x, y, m = (np.add.reduceat(values, cuts) / counts for values in (time, rows, model))
+    x, y, shown = neighbour_means(_POINTS, time, rows, model)
     letter = samples.letters[axis]
     return View(
         x,
         y,
-        x,
-        m,
         "time since the first sample / s",
         f"{letter} about its mean / mg",
         f"{kind.capitalize()} in position {samples.position[k]}, {letter}: samples averaged, and the fit.",
+        shown,
         points=True,
     )

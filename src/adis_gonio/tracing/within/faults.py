@@ -1,28 +1,25 @@
-"""Single samples that no noise makes: spikes, and values that stand still.
+"""Samples that are not noise: spikes, repeated values, limits of the range, coarse steps of the converter.
 
 Spikes
-    A sample that differs from the median of its neighbours before *and* of those after it (so that a step
-    is none), by more than a normal distribution allows for all samples of the session together. Near the
-    ends of a dwell only one side exists and decides. The scale is that of the sample's own distance from
-    its neighbours, so that slow noise does not count; one and a half steps of the converter are taken off.
+    A sample that differs from the median of its neighbours before *and* after it (a step does not) by more
+    than a normal distribution allows for all samples of the session. Near the ends of a dwell one side
+    decides. The scale is the scatter of such distances, so that slow noise does not count; one and a half
+    steps of the converter are subtracted.
 Stuck values
-    A run of equal values longer than those of the same axis explain: the lengths of runs of a stationary
-    noise fall off exponentially (a rate that filter and converter set and that the session shows), and the
-    longest run of a dwell takes no part in the estimate of that rate. Slow noise may also stay in one step
-    for as long as its correlation and its scatter allow, which is reckoned apart. Where the noise is below
-    `_LIVELY` steps of the converter a constant word is normal, and nothing is looked for.
-
-What the codes of the samples show: limits of the range (`saturation`), a coarse step (`quantization`).
-
+    A run of equal values that is longer than the other runs of the axis explain. The run lengths of
+    stationary noise have an exponential tail with a rate that depends on filter and converter; the session
+    shows the rate, without the longest run of each dwell. Slow noise may also stay within one step for
+    its correlation time, depending on its scatter; this probability is computed separately. If the noise is
+    below `_LIVELY` steps of the converter, constant values are normal and no test is made.
 Saturation
-    Samples that pile up at an extreme value (`Readings.converter`). Its p-value is that of so many
-    samples at the extreme against those one value inside, were both equally likely.
+    Samples that accumulate at an extreme value (`Readings.converter`). The p-value is the probability of
+    this many samples at the extreme rather than one value inside, if both were equally probable.
 Quantization
-    A step that the noise does not hide: what it leaves on the means, q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², is
-    more than what noise leaves on them, in all dwells together. Its p-value is the chance that noise of the
-    scatter at which both are equal scatters no more than was seen. Words of which only every second, third,
-    … one occurs have lost bits: that is stated of any scatter, and its p-value is the chance of so many
-    differences without another divisor.
+    A step that the noise does not dither: the error of the means by quantization,
+    q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², exceeds that by noise, in all dwells together. The p-value is the
+    probability that noise with equal errors scatters as little as the samples. If only every second, third,
+    … code occurs, bits are lost. This is reported for any scatter, with the probability that this many
+    differences share a divisor by chance.
 """
 
 from __future__ import annotations
@@ -34,11 +31,10 @@ from numpy.typing import NDArray
 from scipy import ndimage, optimize, special, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting.estimation.readings import Readings, left_by_quantization
+from adis_gonio.fitting.estimation.readings import Readings, quantization_variance
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.within.samples import (
     SEARCHES,
@@ -46,6 +42,7 @@ from adis_gonio.tracing.within.samples import (
     Samples,
     View,
     WithinFinding,
+    axes_and_positions,
     corrected,
     deviation,
     positions_text,
@@ -55,15 +52,15 @@ _NEIGHBOURS = 15
 _LEAST_SAMPLES = 2 * _NEIGHBOURS
 _LEAST_RUN = 8
 _LIVELY = 0.6
-"""Noise in steps of the converter below which runs are no evidence; as `estimation.screening`."""
+"""Noise in steps of the converter below which runs are no evidence; as in `estimation.screening`."""
 _LONG_QUANTILE = 0.9
 _LEAST_LONG = 20
 _SAFETY = 1.5
-"""Factor on the mean excess of long runs: it is itself estimated."""
+"""Factor on the mean excess of long runs, which is an estimate itself."""
 
 
 def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding | None, Samples]:
-    """Spikes of all dwells, and the samples with the spikes replaced by what surrounds them.
+    """Find spikes in all dwells, and replace them by the median of their neighbours.
 
     Parameters
     ----------
@@ -71,7 +68,7 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
     scatter : (d, axes) float
         Standard deviation of single samples.
     reach : int
-        Samples over which neighbours are correlated: a spike ahead of the sensor's filter is as wide.
+        Samples over which neighbours are correlated; a spike before the sensor's filter has this width.
     """
     total = int(samples.counts.sum()) * samples.axes
     limit = float(stats.norm.isf(FOUND_WITHIN / (2 * total * SEARCHES)))
@@ -82,13 +79,13 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
     long = np.flatnonzero(samples.counts >= _LEAST_SAMPLES + 2 * reach).tolist()
     for axis in range(samples.axes):
         looks = {k: _from_neighbours(samples.values[k][:, axis], reach) for k in long}
-        # A dwell's own scale is uncertain, and too small where the dwell is hardly longer than its noise is
-        # correlated: it counts only where it is above that of all together.
+        # The scale of a single dwell is uncertain, and too small if the dwell is hardly longer than the
+        # correlation of its noise. It is used only if it exceeds the scale of all dwells.
         usual = deviation(np.concatenate([one_side for _, _, one_side in looks.values()])) if looks else 0.0
         for k, (away, middle, one_side) in looks.items():
             rows = samples.values[k]
             spread = max(float(deviation(one_side)), float(usual), 0.5 * float(scatter[k, axis]))
-            # A neighbours' median and the sample are both rounded.
+            # Both the neighbours' median and the sample are rounded.
             size = (np.abs(away) - 1.5 * samples.quantum[axis]) / spread
             wild = size > limit
             if not wild.any():
@@ -102,15 +99,7 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
                 cleaned[low:high, axis] = middle[top]
                 shift = float((rows[low:high, axis] - middle[top]).sum() / len(rows))
                 values[k] = cleaned
-                places.append(
-                    Place(
-                        int(samples.position[k]),
-                        samples.letters[axis],
-                        float(samples.time_s[k][top]),
-                        Value(float(away[top]), spread, "mg"),
-                        shift,
-                    )
-                )
+                places.append(samples.place(k, axis, away[top], spread, at=top, shift=shift))
                 if worst is None or abs(away[top]) > worst[0]:
                     worst = (abs(float(away[top])), k, axis, top)
     if worst is None:
@@ -119,9 +108,9 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
 
 
 def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats]:
-    """Distance (n,) from the nearer one of the medians before and after, that median, and from one (m,).
+    """Return distances (n,) from the nearer median before or after, that median, distances from one (m,).
 
-    Of the last the scale counts: the nearer one of two is never farther.
+    The scale is estimated from the last, since the nearer of two medians is never farther.
     """
     half = _NEIGHBOURS // 2
     n = len(column)
@@ -137,7 +126,7 @@ def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats
 
 
 def _groups(flags: NDArray[np.bool_], gap: int) -> list[tuple[int, int]]:
-    """Stretches (first, past the last) of flagged samples that are at most `gap` apart."""
+    """Return stretches (first, last + 1) of flagged samples that are at most `gap` apart."""
     at = np.flatnonzero(flags)
     cuts = np.flatnonzero(np.diff(at) > gap)
     firsts, lasts = np.concatenate([[0], cuts + 1]), np.concatenate([cuts, [len(at) - 1]])
@@ -148,27 +137,23 @@ def _spikes_finding(
     samples: Samples, places: list[Place], p_value: float, worst: tuple[float, int, int, int]
 ) -> WithinFinding:
     size, k, axis, top = worst
-    positions = tuple(sorted({place.position for place in places}))
+    axes, positions = axes_and_positions(places)
     noise = {
         int(position): float(np.min(rows.std(axis=0))) / np.sqrt(len(rows))
         for position, rows in zip(samples.position, samples.values, strict=True)
     }
-    # Spikes that move a mean by less than a third of its noise do no harm.
+    # A spike that moves a mean by less than a third of its noise is harmless.
     spoiled = tuple(sorted({p.position for p in places if abs(p.shift_mg or 0.0) > noise[p.position] / 3}))
     repeat = f"; repeat {positions_text(spoiled, 0)}, whose means they move" if spoiled else ""
     count = len(places)
     low, high = max(0, top - 40), min(len(samples.values[k]), top + 41)
-    time = samples.elapsed_s(k)[low:high]
     letter = samples.letters[axis]
     return WithinFinding(
         kind="spikes",
         effect=None,
-        axes=tuple(sorted({place.axis for place in places})),
+        axes=axes,
         positions=positions,
-        parameters={
-            "count": Value(float(count), None, "1"),
-            "largest": Value(size, None, "mg"),
-        },
+        parameters={"count": Value(float(count), None, "1"), "largest": Value(size, None, "mg")},
         p_value=p_value,
         sentence=(
             f"{count} spike{'' if count == 1 else 's'} in {positions_text(positions, len(samples))}, the "
@@ -177,10 +162,8 @@ def _spikes_finding(
         places=tuple(places),
         advice=f"look for what makes the spikes (contacts, supply, a touch){repeat}",
         view=View(
-            time,
+            samples.elapsed_s(k)[low:high],
             samples.values[k][low:high, axis],
-            np.zeros(0),
-            np.zeros(0),
             "time since the first sample / s",
             f"{letter} / mg",
             f"The largest spike: {letter}, position {samples.position[k]}.",
@@ -189,7 +172,7 @@ def _spikes_finding(
 
 
 def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None:
-    """Runs of equal values that noise and converter do not explain."""
+    """Find runs of equal values that noise and converter do not explain."""
     places: list[Place] = []
     least_p = 1.0
     tests = len(samples) * samples.axes
@@ -209,32 +192,25 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
                 excess = max(excess, float(np.mean(kept[k][kept[k] > start] - start)))
             excess = _SAFETY * excess + 0.5
             chances = max(1.0, (own > start).sum())
+            # Tail probability of the longest of `chances` runs.
             p = float(chances * np.exp(-(longest - start) / excess))
-            # Slow noise stays in one step for some of its correlation times by itself.
+            # Slow noise stays within one step for a few of its correlation times.
             stays = float(special.erf(samples.quantum[axis] / (2 * np.sqrt(2) * scatter[k, axis])))
             slow = len(samples.values[k]) / reach * stays ** (longest / reach)
             p = corrected(max(p, slow), tests)
             if p < FOUND_WITHIN:
                 least_p = min(least_p, p)
                 begin = int(own[: int(own.argmax())].sum())
-                places.append(
-                    Place(
-                        int(samples.position[k]),
-                        samples.letters[axis],
-                        float(samples.time_s[k][begin]),
-                        Value(float(longest), None, "samples"),
-                    )
-                )
+                places.append(samples.place(k, axis, longest, unit="samples", at=begin))
     if not places:
         return None
-    longest_place = max(places, key=lambda place: place.value.value if place.value else 0.0)
-    positions = tuple(sorted({place.position for place in places}))
-    run = longest_place.value.value if longest_place.value else 0.0
+    axes, positions = axes_and_positions(places)
+    run = max(place.value.value for place in places if place.value)
     where = positions_text(positions, len(samples))
     return WithinFinding(
         kind="stuck",
         effect=None,
-        axes=tuple(sorted({place.axis for place in places})),
+        axes=axes,
         positions=positions,
         parameters={"longest": Value(run, None, "samples")},
         p_value=least_p,
@@ -248,12 +224,13 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
 
 
 def _run_lengths(column: Floats) -> NDArray[np.intp]:
+    # Distances between the positions at which the value changes.
     change = np.flatnonzero(np.diff(column))
     return np.diff(np.concatenate([[-1], change, [len(column) - 1]])).astype(np.intp)
 
 
 def _tail(lengths: NDArray[np.intp]) -> tuple[float, float]:
-    """Length from which the distribution counts as exponential, and the mean excess beyond it."""
+    """Return the length at which the exponential tail begins, and the mean excess beyond it."""
     if not lengths.size:
         return 1.0, 0.0
     start = float(np.quantile(lengths, _LONG_QUANTILE))
@@ -262,7 +239,7 @@ def _tail(lengths: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def saturation(session: Session, data: Readings) -> WithinFinding | None:
-    """Limits of the range that samples have reached; None where there are none."""
+    """Find limits of the range that samples have reached; None without any."""
     if data.converter is None or not data.converter.limits:
         return None
     limits = data.converter.limits
@@ -298,7 +275,7 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
 
 
 def quantization(session: Session, samples: Samples, reach: int) -> WithinFinding | None:
-    """A step of the converter that noise does not hide; None where it does.
+    """Find a step of the converter that the noise does not dither; None without any.
 
     Parameters
     ----------
@@ -333,7 +310,7 @@ def quantization(session: Session, samples: Samples, reach: int) -> WithinFindin
 
 
 def _coarse(samples: Samples, axis: int, reach: int) -> float:
-    """Chance that noise which hides the step scatters as little as the samples; 1 where it hides it."""
+    """Probability that dithering noise scatters as little as the samples; 1 if the noise dithers."""
     step = float(samples.quantum[axis])
     if not step > 0:
         return 1.0
@@ -341,7 +318,7 @@ def _coarse(samples: Samples, axis: int, reach: int) -> float:
     variance = np.array([float(values.var()) for values in rows])
     worth = np.maximum(samples.counts / reach, 1.0)
     on_means = float(np.mean(np.maximum(variance - step**2 / 12, 0.0) / worth))
-    if float(np.mean(left_by_quantization(rows, np.ones(1), np.array([step])))) <= on_means:
+    if float(np.mean(quantization_variance(rows, np.ones(1), np.array([step])))) <= on_means:
         return 1.0
     k = np.arange(1, 50)
 
@@ -355,7 +332,7 @@ def _coarse(samples: Samples, axis: int, reach: int) -> float:
 
 
 def _lost_bits(session: Session, samples: Samples, axis: int) -> float:
-    """Chance that all differences of words share their divisor; 1 where it is one, or the words unknown."""
+    """Probability that all differences of codes share their divisor; 1 if it is 1 or codes are unknown."""
     if session.accel_unit != "lsb" or session.sensor not in VARIANTS:
         return 1.0
     words = round(float(samples.quantum[axis]) / VARIANTS[session.sensor].accel_mg_per_lsb)

@@ -1,33 +1,30 @@
-"""What the second pass works on: the samples of each dwell in mg.
-
-What the second pass reports: findings inside the dwells, and where they stand.
-"""
+"""Samples of the dwells in mg, and the records of findings inside the dwells."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import MAD_TO_SD, Floats
 from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import name_positions
-from adis_gonio.base.values import Value
-from adis_gonio.fitting.estimation.converter import steps_of
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.estimation.robust import MAD_TO_SD
+from adis_gonio.fitting.estimation.screening import steps_of
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Session
 
 _LEAST_LEVEL = 100
-"""Samples from which a dwell's scatter is known well enough by itself."""
+"""Number of samples above which a dwell determines its own scatter."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Samples of d dwells that have at least two each.
+    """Samples of d dwells with at least two samples each.
 
     Attributes
     ----------
@@ -38,9 +35,9 @@ class Samples:
     values : d arrays (n, axes)
         Samples in mg.
     quantum : (axes,) float
-        Step of the converter in mg; of numbers with many digits the smallest difference seen.
+        Step of the converter in mg; for values with many digits the smallest difference.
     reading : (d, axes) float
-        Mean of each dwell in mg, as it was recorded.
+        Recorded mean of each dwell in mg.
     """
 
     position: NDArray[np.intp]
@@ -69,7 +66,7 @@ class Samples:
 
     @property
     def period_s(self) -> float:
-        """Median time between samples; nan where all times are alike."""
+        """Median time between samples; nan if all times are equal."""
         steps = np.concatenate([np.diff(time) for time in self.time_s])
         steps = steps[steps > 0]
         return float(np.median(steps)) if steps.size else float("nan")
@@ -78,12 +75,27 @@ class Samples:
         """Time since the first sample of a dwell (n,)."""
         return np.asarray(self.time_s[dwell] - self.time_s[dwell][0], dtype=np.float64)
 
+    def place(
+        self,
+        dwell: int,
+        axis: int,
+        value: float,
+        u: float | None = None,
+        unit: str = "mg",
+        at: int | None = None,
+        shift: float | None = None,
+    ) -> Place:
+        """Make a place from the numbers of its dwell, its axis and its sample `at`."""
+        time = None if at is None else float(self.time_s[dwell][at])
+        size = Value(float(value), u, unit)
+        return Place(int(self.position[dwell]), self.letters[axis], time, size, shift)
+
     def with_values(self, values: list[Floats]) -> Samples:
-        """The same dwells with other samples."""
+        """Return the dwells with other samples."""
         return replace(self, values=tuple(values))
 
     def rows(self, chosen: NDArray[np.bool_]) -> Samples:
-        """Some of the dwells."""
+        """Return some of the dwells."""
         kept = np.flatnonzero(chosen).tolist()
         return replace(
             self,
@@ -95,13 +107,13 @@ class Samples:
 
 
 def samples_of(session: Session, data: Readings) -> Samples | None:
-    """Samples in mg of the dwells that have at least two; None where there are none.
+    """Return samples in mg of the dwells with at least two samples; None without any.
 
     Parameters
     ----------
     session : Session
     data : Readings
-        Of the same session.
+        Readings of the session.
     """
     used = set(data.position.tolist())
     dwells = [dwell for dwell in session.dwells if dwell.position in used]
@@ -120,20 +132,20 @@ def samples_of(session: Session, data: Readings) -> Samples | None:
 
 
 def deviation(rows: Floats, axis: int = 0) -> Floats:
-    """Standard deviation by the median absolute deviation, which few wild values do not move."""
+    """Standard deviation from the median absolute deviation, which is robust against outliers."""
     middle = np.median(rows, axis=axis, keepdims=True)
     spread: Floats = MAD_TO_SD * np.median(np.abs(rows - middle), axis=axis)
     return spread
 
 
 def scatter(samples: Samples) -> Floats:
-    """Standard deviation of single samples in each dwell (d, axes).
+    """Return the standard deviation of single samples in each dwell (d, axes).
 
-    Short dwells take the middle one of all. Never below what the converter's step makes of any value.
+    Short dwells use the median over all dwells. The result is never below the rounding of the converter.
     """
     own = np.array([deviation(rows) for rows in samples.values])
     plain = np.array([rows.std(axis=0) for rows in samples.values])
-    # A coarse converter shows so few values that their median deviation says nothing.
+    # With a coarse converter there are too few different values for a median deviation.
     own = np.where(own < 2 * samples.quantum, np.maximum(own, np.minimum(plain, samples.quantum)), own)
     short = samples.counts < _LEAST_LEVEL
     typical = np.sqrt(np.median(plain**2, axis=0))
@@ -147,13 +159,13 @@ Kind = Literal[
 ]
 
 SEARCHES = 6
-"""Searches that share `FOUND_WITHIN`: spikes, stuck values, tones, variance, courses common to the dwells,
+"""Searches that share `FOUND_WITHIN`: spikes, stuck values, tones, variance, courses shared by the dwells,
 events in single dwells."""
 
 
 @dataclass(frozen=True)
 class Place(JsonRecord):
-    """One dwell and axis in which something stands.
+    """One dwell and axis of a finding.
 
     The JSON document is one entry of `places`.
 
@@ -163,11 +175,11 @@ class Place(JsonRecord):
         Number of the dwell in the file.
     axis : str
     time_s : float or None
-        Moment in the session's time.
+        Time within the session.
     value : Value or None
-        Size there (height of a step, samples of a run, …).
+        Size (height of a step, samples of a run, …).
     shift_mg : float or None
-        By how much it moves the dwell's mean; None where that is not known.
+        Resulting shift of the dwell's mean; None if unknown.
     """
 
     position: int
@@ -179,27 +191,27 @@ class Place(JsonRecord):
 
 @dataclass(frozen=True)
 class View:
-    """What a figure of a finding shows.
+    """Data of a finding's figure.
 
     Attributes
     ----------
     x, y : (n,) float
         Points.
-    model_x, model_y : (m,) float
-        What the finding says of them.
-    x_label, y_label, caption, model_label : str
+    x_label, y_label, caption : str
+    model : (n,) float or None
+        Fitted course at the points.
+    model_label : str
     y_log : bool
     points : bool
-        True where y are single points rather than a course.
+        Whether y are single points instead of a course.
     """
 
     x: Floats
     y: Floats
-    model_x: Floats
-    model_y: Floats
     x_label: str
     y_label: str
     caption: str
+    model: Floats | None = None
     model_label: str = "fitted"
     y_log: bool = False
     points: bool = False
@@ -207,7 +219,7 @@ class View:
 
 @dataclass(frozen=True)
 class WithinFinding(JsonRecord):
-    """Something that the samples inside the dwells show.
+    """A finding in the samples inside the dwells.
 
     The JSON document is one entry of `within`.
 
@@ -216,22 +228,22 @@ class WithinFinding(JsonRecord):
     kind : str
         drift, settling, step, disturbance, tone, spikes, stuck, noise_change, limit or coarse.
     effect : str or None
-        Name in the catalogue, where its form is the catalogue's.
+        Name in the catalogue, if the finding has the form of a named effect.
     axes : tuple of str
     positions : tuple of int
-        Numbers of the dwells in which it stands.
+        Numbers of the affected dwells.
     parameters : mapping of str to Value
     p_value : float
-        Multiplied by the number of tests of its search and of `SEARCHES`, at most 1.
+        Times the number of tests of its search and the number of searches, at most 1.
     sentence : str
     places : tuple of Place
-        Single dwells and axes; empty where all of `positions` share the parameters.
+        Single dwells and axes; empty if all of `positions` share the parameters.
     advice : str
-        What to do about it; empty where nothing has to be done.
+        Action against it; empty if none is needed.
     aliases_hz : tuple of float or None
-        Other frequencies that the samples show as this line; None if this is no tone.
+        Other frequencies that would appear at this line; None if this is not a tone.
     view : View or None
-        For a figure; no part of the document nor of a comparison.
+        Data of the figure; neither in the document nor compared.
     """
 
     kind: Kind
@@ -248,8 +260,21 @@ class WithinFinding(JsonRecord):
 
 
 def corrected(p_value: float, tests: float) -> float:
-    """p-value times the tests of its search and the number of searches, at most 1."""
+    """Multiply a p-value by the tests of its search and the number of searches, at most 1."""
     return min(1.0, float(p_value) * max(tests, 1.0) * SEARCHES)
+
+
+def axes_and_positions(places: Sequence[Place]) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Return the axes and positions of places, sorted and without repetition."""
+    return tuple(sorted({p.axis for p in places})), tuple(sorted({p.position for p in places}))
+
+
+def neighbour_means(most: int, *columns: Floats) -> list[Floats]:
+    """Average columns (n,) over neighbours to at most `most` points each."""
+    n = len(columns[0])
+    cuts = np.unique(np.linspace(0, n, min(n, most), endpoint=False).astype(np.intp))
+    counts = np.diff(np.append(cuts, n))
+    return [np.add.reduceat(np.asarray(rows, dtype=np.float64), cuts) / counts for rows in columns]
 
 
 def positions_text(positions: tuple[int, ...], dwells: int, most: int = 12) -> str:

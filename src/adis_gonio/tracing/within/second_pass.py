@@ -1,34 +1,30 @@
-"""The second pass of a trace: what the samples inside the dwells show, and what follows from it.
+"""The second pass of a trace: search the samples inside the dwells.
+
+Order of the searches
+    Spikes and stuck values, spectral lines, changes of the scatter, courses that all dwells share, events
+    in single dwells. Each finding is removed from the samples before the next search. Every test is
+    calibrated by the session's own noise of any spectrum. The probability of any finding in a session
+    without effects is at most `FOUND_WITHIN` for all tests together. The searches depend on the length of
+    a dwell: none for one sample, drift from 6 samples, spikes and lines from 32 samples.
 
 Rule for `found`
-    A finding inside the dwells counts among `TraceResult.found` if its form is the catalogue's (`tone`,
-    `settling`, `noise_change`, `saturation`, `quantization`), its probability is that from which any cause
-    is called found (`certain`), it stands in at least `_CLAIMED_DWELLS` dwells (a limit in one), and the
-    dwells were recorded as such. Where they were cut out of a continuous recording by stillness nothing is
-    known about how the part was put down and held: what is seen there may be a hand, so that it stays a
-    remark.
-    `explains` is 0 for such a finding: the residual of the means is what the first pass explains, and
-    nothing is added to its model.
+    A finding counts among `TraceResult.found` if it has the form of a named effect (`tone`, `settling`,
+    `noise_change`, `saturation`, `quantization`), if its probability reaches the threshold of any cause
+    (`certain`), if it occurs in at least `_CLAIMED_DWELLS` dwells (a limit in one), and if the dwells were
+    recorded as such. If dwells were cut out of a continuous recording, a finding may be a hand that places
+    the part, so it remains a remark. `explains` is 0: the finding adds nothing to the model of the
+    readings.
 
-Its probability
-    These tests need no model of what they find, so that there is a p-value and no likelihood. Where
-    something is, p follows the density ξ p^(ξ−1) of an unknown ξ below 1 (Sellke, Bayarri and Berger, The
-    American Statistician 55:62, 2001); the prior share is that of any effect.
+Probability
+    The tests need no model of an effect, so there is a p-value but no likelihood. If an effect is
+    present, p has the density ξ p^(ξ−1) with an unknown ξ below 1 (Sellke, Bayarri and Berger, The
+    American Statistician 55:62, 2001). The prior share is equal for all effects.
 
-Everything else stays in `TraceResult.within` and reaches the user by its sentence and its advice.
+Sensitivity
+    The smallest `tone`, `noise_change` and `settling` that these samples would have shown: the amplitude
+    that the search finds with a probability of 90 %, at its own level and noise, on the worst axis.
 
-The trace's second pass: what the samples inside the dwells show.
-
-Spikes and stuck values first, then spectral lines, changes of the scatter, courses that all dwells share,
-events in single dwells; each is taken out of the samples before the next is looked for. Every test is
-calibrated against the session's own noise, whatever its spectrum; a session without anything shows a
-finding with a probability of at most `FOUND_WITHIN`, all tests together. What is looked for in a dwell
-depends on its length: nothing in one sample, drift from 6, spikes and lines from 32 samples.
-
-Smallest `tone`, `noise_change` and `settling` that the samples inside the dwells would have shown.
-
-Each is the amplitude at which the search of that name would find the effect in these very samples with a
-probability of 90 %, at the level and against the noise that it uses itself. It belongs to the worst axis.
+All other findings remain in `TraceResult.within`, with their sentence and advice.
 """
 
 from __future__ import annotations
@@ -40,8 +36,7 @@ import numpy as np
 from scipy import optimize, special, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
-from adis_gonio.base.values import Detectable
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Detectable
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session
@@ -63,21 +58,21 @@ from adis_gonio.tracing.within.variances import LEAST_DWELLS as LEAST_LOUD
 from adis_gonio.tracing.within.variances import TESTS, heterogeneous, levels_of, noise_change, step_of
 
 _CLAIMED_DWELLS = 4
-"""Least dwells of a finding that counts among `found`."""
+"""Smallest number of dwells of a finding that counts among `found`."""
 _MOST_OUT = 0.2
-"""Share of the dwells up to which those that stand out are to blame, and not the model."""
+"""Largest share of deviating dwells; beyond it the model is wrong, and not the dwells."""
 
 
 def with_second_pass(session: Session, data: Readings, result: TraceResult) -> TraceResult:
-    """The trace of a session's readings with what its samples show.
+    """Add the findings inside the dwells to the trace of a session's readings.
 
     Parameters
     ----------
     session : Session
     data : Readings
-        Of this session.
+        Readings of this session.
     result : TraceResult
-        Of these observations.
+        Trace of these readings.
     """
     samples = samples_of(session, data)
     within, shown = ((), {}) if samples is None else look_within(samples)
@@ -86,9 +81,9 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
         within = (*(finding for finding in codes if finding is not None), *within)
     claimed = {finding.effect for finding in result.found}
     more = tuple(
-        _claim(finding)
+        _finding_of(finding)
         for finding in _first_of_each(within)
-        if stands(finding) and finding.effect not in claimed and not session.cut_by_stillness
+        if counts_as_found(finding) and finding.effect not in claimed and not session.cut_by_stillness
     )
     single, notes = _deviating_dwells(data, result)
     advice = (*_of_single_dwells(data, result), *single, *(f.advice for f in within if f.advice))
@@ -102,8 +97,8 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
     )
 
 
-def stands(finding: WithinFinding) -> bool:
-    """True where a finding inside dwells recorded as such counts among `found`; see the module."""
+def counts_as_found(finding: WithinFinding) -> bool:
+    """Whether a finding inside separately recorded dwells counts among `found`; see the module."""
     return (
         finding.effect is not None
         and probability(finding.p_value) >= limits.certain
@@ -112,16 +107,16 @@ def stands(finding: WithinFinding) -> bool:
 
 
 def probability(p_value: float) -> float:
-    """Posterior probability of what a test of this p-value found; see the module."""
+    """Posterior probability of a finding with this p-value; see the module."""
     depth = -math.log(max(p_value, 1e-300))
-    # ∫ ξ p^(ξ−1) dξ from 0 to 1, against the uniform density where nothing is.
+    # ∫ ξ p^(ξ−1) dξ from 0 to 1, against the uniform density under the null hypothesis.
     evidence = (math.expm1(depth) - depth) / depth**2 if depth > 1e-6 else 0.5
     odds = limits.effect_share / (1 - limits.effect_share) * evidence
     return odds / (1 + odds)
 
 
 def _first_of_each(within: tuple[WithinFinding, ...]) -> list[WithinFinding]:
-    """One finding an effect: of several lines the most significant one."""
+    """Return one finding for each effect: the most significant one of several lines."""
     best: dict[str | None, WithinFinding] = {}
     for finding in within:
         if finding.effect not in best or finding.p_value < best[finding.effect].p_value:
@@ -129,7 +124,7 @@ def _first_of_each(within: tuple[WithinFinding, ...]) -> list[WithinFinding]:
     return [finding for effect, finding in best.items() if effect is not None]
 
 
-def _claim(finding: WithinFinding) -> Finding:
+def _finding_of(finding: WithinFinding) -> Finding:
     assert finding.effect is not None
     return Finding(
         effect=finding.effect,
@@ -143,17 +138,17 @@ def _claim(finding: WithinFinding) -> Finding:
 
 
 def _of_single_dwells(data: Readings, result: TraceResult) -> list[str]:
-    """Dwells that the first pass found to be off: they stay in the model, and are to be repeated."""
+    """Return advice to repeat dwells that the model explains by an effect of a single dwell."""
     lines = []
     training = data.rows(~data.check)
     orders = training.conditions.order
-    told = {found.position for found in result.position_findings}
+    reported = {found.position for found in result.position_findings}
     for term in result.fits[-1].terms if result.fits else ():
         if term.dwell is None or orders is None:
             continue
         at = [k for k, order in enumerate(orders) if round(float(order)) == term.dwell]
-        if at and training.position[at[0]] not in told:
-            word = "slipped" if term.name == "position_slip" else "is off"
+        if at and training.position[at[0]] not in reported:
+            word = "slipped" if term.enters_angle else "is off"
             lines.append(
                 f"repeat position {training.position[at[0]]}: it {word} against all others; its reading "
                 f"was not dropped, {term.name} accounts for it"
@@ -162,10 +157,10 @@ def _of_single_dwells(data: Readings, result: TraceResult) -> list[str]:
 
 
 def _deviating_dwells(data: Readings, result: TraceResult) -> tuple[list[str], list[str]]:
-    """Dwells that the final model fits far worse than the others: advice, and notes that they were kept.
+    """Return advice and notes on dwells that the final model fits far worse than the others.
 
-    Their squared whitened residual is compared with the median of all (a few such dwells do not move it),
-    never with less than the noise that was measured; 1 % for all dwells together.
+    Their squared whitened residual is compared with the median over all dwells, but at least with the
+    measured noise, at 1 % for all dwells together.
     """
     if not result.fits or len(result.fits[-1].data) < _CLAIMED_DWELLS or not data.noise_known:
         return [], []
@@ -174,7 +169,7 @@ def _deviating_dwells(data: Readings, result: TraceResult) -> tuple[list[str], l
     rows = residual.shape[1]
     usual = max(float(np.median(squares)) / float(stats.chi2.median(rows)), 1.0)
     far = squares > usual * float(stats.chi2.isf(FOUND_WITHIN / len(squares), rows))
-    # Where many stand out it is the model that is not adequate, not the dwells.
+    # If many dwells deviate, the model is not adequate.
     if not far.any() or far.mean() > _MOST_OUT:
         return [], []
     named = positions_text(tuple(int(p) for p in training.position[far]), 0)
@@ -193,12 +188,12 @@ _FARTHEST = 64
 
 
 def search_within(samples: Samples) -> tuple[WithinFinding, ...]:
-    """Findings inside the dwells, as `TraceResult.within` lists them."""
+    """Return the findings inside the dwells, as in `TraceResult.within`."""
     return look_within(samples)[0]
 
 
 def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, Detectable]]:
-    """Findings inside the dwells, and the smallest amplitudes that they would have shown."""
+    """Return the findings inside the dwells, and the smallest amplitudes that would have shown."""
     spread = scatter(samples)
     reach = correlation_reach(samples)
     frozen = stuck(samples, spread, reach)
@@ -212,7 +207,7 @@ def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, 
 
 
 def correlation_reach(samples: Samples) -> int:
-    """Samples after which neighbours correlate by less than `_CORRELATED`; at most `_FARTHEST`."""
+    """Number of samples after which the correlation is below `_CORRELATED`; at most `_FARTHEST`."""
     longest = min(_FARTHEST, int(samples.counts.max()) // 4)
     total = np.zeros(longest + 1)
     for rows in samples.values:
@@ -222,7 +217,7 @@ def correlation_reach(samples: Samples) -> int:
         power = max(float((centred**2).mean()), 1e-300)
         for lag in range(longest + 1):
             total[lag] += float((centred[: len(rows) - lag] * centred[lag:]).mean()) / power
-            # Once it is low in one dwell the others agree: no need to go on.
+            # Once the correlation is low in one dwell, it is low in the others too.
             if lag and total[lag] < 0.5 * _CORRELATED * total[0]:
                 break
     if total[0] <= 0:
@@ -233,19 +228,19 @@ def correlation_reach(samples: Samples) -> int:
 
 _POWER = 0.9
 _TAPERED = 2 / 3 * 0.95
-"""(Σw)²/(n Σw²) of Hann's taper, and what a frequency between two points of the grid loses on average."""
+"""(Σw)²/(n Σw²) of Hann's taper, times the average loss between two frequencies of the grid."""
 _LARGEST = 1e6
 
 
 def sensitivity(samples: Samples, density: Density | None) -> dict[str, Detectable]:
-    """Smallest amplitude of each effect inside the dwells, by name.
+    """Return the smallest visible amplitude of each effect inside the dwells, by name.
 
     Parameters
     ----------
     samples : Samples
-        Without what was found in them.
+        Samples without their findings.
     density : Density or None
-        Of their noise.
+        Density of their noise.
     """
     return {
         "tone": _tone(samples, density),
@@ -264,10 +259,10 @@ def sensitivity(samples: Samples, density: Density | None) -> dict[str, Detectab
 
 
 def _tone(samples: Samples, density: Density | None) -> Detectable:
-    """A line in all dwells, at a middling frequency: against the F variable of the pooled ordinates.
+    """Return the visible amplitude of a line in all dwells, from the F-test of the pooled ordinates.
 
-    An amplitude A adds c A² n/4S to an ordinate of n samples, S the density, c what the taper leaves, so
-    that the sum of d ordinates is half a noncentral χ² of 2d degrees of freedom.
+    An amplitude A adds c A² n/4S to an ordinate of n samples, with density S and loss c by the taper, so
+    that the sum of d ordinates is half a noncentral χ² variable with 2d degrees of freedom.
     """
     if density is None:
         return Detectable(None, "mg", "tone", "the dwells are too short for a spectrum")
@@ -294,7 +289,7 @@ def _tone(samples: Samples, density: Density | None) -> Detectable:
 
 
 def _noise_change(samples: Samples, density: Density | None) -> Detectable:
-    """White noise that joins in the middle of the session: against the tests of one change, F or t."""
+    """Return the visible white noise that starts mid-session, from the F- and t-tests of one change."""
     if density is None or len(density.dwells) < LEAST_LOUD:
         return Detectable(None, "mg", "extra", f"needs {LEAST_LOUD} dwells long enough for a spectrum")
     dwells = len(density.dwells)
@@ -304,7 +299,7 @@ def _noise_change(samples: Samples, density: Density | None) -> Detectable:
         own = levels_of(samples, density, axis)
         half = float(own.dof.sum()) / 2
         ratio = float(stats.f.isf(p, half, half) / stats.f.isf(_POWER, half, half))
-        # What joins scatters by itself: by its degrees of freedom, whatever these few dwells show.
+        # The added noise scatters too, according to its degrees of freedom.
         chance = math.sqrt(float(special.polygamma(1, np.median(own.level_dof) / 2)) * 4 / dwells)
         away = _noncentral(p, dwells - 2) * max(step_of(own.course, own.level_dof, dwells // 2)[1], chance)
         quiet = float(np.median(own.level)) * density.base[density.searched, axis]
@@ -314,9 +309,9 @@ def _noise_change(samples: Samples, density: Density | None) -> Detectable:
 
 
 def _joining(quiet: Floats, away: float) -> float:
-    """Variance of white noise in mg² that raises the level of half of the dwells by `away` (a logarithm).
+    """Variance of white noise in mg² that raises the log level of half of the dwells by `away`.
 
-    The level is in units of the density (points,) of all dwells, which what joins changes as well.
+    The level is in units of the density (points,) of all dwells, which the added noise changes too.
     """
 
     def missing(log_variance: float) -> float:
@@ -331,7 +326,7 @@ def _joining(quiet: Floats, away: float) -> float:
 
 
 def _settling(samples: Samples) -> Detectable:
-    """Settling alike in all dwells, of the middle time constant: against the t test between the dwells."""
+    """Return the visible settling of a middle time constant in all dwells, from the t-test of dwells."""
     usable = samples.counts >= LEAST_SAMPLES
     constants = [tau for tau in grid(samples, usable) if tau is not None] if usable.any() else []
     dwells = int(usable.sum())
@@ -342,19 +337,16 @@ def _settling(samples: Samples) -> Detectable:
     z, norm = projections(samples, usable, constants[len(constants) // 2])
     energy = float((norm**2).sum())
     tests = (len(constants) + 1) * 2 * samples.axes
-    size = _detectable_size(FOUND_WITHIN / SEARCHES / tests / 2, dwells - 1)
+    # Size in units of its u that exceeds the two-sided limit with a probability of 90 %.
+    p = FOUND_WITHIN / SEARCHES / tests / 2
+    size = float(stats.t.isf(p, dwells - 1) + stats.t.isf(1 - _POWER, dwells - 1))
     slope = (norm[:, None] * z).sum(axis=0) / energy
     scatter = ((z - norm[:, None] * slope)[usable] ** 2).sum(axis=0) / (dwells - 1)
     return Detectable(float(np.sqrt(scatter.max() / energy)) * size, "mg", "settling")
 
 
-def _detectable_size(p: float, dof: int) -> float:
-    """Size in units of its u, which the session's scatter gives, at which 90 % exceed the limit at p."""
-    return float(stats.t.isf(p, dof) + stats.t.isf(1 - _POWER, dof))
-
-
 def _noncentral(p: float, dof: int) -> float:
-    """Size of a t variable, in its standard deviations, that exceeds its limit of one side at p."""
+    """Size of a t variable, in its standard deviations, that exceeds its one-sided limit with 90 %."""
     limit = float(stats.t.isf(p, dof))
 
     def missing(size: float) -> float:

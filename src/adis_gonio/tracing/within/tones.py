@@ -1,30 +1,29 @@
-"""Spectral lines inside the dwells, against the density of the session's own noise.
+"""Spectral lines inside the dwells, tested against the density of the session's own noise.
 
-Two searches at every frequency and axis: the ordinates of all dwells together (a line that all of them
-hold, each with a phase of its own), and the largest ordinate of a single dwell. Under noise an ordinate is
-exponentially distributed about the density, so that the sum of d is a gamma variable; the density is an
-estimate itself, which makes it an F variable. Real noise is rougher than that (dwells differ in their
-spectra): degrees of freedom are lowered until they explain the scatter of the ordinates about the running
-median. A line is taken away before the next one is looked for.
+Search
+    Two searches at every frequency and axis: the ordinates of all dwells together (a line that occurs in
+    all of them, with any phases), and the largest ordinate of a single dwell. An ordinate of noise is
+    exponentially distributed about the density, so the sum of d ordinates is a gamma variable; the
+    estimated density makes it an F variable. Real noise varies more, since dwells differ in their
+    spectra. The degrees of freedom are therefore lowered until they explain the scatter of the ordinates
+    about the running median. A line is subtracted before the next search.
 
-The time between samples need not be constant: frequency and amplitude are fitted on the samples' own times.
-A line at f of samples at the rate f_s may be a vibration at f or at any k f_s ± f, k = 1, 2, …: above
-half of the rate it is seen as its alias, and a filter that works on samples already taken lets it pass as
-it lets f pass. A finding names them all up to `HIGHEST_HZ`. Amplitudes are those of the recorded samples,
-behind whatever filter the sensor has.
+    Times between samples may vary: frequency and amplitude are fitted at the times of the samples. At a
+    sampling rate f_s, a line at f may be a vibration at f or at any k f_s ± f, k = 1, 2, …. Above half of
+    the rate a vibration appears as an alias, and a filter after the sampling treats it like f. A finding
+    lists all these frequencies up to `HIGHEST_HZ`. Amplitudes are those behind the filter of the sensor.
 
-Spectral density of the noise inside the dwells, pooled over them, against which tones are judged.
+Density
+    The periodogram of each dwell (line removed, Hann's taper, zero-padded to twice its length) is divided
+    by the level of the dwell, so that a loud dwell has no larger weight. Their mean is divided by a
+    shape: white noise behind the chip's Bartlett filter, a floor (the converter) and 1/f noise. The
+    Whittle likelihood chooses the filter length and both amounts; sensors without this filter get a flat
+    shape. The remaining slow variation with frequency (other filters) is followed by a running median,
+    which lines do not affect.
 
-Every dwell's periodogram (least-squares line taken off, Hann's taper, zero-padded to twice its length) is
-divided by the dwell's own level, so that a loud dwell does not count for more. Their mean over dwells is
-divided by the shape that the chip's Bartlett filter gives to white noise, with a floor (the converter) and
-1/f noise; which of the filter's lengths, and how much of both, is chosen by the Whittle likelihood. Other
-sensors take the flat one. What is left varies slowly with frequency (other filters) and is followed by a
-running median, which a line does not move.
-
-A line near the lowest frequencies looks like 1/f noise to both. Where a line is likelier at what stands
-highest above its own neighbours than any shape is that holds it (a filter has lobes), both sides of it
-stand in its place.
+    Near the lowest frequencies a line resembles 1/f noise. If the highest point above its neighbours is
+    more likely to be a line than part of any filter shape (a filter has lobes), the density there is
+    replaced by the density on both sides.
 """
 
 from __future__ import annotations
@@ -39,33 +38,32 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize, signal, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.within.samples import Samples, View, WithinFinding, corrected, positions_text
 
 HIGHEST_HZ = effect("tone", ("x",)).parameters[1].high
-"""Highest true frequency that is thought of: the bound of the catalogue's `tone`."""
+"""Highest frequency considered: the bound of the catalogue's `tone`."""
 MOST_ALIASES = 6
-"""Most of them in a sentence."""
+"""Largest number of aliases in a sentence."""
 MOST = 5
-"""Most lines that are looked for."""
+"""Largest number of lines that are searched for."""
 _MOST_POINTS = 600
 
 
 @dataclass(frozen=True)
 class _Peak:
-    """A point of the grid at which a line stands."""
+    """A point of the grid with a significant line."""
 
     at: int
     p_value: float
     dwell: int | None
-    """Row of the density of the one dwell that shows it; None where all together do."""
+    """Row of the density of the only dwell with the line; None for all dwells."""
 
 
 def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | None]:
-    """Lines, the samples without them, and the density of what is left."""
+    """Return lines, the samples without them, and the density of the remaining noise."""
     found: list[WithinFinding] = []
     density = density_of(samples)
     while density is not None and len(found) < MOST:
@@ -80,7 +78,7 @@ def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | Non
 
 
 def _highest(density: Density) -> _Peak | None:
-    """The most significant line, if any is."""
+    """Return the most significant line; None without any."""
     searched, relative = density.searched, density.relative
     d, points, axes = relative.shape
     if points < 1:
@@ -98,7 +96,7 @@ def _highest(density: Density) -> _Peak | None:
             best = _Peak(at + searched.start, p, None)
         single = relative[:, :, axis]
         dwell, at = divmod(int(np.argmax(single)), points)
-        # Spectra of single dwells differ: the line has to stand out of its own dwell as well.
+        # Spectra of single dwells differ: the line has to exceed the density of its own dwell too.
         half = int(width[at] * PADDING / 2)
         own = single[dwell, max(0, at - half) : at + half + 1]
         height = single[dwell, at] / max(1.0, float(np.median(own)) / np.log(2))
@@ -110,7 +108,7 @@ def _highest(density: Density) -> _Peak | None:
 
 
 def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:
-    """Fit a line at a peak and take it away; None where nothing of it is left on the samples' own times."""
+    """Fit a line at a peak and subtract it; None if it does not exist at the times of the samples."""
     period = samples.period_s
     dwells = density.dwells
     times = [samples.elapsed_s(int(k)) for k in dwells]
@@ -120,7 +118,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     about = density.frequency[peak.at] / period
 
     every = list(zip(times, rows, weight, strict=True))
-    showing = [every[k] for k in _showing(density, peak)]
+    showing = [every[k] for k in _dwells_with(density, peak)]
 
     def power(frequency: float) -> float:
         total = 0.0
@@ -135,7 +133,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     squares, quadratures = _amplitudes(frequency, times, rows)
     counts = np.array([len(own) for own in rows], dtype=float)[:, None]
     noise = density.level * density.base[peak.at]
-    # A quadrature of n samples of density S has the variance 2 S/n.
+    # A quadrature of n samples with density S has the variance 2 S/n.
     excess = squares * counts / (4 * noise)
     chosen = np.ones(len(dwells), dtype=bool)
     if peak.dwell is not None:
@@ -148,7 +146,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         return None
     clear = excess[:, axes].max(axis=1) > -np.log(FOUND_WITHIN / (len(dwells) * len(axes)))
     if peak.dwell is None and (clear.mean() > 0.5 or not clear.any()):
-        # A line that most dwells show stands in the others as well, below what one dwell can tell.
+        # A line in most dwells is present in the others too, below the noise of a single dwell.
         expected = (amplitude[axes] ** 2 * counts / (4 * noise[:, axes])).sum(axis=1)
         clear |= excess[:, axes].sum(axis=1) > 0.25 * expected
     if not clear.any():
@@ -178,7 +176,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         p_value=peak.p_value,
         sentence=(
             f"a spectral line at {parameters['frequency']} (amplitude {sizes}) in "
-            f"{positions_text(positions, len(samples))}{_or_alias(folding)}"
+            f"{positions_text(positions, len(samples))}{_alias_text(folding)}"
         ),
         advice=(
             "find what shakes the table at the line's frequency, or at one that folds to it: record again "
@@ -190,8 +188,8 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     return finding, samples.with_values(values)
 
 
-def _showing(density: Density, peak: _Peak) -> list[int]:
-    """Numbers of the dwells that show a peak: all, where it was found in all of them together."""
+def _dwells_with(density: Density, peak: _Peak) -> list[int]:
+    """Return the numbers of the dwells with the peak: all, if it was found in all of them together."""
     if peak.dwell is None:
         return list(range(len(density.dwells)))
     near = slice(peak.at - PADDING, peak.at + PADDING + 1)
@@ -202,14 +200,14 @@ def _showing(density: Density, peak: _Peak) -> list[int]:
 
 
 def aliases_hz(frequency_hz: float, rate_hz: float) -> tuple[float, ...]:
-    """Frequencies k f_s ± f up to `HIGHEST_HZ` that samples at a rate f_s show at f, lowest first."""
+    """Return the frequencies k f_s ± f up to `HIGHEST_HZ` that appear at f, in ascending order."""
     orders = np.arange(1, int((HIGHEST_HZ + frequency_hz) / rate_hz) + 1)
     folding = np.concatenate([orders * rate_hz - frequency_hz, orders * rate_hz + frequency_hz])
     return tuple(np.sort(folding[folding <= HIGHEST_HZ]).tolist())
 
 
-def _or_alias(folding: tuple[float, ...]) -> str:
-    """What a sentence says of the frequencies that fold to a line."""
+def _alias_text(folding: tuple[float, ...]) -> str:
+    """Text about the aliases of a line."""
     if not folding:
         return ""
     named = ", ".join(format_number(f, 4) for f in folding[:MOST_ALIASES])
@@ -220,7 +218,7 @@ def _or_alias(folding: tuple[float, ...]) -> str:
 def _amplitudes(
     frequency: float, times: list[Floats], rows: list[Floats]
 ) -> tuple[Floats, list[tuple[Floats, Floats]]]:
-    """Squared amplitudes (d, axes) and the quadratures of each dwell by least squares."""
+    """Squared amplitudes (d, axes) and quadratures of each dwell by least squares."""
     squares, quadratures = [], []
     for time, own in zip(times, rows, strict=True):
         turn = 2 * np.pi * frequency * time
@@ -232,10 +230,10 @@ def _amplitudes(
 
 
 def _sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Amplitude of each axis (axes,), its standard uncertainty, and whether it stands out of the noise.
+    """Return amplitude and standard uncertainty of each axis (axes,), and whether it is significant.
 
-    Noise adds to the square of an amplitude; dwells scatter by noise and because the line's strength may
-    change, and both show in the scatter of the squares.
+    Noise adds to the square of an amplitude. Noise and a change of the line's strength both appear in the
+    scatter of the squares over dwells.
     """
     d = len(squares)
     weight = 1 / noise
@@ -253,14 +251,14 @@ def _sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floa
 
 
 def _view(density: Density, period: float, axis: int, letter: str, frequency: float) -> View:
-    """Pooled amplitude density about a line, in mg/√Hz, one-sided."""
+    """Pooled amplitude density near a line, in mg/√Hz, one-sided."""
     level = float(density.level[:, axis].mean())
     pooled = (density.power / density.level[:, None, :]).mean(axis=0)[:, axis] * level
     inside = slice(density.searched.start, density.searched.stop)
     x, y = density.frequency[inside] / period, np.sqrt(2 * period * pooled[inside])
     model = np.sqrt(2 * period * level * density.base[inside, axis])
     if len(x) > _MOST_POINTS:
-        # Maxima of neighbours, so that the line stays in the drawing.
+        # Maxima of neighbours, so that the line remains visible in the figure.
         each = -(-len(x) // _MOST_POINTS)
         cut = len(x) // each * each
         top = y[:cut].reshape(-1, each).argmax(axis=1) + np.arange(0, cut, each)
@@ -268,67 +266,65 @@ def _view(density: Density, period: float, axis: int, letter: str, frequency: fl
     return View(
         x,
         y,
-        x,
-        model,
         "frequency / Hz",
         f"density of {letter} / mg/√Hz",
         f"Spectrum of {letter} inside the dwells, with a line at {format_number(frequency, 4)} Hz.",
+        model,
         model_label="noise",
         y_log=True,
     )
 
 
 PADDING = 2
-"""Points of the grid an independent ordinate."""
+"""Points of the grid per independent ordinate."""
 LOWEST = 6
-"""Cycles a dwell below which a line cannot be told from slow noise or drift."""
+"""Cycles per dwell below which a line cannot be distinguished from slow noise or drift."""
 LEAST_SAMPLES = 32
 _FILTERS = range(7)
 _FLOORS = (0.0, *np.geomspace(1e-3, 30.0, 8).tolist())
-"""What the converter adds at the lowest frequency searched, in units of the filtered density's largest
-value."""
+"""Floor of the converter at the lowest searched frequency, in units of the filtered density's maximum."""
 _KNEES = (np.inf, 0.2, 0.07, 0.025, 0.0)
-"""Frequencies in cycles a sample above which that falls off with the square: a slow signal jumps from code
-to code, the slower the rarer."""
+"""Corner frequencies of the floor in cycles per sample, above which it falls with the square. A slow signal
+crosses codes the more rarely the slower it is."""
 _FLICKERS = (0.0, *np.geomspace(0.01, 300.0, 10).tolist())
-"""1/f noise at the lowest frequency searched, in the same unit."""
+"""1/f noise at the lowest searched frequency, in the same unit."""
 _ROUNDING = 1e-30
-"""Power in mg² that is none: of an axis that shows one code."""
+"""Power in mg² that counts as zero, for an axis with one code only."""
 _CELLS = 120
 _LENGTHS = 5
 _LINE = 2.0
-"""Ordinates to each side that a line reaches under Hann's taper."""
+"""Ordinates on each side that a line covers under Hann's taper."""
 _STEEP = 1.5
-"""Ordinates to each side over which the density's shape counts as one."""
+"""Ordinates on each side over which the largest shape counts."""
 TAPER_LOSS = 1.944
-"""n Σw⁴ / (Σw²)² of Hann's taper: degrees of freedom that it costs."""
+"""n Σw⁴ / (Σw²)² of Hann's taper, the loss of degrees of freedom."""
 _WIDTHS = (6, 16, 40)
-"""Half widths of the running median in independent ordinates; the largest one that is at most a third of
-the ordinate's number."""
+"""Half widths of the running median in independent ordinates; used is the largest that is at most a third
+of the ordinate's number."""
 
 
 @dataclass(frozen=True)
 class Density:
-    """Periodograms of dwells of one sampling rate.
+    """Periodograms of dwells with one sampling rate.
 
     Attributes
     ----------
     dwells : (d,) int
-        Which dwells of the samples: those that are long enough.
+        Numbers of the sufficiently long dwells.
     frequency : (k,) float
-        Cycles a sample.
+        Frequency in cycles per sample.
     searched : slice
-        Part of the grid in which lines are looked for.
+        Part of the grid in which lines are searched for.
     power : (d, k, axes) float
-        Periodograms, mg² (two-sided density a sample).
+        Periodograms in mg² (two-sided density per sample).
     level : (d, axes) float
-        Level of each dwell, at least the middle one of all: its density is about `level · base`.
+        Level of each dwell, at least the median level. The density of a dwell is about `level · base`.
     base : (k, axes) float
-        Pooled density, of a level of 1 on average.
+        Pooled density for a level of 1.
     bound : (k, axes) float
-        What a line has to stand above: `base`, or what lies beside it where that is more.
+        Threshold density for a line: `base` or, if larger, the density on either side.
     width : (k,) float
-        Independent ordinates in the running median.
+        Independent ordinates of the running median.
     """
 
     dwells: NDArray[np.intp]
@@ -342,14 +338,15 @@ class Density:
 
     @property
     def relative(self) -> Floats:
-        """Ordinates (d, searched, axes) in units of what a line has to stand above."""
+        """Ordinates (d, searched, axes) in units of `bound`."""
         return self.power[:, self.searched] / self.level[:, None, :] / self.bound[None, self.searched]
 
     @cached_property
     def effective(self) -> Floats:
-        """Dwells (axes,) whose independent ordinates would scatter about the density as the pooled ones do.
+        """Effective number of dwells (axes,), at most all, from the scatter of the pooled ordinates.
 
-        At most all of them. What lies beside a point is no part of that: it scatters by itself.
+        Independent ordinates of so many dwells would scatter about the density as the pooled ones do. The
+        flanks in `bound` are not used, since they scatter themselves.
         """
         part = self.searched
         pooled = (self.power[:, part] / self.level[:, None, :]).mean(axis=0) / self.base[part]
@@ -362,7 +359,7 @@ class Density:
 
 
 def density_of(samples: Samples) -> Density | None:
-    """Density of the dwells that have `LEAST_SAMPLES`; None where there are none."""
+    """Return the density of the dwells with at least `LEAST_SAMPLES`; None without any."""
     counts = samples.counts
     dwells = np.flatnonzero(counts >= LEAST_SAMPLES)
     if not dwells.size:
@@ -385,7 +382,9 @@ def density_of(samples: Samples) -> Density | None:
     beside = _beside(pooled, searched, each)
     information = len(dwells) / each / TAPER_LOSS
     tests = samples.axes * (searched.stop - searched.start) / each
-    responses = [own[searched] for own in _responses(counts[dwells], size)]
+    # Only filters shorter than the longest dwell.
+    filters = [m for m in _FILTERS if 2 ** (m + 1) <= longest]
+    responses = [_expected(m, counts[dwells], size)[searched] for m in filters]
     shape = np.ones((len(frequency), samples.axes))
     lined = np.zeros(samples.axes, dtype=bool)
     for axis in range(samples.axes):
@@ -394,11 +393,11 @@ def density_of(samples: Samples) -> Density | None:
         gain = information * _gain(own, with_peak, without, own != usual)
         lined[axis] = corrected(math.exp(-max(gain, 0.0)), tests) < FOUND_WITHIN
         shape[searched, axis] = without if lined[axis] else with_peak
-    # Below and above what is searched the density counts as level.
+    # Outside the searched part the density counts as constant.
     shape[: searched.start], shape[searched.stop :] = shape[searched.start], shape[searched.stop - 1]
-    # The median of an exponential distribution is ln 2 of its mean.
+    # The median of an exponential distribution is ln 2 times its mean.
     level = np.maximum(np.median(band / shape[None, searched], axis=1) / np.log(2), 1e-300)
-    # The converter's floor does not fall with a quiet dwell, which would rule the notches of the filter.
+    # The converter's floor does not fall in a quiet dwell, which would dominate the notches of the filter.
     level = np.maximum(level, np.median(level, axis=0))
     pooled = (power / level[:, None, :]).mean(axis=0)
     base = np.stack(
@@ -413,18 +412,18 @@ def density_of(samples: Samples) -> Density | None:
         ],
         axis=1,
     )
-    # Where the density is steep (edges and notches of a filter) a small error of its shape is a large one
-    # of the density: there its largest value nearby counts.
+    # On steep parts of the density (edges and notches of a filter) a small error of its shape is a large
+    # error of the density: use the largest value nearby.
     base = base * ndimage.maximum_filter1d(shape, 2 * round(_STEEP * each) + 1, axis=0)
-    # On a slope of the density one side is as high as a line would be: a line stands above both.
+    # On a slope of the density one flank is as high as a line: a line has to exceed both flanks.
     bound = np.maximum(base, _flanks(pooled, each))
     return Density(dwells.astype(np.intp), frequency, searched, power, level, base, bound, 2 * width + 1)
 
 
 def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, int], Floats]:
-    """Densities (k,) of an axis without what a line would be: where it stands highest above its neighbours.
+    """Return a function that bridges the highest point of an axis above its neighbours.
 
-    There the geometric mean of both sides stands instead.
+    The density (k,) there is replaced by the geometric mean of both sides.
     """
     above = (pooled / np.maximum(_flanks(pooled, each), 1e-300))[searched]
     peaks = searched.start + above.argmax(axis=0)
@@ -442,10 +441,10 @@ def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, i
 
 
 def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool_]) -> float:
-    """Log likelihood that a line at the peak gains, a dwell and point of the grid of information.
+    """Log likelihood gain of a shape with a peak over a line there, per dwell and independent point.
 
-    Whittle's, with the scale fitted: of a shape that was fitted with the peak, against one that was fitted
-    without it and a line that takes what is there.
+    Whittle likelihood with fitted scale: a shape fitted with the peak, against a shape fitted without it
+    plus a line at the peak.
     """
 
     def loss(shape: Floats, part: NDArray[np.bool_]) -> float:
@@ -457,7 +456,7 @@ def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool
 
 
 def _flanks(pooled: Floats, each: float) -> Floats:
-    """Larger one of the means (k, axes) over the ordinates on both sides that a line does not reach."""
+    """Larger of the mean densities (k, axes) on both sides, outside the width of a line."""
     near, far = round(_LINE * each), round(2 * _LINE * each)
     sums = np.concatenate([np.zeros((1, pooled.shape[1])), np.cumsum(pooled, axis=0)])
     at = np.arange(len(pooled))
@@ -471,7 +470,7 @@ def _flanks(pooled: Floats, each: float) -> Floats:
 
 
 def without_line(rows: Floats) -> Floats:
-    """Samples (n, axes) without their mean and slope."""
+    """Return samples (n, axes) without their mean and slope."""
     place = np.arange(len(rows)) - (len(rows) - 1) / 2
     centred = rows - rows.mean(axis=0)
     slope = place @ centred / max(float(place @ place), 1e-300)
@@ -489,9 +488,9 @@ def _widths(points: int, each: float) -> Floats:
 
 
 def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats:
-    """Running median of a density over the part that is searched, continued beyond it."""
+    """Running median of a density over the searched part, continued beyond it."""
     smooth = np.empty_like(flat)
-    # Beyond the part that is searched lie drift and the last ordinate: they must not pull on the rest.
+    # The parts outside contain drift and the last ordinate, which must not influence the rest.
     inside = flat[searched]
     for half in np.unique(width):
         points = min(2 * int(half * each) + 1, 2 * (len(inside) // 2) - 1)
@@ -509,12 +508,12 @@ def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats
 
 
 def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Floats:
-    """Shape (k,) that fits best: white noise behind a filter (`responses`) with a floor and 1/f noise.
+    """Fit a shape (k,): white noise behind a filter (`responses`), a floor and 1/f noise.
 
-    Whittle likelihood with the scale fitted, over cells of neighbours; the model is averaged over the same
-    cells, so that a cell may be wider than a notch of the filter.
+    Whittle likelihood with fitted scale, over cells of neighbouring frequencies. The model is averaged over
+    the same cells, so that a cell may be wider than a notch of the filter.
     """
-    # Cells grow with frequency: the foot of a long filter has few ordinates.
+    # Cells grow with frequency, since the passband of a long filter has few ordinates.
     edges = np.unique((len(frequency) * np.linspace(0, 1, _CELLS, endpoint=False) ** 2).astype(np.intp))
     weight = np.diff(np.append(edges, len(frequency))).astype(float)
 
@@ -527,12 +526,12 @@ def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Fl
     falls = {knee: _falling(frequency, knee) for knee in _KNEES}
 
     def deviance(own: Floats) -> Floats:
-        """−2 log likelihood less a constant, of models (…, cells) with their scale fitted."""
+        """−2 log likelihood up to a constant, of models (…, cells) with fitted scale."""
         return np.asarray(np.log(own) @ weight + weight.sum() * np.log((seen / own) @ weight))
 
     best, chosen, start = np.inf, np.ones_like(pooled), (0.0, 0.0, 0.0)
     for through in responses:
-        response = through / through.max()  # a long filter leaves little of its noise there
+        response = through / through.max()  # normalise: a long filter passes little of its noise
         white = cells(response)
         for knee, falling in falls.items():
             losses = deviance(white + floors * cells(falling) + low)
@@ -560,19 +559,14 @@ def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Fl
 
 
 def _falling(frequency: Floats, knee: float) -> Floats:
-    """A density (k,) that falls off with the square above a frequency; 1 at the lowest one."""
+    """A density (k,) that falls with the square above a corner frequency; 1 at the lowest frequency."""
     if np.isinf(knee):
         return np.ones_like(frequency)
     return np.asarray((knee**2 + frequency[0] ** 2) / (knee**2 + frequency**2))
 
 
-def _responses(counts: NDArray[np.intp], size: int) -> list[Floats]:
-    """Expected densities of white noise behind each filter that is shorter than the longest dwell."""
-    return [_expected(m, counts, size) for m in _FILTERS if 2 ** (m + 1) <= counts.max()]
-
-
 def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
-    """Expected periodogram of filtered white noise under the taper: its own leakage and resolution."""
+    """Expected periodogram of filtered white noise under the taper, with its leakage and resolution."""
     taps = 2**filter_m
     window = np.convolve(np.ones(taps), np.ones(taps)) / taps**2
     covariance = np.correlate(window, window, "full")[len(window) - 1 :]
@@ -591,7 +585,7 @@ def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
 
 
 def _taper(n: int) -> Floats:
-    """Hann taper (n,) of mean square 1/n, so that white noise keeps its density."""
+    """Hann taper (n,) of mean square 1/n, which preserves the density of white noise."""
     taper = signal.windows.hann(n + 2)[1:-1]
     result: Floats = taper / np.sqrt(taper @ taper)
     return result

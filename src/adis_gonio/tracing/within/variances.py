@@ -1,14 +1,14 @@
-"""Whether the samples scatter alike in all dwells: `noise_change`.
+"""Change of the scatter of samples between dwells: `noise_change`.
 
-Compared is the variance of a dwell above `LOWEST` cycles a dwell, where neither drift nor slow noise
-reaches. Its degrees of freedom follow from the density (neighbours that are correlated count less), from
-the excess of the samples' fourth moment over a normal distribution's, and from the converter: at noise near
-its step the variance depends on where between two codes the mean lies. Behind a long filter a few low
-frequencies hold nearly all of the variance, and white noise that joins shows at the others: compared is
-also the level, the mean over all frequencies of the power in units of the density.
+The variance of a dwell is compared above `LOWEST` cycles per dwell, without drift and slow noise. Its
+degrees of freedom depend on the density (correlated neighbours count less), on the excess of the fourth
+moment over that of a normal distribution, and on the converter: if the noise is near its step, the
+variance depends on the position of the mean between two codes. Behind a long filter a few low frequencies
+contain nearly all variance, while added white noise appears at the other frequencies. The level is
+therefore compared too; it is the mean over all frequencies of the power in units of the density.
 
-Four tests an axis: all dwells alike (Bartlett), one change between two dwells (F, all places), one dwell
-against the others (F), and one change of the level, against its own scatter from dwell to dwell (t, all
+Four tests on each axis: all dwells equal (Bartlett), one change between two dwells (F, all places), one
+dwell against the others (F), one change of the level against its scatter from dwell to dwell (t, all
 places).
 """
 
@@ -23,22 +23,21 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.levels import FOUND_WITHIN, INADEQUATE
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.values import Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, INADEQUATE, Value
 from adis_gonio.tracing.within.samples import Place, Samples, View, WithinFinding, corrected, positions_text
 from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, without_line
 
 LEAST_DWELLS = 3
 _LIVELY = 0.6
-"""Noise in steps of the converter below which the variance says where the mean lies and no more."""
+"""Noise in steps of the converter below which the variance shows only the position of the mean."""
 TESTS = 4
-"""That share the level of an axis."""
+"""Number of tests that share the level of an axis."""
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Variances (d,) of d dwells on one axis in mg² and their levels, each with its degrees of freedom.
+    """Variances (d,) of dwells on one axis in mg² and their levels, each with degrees of freedom.
 
     A level is the mean over frequencies of the power in units of the density.
     """
@@ -49,22 +48,22 @@ class Levels:
     level_dof: Floats
 
     def rows(self, chosen: NDArray[np.bool_]) -> Levels:
-        """Those of some dwells."""
+        """Return some of the dwells."""
         return Levels(self.variance[chosen], self.dof[chosen], self.level[chosen], self.level_dof[chosen])
 
     @cached_property
     def course(self) -> Floats:
-        """Logarithm of the level (d,), less what so many degrees of freedom lower it by on average."""
+        """Log level (d,), corrected for the bias of the logarithm at these degrees of freedom."""
         half = self.level_dof / 2
         return np.log(np.maximum(self.level, 1e-300)) - special.digamma(half) + np.log(half)
 
     @property
     def common(self) -> float:
-        """Variance of all together."""
+        """Pooled variance of all dwells."""
         return float(self.dof @ self.variance / self.dof.sum())
 
     def alike(self) -> float:
-        """p-value of Bartlett's test that all variances are alike."""
+        """p-value of Bartlett's test of equal variances."""
         d = len(self.variance)
         if d < 2:
             return 1.0
@@ -74,7 +73,7 @@ class Levels:
         return float(special.chdtrc(d - 1, max(statistic, 0.0)))
 
     def changed(self) -> float:
-        """p-value of the t-test of one change of the level, of the best of all places."""
+        """p-value of the t-test of one change of the level, for the best of all places."""
         d = len(self.level)
         p = 1.0
         for cut in range(1, d):
@@ -84,7 +83,7 @@ class Levels:
 
 
 def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
-    """By how much a course (d,) is higher from `cut` on, with its standard uncertainty from the scatter."""
+    """Return the step of a course (d,) at `cut`, and its standard uncertainty from the scatter."""
     parts = [(course[own], weight[own]) for own in (slice(cut), slice(cut, None))]
     means = [float(np.average(x, weights=w)) for x, w in parts]
     squares = sum(float(w @ (x - mean) ** 2) for (x, w), mean in zip(parts, means, strict=True))
@@ -93,7 +92,7 @@ def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
 
 
 def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
-    """Change of the scatter between dwells; None where there is none, or fewer than three dwells."""
+    """Find a change of the scatter between dwells; None without any, or with fewer than three dwells."""
     if density is None or len(density.dwells) < LEAST_DWELLS:
         return None
     dwells = density.dwells
@@ -115,20 +114,20 @@ def noise_change(samples: Samples, density: Density | None) -> WithinFinding | N
 
 
 def heterogeneous(finding: WithinFinding | None, samples: Samples) -> list[int]:
-    """Axes whose scatter differs between dwells."""
+    """Return the axes whose scatter differs between dwells."""
     return [] if finding is None else [samples.letters.index(axis) for axis in finding.axes]
 
 
 def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
-    """Variances of the dwells above the lowest frequencies."""
+    """Return variances and levels of the dwells above the lowest frequencies."""
     searched = density.searched
     band = density.power[:, searched, axis]
     base = density.base[searched, axis]
-    # What lies below the band belongs to the variance as well: its share by the density.
+    # The variance includes the part below the band: add its share by the density.
     whole = float(density.base[:, axis].sum() / base.sum())
     variance = np.maximum(whole * band.sum(axis=1) / (len(density.frequency) - 1), 1e-300)
     counts = samples.counts[density.dwells].astype(float)
-    # Two degrees an independent ordinate, weighted by the density.
+    # Two degrees of freedom per independent ordinate, weighted by the density.
     share = len(base) / len(density.frequency)
     dof = counts * share * base.mean() ** 2 / np.mean(base**2) / TAPER_LOSS
     level_dof = counts * share / TAPER_LOSS
@@ -147,7 +146,7 @@ def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
 
 def _p_value(own: Levels, axes: int) -> float:
     d = len(own.variance)
-    # Four tests, some of them at many places: each pays for all.
+    # Four tests, some at many places; each is multiplied by the total number.
     candidates = [own.alike() * TESTS * axes, own.changed() * TESTS * axes]
     for cut in range(1, d):
         after = np.arange(d) >= cut
@@ -165,11 +164,11 @@ def _ratio_p(one: Levels, other: Levels) -> float:
 
 
 def _best_cut(levels: list[Levels]) -> int | None:
-    """First dwell of the louder part, by least squares over all axes; None if what follows is quieter."""
+    """Return the first dwell of the louder part by least squares over all axes; None if it is quieter."""
     best: tuple[float, int] | None = None
     for cut in range(1, len(levels[0].level)):
         steps = [step_of(own.course, own.level_dof, cut) for own in levels]
-        # What one step takes off the logarithm of the scatter.
+        # Reduction of the log scatter by one step.
         dof = len(levels[0].level) - 2
         gain = sum(math.log1p((step / max(u, 1e-300)) ** 2 / dof) for step, u in steps)
         if best is None or gain > best[0]:
@@ -178,7 +177,7 @@ def _best_cut(levels: list[Levels]) -> int | None:
 
 
 def _explained(own: Levels, cut: int) -> bool:
-    """True where one change at `cut` (within a dwell beside it, or between) leaves dwells alike."""
+    """Whether one change, at `cut` or within an adjacent dwell, leaves equal variances on each side."""
     at = np.arange(len(own.variance))
     parts = [own.rows(at < cut - 1), own.rows(at > cut)]
     p = [part.alike() for part in parts if len(part.variance) > 1]
@@ -231,10 +230,11 @@ def _joining(
 def _joined(
     density: Density, axis: int, own: Levels, quiet: NDArray[np.bool_], loud: NDArray[np.bool_]
 ) -> Value:
-    """Standard deviation in mg of what joined.
+    """Standard deviation in mg of the added noise.
 
-    By the variance of the samples; by white noise where that fits the change of the spectrum better than
-    the spectrum of the noise does, since behind a long filter it is lost in their variance.
+    It follows from the variance of the samples or, if white noise describes the change of the spectrum
+    better than the spectrum of the noise does, from the spectrum: behind a long filter the variance
+    hardly changes.
     """
     base = density.base[density.searched, axis]
     power = density.power[:, density.searched, axis] / base
@@ -245,6 +245,7 @@ def _joined(
 
     white = 1 / base
     if left(white) < left(np.ones_like(base)):
+        # Amount of white noise in each dwell by projection on its shape.
         amounts = power @ white / (white @ white)
         parts = [amounts[quiet], amounts[loud]]
         square = float(parts[1].mean() - parts[0].mean())
@@ -261,7 +262,7 @@ def _joined(
 def _varying(
     samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int], p_value: float
 ) -> WithinFinding:
-    """Variances that differ without the form of one change."""
+    """Return a finding for variances that differ other than by one change."""
     d = len(dwells)
     unusual = np.zeros(d, dtype=bool)
     places: list[Place] = []
@@ -271,18 +272,9 @@ def _varying(
         spread = np.sqrt(2 / own.dof)
         far = np.abs(np.log(ratio)) > stats.norm.isf(FOUND_WITHIN / (2 * d)) * spread
         unusual |= far
+        size, u = np.sqrt(own.variance), np.sqrt(own.variance / (2 * own.dof))
         places += [
-            Place(
-                int(samples.position[dwells[k]]),
-                samples.letters[axis],
-                None,
-                Value(
-                    float(np.sqrt(own.variance[k])),
-                    float(np.sqrt(own.variance[k] / (2 * own.dof[k]))),
-                    "mg",
-                ),
-            )
-            for k in np.flatnonzero(far).tolist()
+            samples.place(int(dwells[k]), axis, size[k], float(u[k])) for k in np.flatnonzero(far).tolist()
         ]
     if not unusual.any():
         unusual[:] = True
@@ -317,7 +309,7 @@ def _varying(
 
 
 def _rectification(levels: list[Levels]) -> str:
-    """What variances that differ are good for: the mean may follow them."""
+    """Text on the possible use of different variances: the means may depend on them."""
     spread = max(float(np.ptp(own.variance)) for own in levels)
     return (
         f"; variances differ by up to {format_number(spread)} mg², in which a vibration_rectification could"
@@ -334,14 +326,15 @@ def _start(
     quiet: NDArray[np.bool_],
     loud: NDArray[np.bool_],
 ) -> tuple[float, float]:
-    """Moment of the change with its standard uncertainty: its posterior over samples and the gap.
+    """Return the time of the change and its standard uncertainty, from the posterior over all places.
 
-    Squares of neighbours are correlated: the likelihood counts for the degrees of freedom only.
+    Squares of neighbouring samples are correlated, so the likelihood is scaled to the degrees of freedom.
     """
     before, after = int(dwells[cut - 1]), int(dwells[cut])
     time = np.concatenate([samples.time_s[before], samples.time_s[after]])
     loss = np.zeros(len(time) + 1)
     for axis, own in zip(axes, levels, strict=True):
+        # Log likelihood of a change before each sample: quiet variance before it, loud variance after it.
         low, high = own.rows(quiet).common, own.rows(loud).common
         rows = np.concatenate([without_line(samples.values[k])[:, axis] for k in (before, after)])
         worth = float(np.median(own.dof / samples.counts[dwells]))
@@ -350,7 +343,7 @@ def _start(
         loss += np.concatenate([[0.0], np.cumsum(one)]) + np.concatenate(
             [np.cumsum(two[::-1])[::-1], [0.0]]
         )
-    # The change lies before sample k: within a period, or anywhere in the pause between the dwells.
+    # A change before sample k is within one period, or anywhere in the pause between the dwells.
     edges = np.concatenate([[time[0] - samples.period_s], time, [time[-1] + samples.period_s]])
     low_edge, high_edge = edges[:-1], edges[1:]
     weight = np.exp(-(loss - loss.min())) * np.maximum(high_edge - low_edge, 1e-12)
@@ -369,8 +362,6 @@ def _view(samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes
     return View(
         time / 60,
         np.sqrt(own.variance),
-        np.zeros(0),
-        np.zeros(0),
         "time / min",
         f"scatter of {letter} / mg",
         f"Standard deviation of the samples of {letter} in each dwell.",

@@ -1,25 +1,176 @@
 """`serial:/dev/ttyUSB0` - a board with the project's firmware (firmware_proto/), by pyserial.
 
-`serial:` where one USB serial port is there, or one that names itself (a Raspberry Pi Pico);
+`serial:` if there is one USB serial port, or one with the name of this firmware (a Raspberry Pi Pico);
 `serial:socket://host:port` and pyserial's other URLs too.
 
 | option | meaning | default |
 |---|---|---|
-| `baud` | 500000, or 1000000 where the firmware was built so; a Pico has none | 500000 |
+| `baud` | 500000, or 1000000 if the firmware was built with it; a Pico has none | 500000 |
 | `edge` | edge of data-ready that starts a scan: `falling` or `rising` | falling |
-| `boot_ms` | how long the firmware is waited for after opening | 3000 |
+| `boot_ms` | longest wait for the firmware after opening | 3000 |
 | `serial_number` | USB serial number, instead of a port | |
 """
 
 from __future__ import annotations
 
-from adis_gonio.device.bus.host import WALL, Clock, UrlOptions, missing, several
+import contextlib
+import errno
+import time
+from typing import Any
+
+from adis_gonio.base.errors import BusError, BusTimeoutError, NotInstalledError, ProtocolError, UsageError
+from adis_gonio.device.bus.host import WALL, Clock, UrlOptions, busy, gone, missing, no_permission, several
 from adis_gonio.device.bus.opening import BusUrl, Device
-from adis_gonio.device.bus.serial import ports
 from adis_gonio.device.bus.serial.bus import BOOT_S, SerialBus
 from adis_gonio.device.bus.serial.link import Port, SerialLink
 from adis_gonio.device.bus.wire import load_cobs
 from adis_gonio.device.bus.wire import protocol as wire
+
+SLICE_S = 0.05
+"""Longest single wait in a read. It is constant, because pyserial would configure the port again for each
+change."""
+WRITE_S = 1.0
+BUFFER = 65536
+PRODUCT = "adis-gonio"
+"""Beginning of the product name of a firmware that is a USB device, with any VID:PID."""
+
+
+def load() -> Any:
+    """Module of pyserial.
+
+    Raises
+    ------
+    NotInstalledError
+        It is missing, or another package has its name.
+    """
+    try:
+        import serial
+        import serial.tools.list_ports
+    except ImportError:
+        raise NotInstalledError(
+            "serial: pyserial is not installed: pip install 'adis-gonio[serial]'"
+        ) from None
+    if not hasattr(serial, "serial_for_url"):
+        raise NotInstalledError(
+            "serial: module 'serial' belongs to package serial, not pyserial: pip uninstall serial;"
+            " pip install --force-reinstall pyserial"
+        )
+    return serial
+
+
+class SerialPort:
+    """An open port of pyserial as `adis_gonio.device.bus.serial.link.Port`.
+
+    Ports without modem lines (a pty, many sockets) are as good as others: none is needed.
+    """
+
+    def __init__(self, serial: Any, port: Any, url: str) -> None:
+        self._serial = serial
+        self._port = port
+        self._url = url
+        # pyserial's socket reports at most one waiting byte, and reading single bytes is too slow for a
+        # stream.
+        self._whole = not type(port).__module__.endswith(".protocol_socket")
+
+    def receive(self, wait_s: float, /) -> bytes:
+        """Bytes that have arrived; waits at most `wait_s` for the first byte."""
+        end_s = time.monotonic() + wait_s
+        try:
+            while True:
+                waiting = self._port.in_waiting
+                data: bytes = self._port.read(waiting or 1)
+                if data or time.monotonic() >= end_s:
+                    return data if self._whole or not data else data + self._rest()
+        except (OSError, TypeError, AttributeError) as error:
+            # pyserial raises TypeError if another thread closes the port during a read.
+            raise gone(self._url) from error
+
+    def _rest(self) -> bytes:
+        """Further bytes at a socket, for which another time-out costs nothing."""
+        self._port.timeout = 0
+        try:
+            rest: bytes = self._port.read(BUFFER)
+        finally:
+            self._port.timeout = SLICE_S
+        return rest
+
+    def send(self, data: bytes, /) -> None:
+        """Send all bytes."""
+        try:
+            self._port.write(data)
+        except self._serial.SerialTimeoutException as error:
+            raise BusTimeoutError(f"{self._url}: the port takes no bytes within {WRITE_S:g} s") from error
+        except (OSError, TypeError, AttributeError) as error:
+            raise gone(self._url) from error
+
+    def close(self) -> None:
+        """Close the port. Linux waits up to 30 s if a hanging board has not taken all bytes."""
+        with contextlib.suppress(OSError):
+            self._port.close()
+
+
+def open_port(place: str, baud: int, url: str) -> SerialPort:
+    """Open a port for this program alone.
+
+    Parameters
+    ----------
+    place : str
+        Device file, COM port, or a URL of pyserial such as `socket://host:port`.
+
+    Raises
+    ------
+    CannotOpenError
+        It is missing, busy or not permitted.
+    """
+    serial = load()
+    options: dict[str, Any] = {} if "://" in place else {"exclusive": True}
+    try:
+        port = serial.serial_for_url(
+            place, baudrate=baud, timeout=SLICE_S, write_timeout=WRITE_S, **options
+        )
+    except ValueError as error:
+        raise UsageError(f"{url}: {error}") from error
+    except OSError as error:
+        raise _cannot_open(error, place, baud, url) from error
+    return SerialPort(serial, port, url)
+
+
+def list_boards() -> list[Any]:
+    """USB serial ports, as pyserial lists them."""
+    ports = load().tools.list_ports.comports()
+    return sorted((port for port in ports if port.vid is not None), key=lambda port: str(port.device))
+
+
+def names_itself(port: Any) -> bool:
+    """True if the USB strings of a port name this firmware, as on the Pico."""
+    return str(port.product or "").startswith(PRODUCT)
+
+
+def devices(ports: list[Any]) -> list[Device]:
+    """Rows for a list of devices. Ports are not opened: that would reset many boards."""
+    rows = []
+    for port in ports:
+        name = port.product or port.description or "serial port"
+        number = f", serial number {port.serial_number}" if port.serial_number else ""
+        text = f"{name} ({port.vid:04x}:{port.pid:04x}{number})"
+        if not names_itself(port):
+            text += ", if it has the adis-gonio firmware"
+        rows.append(Device(f"serial:{port.device}", text))
+    return rows
+
+
+def _cannot_open(error: OSError, place: str, baud: int, url: str) -> BusError:
+    code = error.errno
+    if code in (errno.EACCES, errno.EPERM):
+        return no_permission(url, place, "tty")
+    # Windows reports a port in use as "access denied", which pyserial gives as text only.
+    words = ("exclusively lock", "PermissionError")
+    if code in (errno.EBUSY, errno.EAGAIN) or any(word in str(error) for word in words):
+        return busy(url, place)
+    if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in str(error):
+        return missing(url, f"port {place}", devices(list_boards()))
+    return ProtocolError(f"{url}: {place} cannot be opened at {baud} baud: {error}")
+
 
 __all__ = ["Port", "SerialBus", "SerialLink", "find_devices", "open_from_url"]
 
@@ -52,9 +203,9 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
     trigger = wire.Trigger[options.one_of("edge", ("falling", "rising")).upper()]
     boot_ms = options.number("boot_ms", round(BOOT_S * 1000), 100, 60_000)
     number = options.text("serial_number")
-    load_cobs()  # what is missing is said before a port is opened, which resets many boards
+    load_cobs()  # report a missing package before opening the port, which resets many boards
     if port is None:
-        port = ports.open_port(_place(url, number), baud, url.text)
+        port = open_port(_place(url, number), baud, url.text)
     try:
         return SerialBus(port, url=url.text, clock=clock, boot_s=boot_ms / 1000, trigger=trigger, baud=baud)
     except BaseException:
@@ -63,20 +214,20 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
 
 
 def find_devices() -> list[Device]:
-    """USB serial ports; whether the firmware is on a board only opening it tells."""
-    return ports.devices(ports.list_boards())
+    """USB serial ports; only opening a port shows if a board has the firmware."""
+    return devices(list_boards())
 
 
 def _place(url: BusUrl, number: str) -> str:
     if url.place:
         return url.place
-    boards = ports.list_boards()
+    boards = list_boards()
     fits = [board for board in boards if not number or board.serial_number == number]
     if not fits:
         what = f"port with serial number {number}" if number else "USB serial port"
-        raise missing(url.text, what, ports.devices(boards))
+        raise missing(url.text, what, devices(boards))
     if len(fits) > 1:
-        fits = [board for board in fits if ports.names_itself(board)] or fits
+        fits = [board for board in fits if names_itself(board)] or fits
     if len(fits) > 1:
-        raise several(url.text, ports.devices(fits))
+        raise several(url.text, devices(fits))
     return str(fits[0].device)

@@ -1,6 +1,11 @@
-"""A board with the project's firmware as a bus; the firmware makes the timing and the streams.
+"""A board with the project's firmware as a bus, its streams, and the map of its clock to the host's clock.
 
-Batches longer than the firmware takes go in several requests; it keeps stall and period across them.
+The firmware keeps the timing and runs the streams. Batches longer than its limit are sent in several
+requests; it keeps stall and period between them.
+
+A packet cannot arrive before it was sent, so the earliest arrivals of a period lie on the true line; a
+straight line through them gives offset and rate of the firmware's clock (a ceramic resonator is off by up
+to 0.5 %). Times that were returned never change: the map bends towards the line and has no jumps.
 """
 
 from __future__ import annotations
@@ -9,24 +14,248 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.base.errors import BusError, BusTimeoutError, ProtocolError, UsageError
-from adis_gonio.device.bus.contract import RESERVED_BIT, Capability, FrameStream, SpiTiming, Words
+from adis_gonio.device.bus.contract import (
+    Capability,
+    FrameBlock,
+    FrameStream,
+    SpiTiming,
+    Words,
+)
 from adis_gonio.device.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock, HostBus
-from adis_gonio.device.bus.serial.clocks import ClockMap
 from adis_gonio.device.bus.serial.link import B, Port, RefusedError, SerialLink
-from adis_gonio.device.bus.serial.stream import SerialStream
 from adis_gonio.device.bus.wire import Body, Packet
 from adis_gonio.device.bus.wire import protocol as wire
 
+_WRAP_US = 1 << 32
+_WHILE_S = 1.0
+"""Period of arrivals for one point, the earliest arrival."""
+_POINTS = 32
+_LEAST_POINTS = 4
+_STEEPEST = 0.02
+"""Largest deviation of the map's rate from 1; resonators are four times better."""
+
+
+class ClockMap:
+    """Map from the firmware's µs (u32) to the bus's clock.
+
+    Parameters
+    ----------
+    now_us : int
+        Firmware's clock in a reply.
+    arrival_s : float
+        Time at which that reply arrived.
+    """
+
+    def __init__(self, now_us: int, arrival_s: float) -> None:
+        self._us = now_us
+        self._s = 0.0
+        self._anchor = (0.0, arrival_s)
+        self._points: list[tuple[float, float]] = []
+        self._fitted: tuple[float, float, float] | None = None
+
+    def times(self, first_us: int, span_us: int, count: int, arrival_s: float) -> NDArray[np.float64]:
+        """Times (count,) of evenly spaced scans on the bus's clock.
+
+        Parameters
+        ----------
+        first_us, span_us : int
+            Time of the first scan, and duration to the last scan.
+        arrival_s : float
+            Time at which the packet arrived.
+        """
+        first_s = self._unwrap(first_us)
+        end_s = first_s + span_us * 1e-6
+        self._learn(end_s, arrival_s)
+        at_s, at_host_s = self._anchor
+        if end_s <= at_s:
+            rate = 1.0
+        else:
+            rate = (self._line(end_s) - at_host_s) / (end_s - at_s)
+            rate = min(max(rate, 1 - _STEEPEST), 1 + _STEEPEST)
+            self._anchor = (end_s, at_host_s + rate * (end_s - at_s))
+        return at_host_s + rate * (np.linspace(first_s, end_s, count) - at_s)
+
+    def _unwrap(self, us: int) -> float:
+        """Seconds since the start, for a time at most half a wrap from the previous time."""
+        step = (us - self._us + _WRAP_US // 2) % _WRAP_US - _WRAP_US // 2
+        self._us = us
+        self._s += step * 1e-6
+        return self._s
+
+    def _learn(self, time_s: float, arrival_s: float) -> None:
+        late_s = arrival_s - time_s
+        points = self._points
+        if points and time_s - points[-1][0] < _WHILE_S:
+            points[-1] = (points[-1][0], min(points[-1][1], late_s))
+        else:
+            if len(points) >= _LEAST_POINTS:
+                self._fit()
+            points.append((time_s, late_s))
+            del points[:-_POINTS]
+
+    def _fit(self) -> None:
+        """Fit a straight line through the points, which are all complete."""
+        at, late = np.array(self._points).T
+        middle = float(at.mean())
+        slope = float((at - middle) @ late / ((at - middle) @ (at - middle)))
+        self._fitted = (middle, float(late.mean()), slope)
+
+    def _line(self, time_s: float) -> float:
+        if self._fitted is None:
+            return time_s + min(late for _, late in self._points)
+        middle, offset, slope = self._fitted
+        return time_s + offset + slope * (time_s - middle)
+
+
+SILENCE_S = 3.0
+"""The chip is not sampling if no edge comes for so long; its slowest period is 2.42 s."""
+_POLL_S = 0.5
+_PACKETS_MISSED = 4
+"""Expected packets by the count of edges; if none of them arrives, the line is faulty."""
+_AROUND = wire.HEADER_SIZE + wire.CRC_SIZE + 2
+"""Bytes on the line in addition to the body of a packet: header, CRC, COBS, delimiter."""
+
+
+class SerialStream(FrameStream):
+    """Blocks of a running firmware stream.
+
+    Parameters
+    ----------
+    owner : SerialBus
+        The bus.
+    stream_id : int
+        Id of the request that started it; packets of other streams are discarded.
+    width : int
+        Frames in the list.
+    packet_scans : int
+        Scans in a full packet.
+    block_scans : int
+        Minimum number of scans in a block.
+    clock : ClockMap
+        For times.
+    byte_s : float
+        Time of a byte on the line.
+    stop : callable
+        Ends the stream and frees the bus.
+    """
+
+    def __init__(
+        self,
+        owner: SerialBus,
+        *,
+        stream_id: int,
+        width: int,
+        packet_scans: int,
+        block_scans: int,
+        clock: ClockMap,
+        byte_s: float,
+        stop: Callable[[], None],
+    ) -> None:
+        self._owner = owner
+        self._id = stream_id
+        self._width = width
+        self._packet_scans = packet_scans
+        self._block = block_scans
+        self._clock = clock
+        self._byte_s = byte_s
+        self._stop = stop
+        self._open = True
+        self._next_sequence = 0
+        self._lost = 0
+
+    def __next__(self) -> FrameBlock:
+        """Next block.
+
+        Raises
+        ------
+        BusTimeoutError
+            No data-ready edges, the firmware is silent, or no packet comes through whole.
+        CannotOpenError
+            The board was unplugged.
+        """
+        parts: list[FrameBlock] = []
+        have = 0
+        while have < self._block:
+            if not self._open:
+                if parts:
+                    break
+                raise StopIteration
+            part = self._part()
+            if part is not None:
+                parts.append(part)
+                have += len(part.time_s)
+        return FrameBlock(
+            np.concatenate([part.words for part in parts]),
+            np.concatenate([part.time_s for part in parts]),
+            sum(part.lost for part in parts),
+        )
+
+    def close(self) -> None:
+        """Stop; the bus is free again."""
+        if self._open:
+            self._open = False
+            self._stop()
+
+    def _part(self) -> FrameBlock | None:
+        """Scans of the next packet; None if it is invalid or belongs to another stream."""
+        packet, arrival_s = self._packet()
+        if packet.id != self._id:
+            return None
+        try:
+            scans = wire.Scans.unpack(packet.body)
+        except ProtocolError:
+            return None
+        count, rest = divmod(len(scans.words), self._width)
+        if not count or rest:
+            return None
+        missed = (scans.sequence - self._next_sequence) & 0xFFFF_FFFF
+        if missed > 0x8000_0000:
+            return None  # a packet from before: a repetition on the line
+        lost = missed + ((scans.lost - self._lost) & 0xFFFF)
+        self._next_sequence = (scans.sequence + count) & 0xFFFF_FFFF
+        self._lost = scans.lost
+        left_s = arrival_s - (len(packet.body) + _AROUND) * self._byte_s
+        times = self._clock.times(scans.first_us, scans.span_us, count, left_s)
+        return FrameBlock(scans.words.reshape(count, self._width), times, lost)
+
+    def _packet(self) -> tuple[Packet, float]:
+        """Wait for the next packet of scans, and read the edge counter while none comes."""
+        owner = self._owner
+        first: int | None = None
+        edges: int | None = None
+        begin_s = since_s = owner.now_s()
+        while True:
+            found = owner.next_scans(_POLL_S)
+            if found is not None:
+                return found
+            now_edges = owner.count_edges()
+            first = now_edges if first is None else first
+            unheard = (now_edges - first) & 0xFFFF_FFFF
+            if unheard > _PACKETS_MISSED * self._packet_scans and owner.now_s() - begin_s > SILENCE_S:
+                raise BusTimeoutError(
+                    f"{owner.url}: {unheard} data-ready edges, but no packet of scans came through whole in"
+                    f" {owner.now_s() - begin_s:.1f} s: check the cable and the baud rate"
+                )
+            if now_edges != edges:
+                edges, since_s = now_edges, owner.now_s()
+            elif owner.now_s() - since_s > SILENCE_S:
+                raise BusTimeoutError(
+                    f"{owner.url}: no data-ready edge in {SILENCE_S:g} s: enable the line in MSC_CTRL[2],"
+                    " and check the wire from the chip's DIO1 to the board"
+                )
+
+
 BOOT_S = 3.0
-"""How long a hello is repeated after opening: many boards reset then, and their boot loader waits."""
+"""Time for which a hello is repeated after opening: many boards reset then, and their boot loader waits."""
 AGAIN_S = 1.5
-"""How long where the board runs already."""
+"""Time for which a hello is repeated if the board is running."""
 _USB_BYTE_S = 1e-6
-"""A byte on a full-speed bus, where the board is a USB device itself: 64 of them in some 60 µs."""
+"""Time of a byte on a full-speed bus, if the board is a USB device: 64 bytes in about 60 µs."""
 _GATHER_S = 0.01
-"""A stream's bytes are fetched so often at most: fewer, larger reads cost less."""
+"""Shortest interval between reads of a stream: fewer, larger reads cost less."""
 
 
 class SerialBus(HostBus):
@@ -45,17 +274,16 @@ class SerialBus(HostBus):
     trigger : Trigger
         Edge of data-ready that starts a scan of a stream; the chip's pulse is low unless MSC_CTRL[1].
     baud : int
-        Tells how long a packet was on its way, which its times take into account; a board that is a USB
-        device itself has none.
+        Baud rate, from which the travel time of a packet follows; unused if the board is a USB device.
     link : SerialLink
-        In place of one of its own making.
+        Link to use instead of a new one.
     release : callable
         Called when the bus is closed, in place of the port's own `close`.
 
     Attributes
     ----------
     firmware : HelloReply
-        What the firmware said of itself.
+        Reply of the firmware to the hello.
 
     Raises
     ------
@@ -120,7 +348,7 @@ class SerialBus(HostBus):
         request = wire.ConfigureRequest(clock, stall, period)
         reply = self._ask(request, wire.ConfigureReply)
         if reply.clock_hz > timing.clock_hz or reply.stall_us < stall or reply.period_us < period:
-            raise ProtocolError(f"{self.url}: the firmware set {reply} where {request} was asked")
+            raise ProtocolError(f"{self.url}: the firmware set {reply} instead of {request}")
         return SpiTiming(float(reply.clock_hz), float(reply.stall_us), float(reply.period_us))
 
     def _exchange(self, frames: Words) -> Words:
@@ -145,42 +373,27 @@ class SerialBus(HostBus):
 
     # -- optional capabilities ---------------------------------------------------------------------------
 
-    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Run read frames once at each data-ready edge.
-
-        Raises
-        ------
-        UsageError
-            The list is empty, too long or holds a write, or a stream is running.
-        """
-        with self._lock:
-            self._require_open()
-            if Capability.STREAM not in self.capabilities:
-                raise self._lacks(Capability.STREAM)
-            self._refuse_while_streaming()
-            if not frames or any(not 0 <= frame < RESERVED_BIT for frame in frames):
-                raise UsageError("a stream takes at least one read frame and no writes")
-            width, firmware = len(frames), self.firmware
-            fit = firmware.max_scan_bytes // (2 * width)
-            if width > firmware.max_list or not fit:
-                raise UsageError(f"{self.url}: a stream takes at most {firmware.max_list} frames")
-            if block_scans < 1:
-                raise UsageError(f"a block of {block_scans} scans is not possible; give at least 1")
-            self._link.scans.clear()
-            packet_scans = min(fit, block_scans)
-            request = wire.StreamRequest(self._trigger, packet_scans, 1, 0, np.array(frames, np.uint16))
-            reply = self._ask(request, wire.StreamReply)
-            self._stream = SerialStream(
-                self,
-                stream_id=self._link.last_id,
-                width=width,
-                packet_scans=packet_scans,
-                block_scans=block_scans,
-                clock=ClockMap(reply.now_us, self.now_s()),
-                byte_s=self._byte_s,
-                stop=self._stop,
-            )
-            return self._stream
+    def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
+        self._refuse_while_streaming()
+        width, firmware = len(frames), self.firmware
+        fit = firmware.max_scan_bytes // (2 * width)
+        if width > firmware.max_list or not fit:
+            raise UsageError(f"{self.url}: a stream takes at most {firmware.max_list} frames")
+        self._link.scans.clear()
+        packet_scans = min(fit, block_scans)
+        request = wire.StreamRequest(self._trigger, packet_scans, 1, 0, np.array(frames, np.uint16))
+        reply = self._ask(request, wire.StreamReply)
+        self._stream = SerialStream(
+            self,
+            stream_id=self._link.last_id,
+            width=width,
+            packet_scans=packet_scans,
+            block_scans=block_scans,
+            clock=ClockMap(reply.now_us, self.now_s()),
+            byte_s=self._byte_s,
+            stop=self._stop,
+        )
+        return self._stream
 
     def _pull_reset(self) -> None:
         self._refuse_while_streaming()
@@ -194,7 +407,7 @@ class SerialBus(HostBus):
         with self._lock:
             self._require(Capability.EVENT_COUNTER)
             now = self._ask(wire.StatisticsRequest(), wire.StatisticsReply)
-            # The firmware never sets its counter back: a reply that was lost loses no edges.
+            # The firmware never resets its counter, so a lost reply loses no edges.
             new, self._counted = (now.edges - self._counted) & 0xFFFF_FFFF, now.edges
             self._board_us += (now.now_us - self._board_us) & 0xFFFF_FFFF
             return new, self._board_us * 1e-6
@@ -202,7 +415,7 @@ class SerialBus(HostBus):
     # -- for streams ------------------------------------------------------------------------------------
 
     def next_scans(self, wait_s: float) -> tuple[Packet, float] | None:
-        """Next packet of scans and its arrival; None where none came in time."""
+        """Next packet of scans and its arrival; None if none came in time."""
         with self._lock:
             self._require_open()
             scans = self._link.scans
@@ -259,7 +472,7 @@ class SerialBus(HostBus):
             raise ProtocolError(f"{self.url}: {refused}") from refused
 
     def _renew(self) -> None:
-        """Open a new session and set the timing in force, which a hello sets back."""
+        """Open a new session and set the present timing again, because a hello resets it."""
         self.firmware = self._link.hello(AGAIN_S)
         timing = self.timing
         request = wire.ConfigureRequest(

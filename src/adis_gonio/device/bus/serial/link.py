@@ -1,7 +1,7 @@
 """Requests and replies over a serial port: ids, retries, resynchronisation (firmware_proto/PROTOCOL.md).
 
 A request is repeated with its own id until it is answered or its tries are used up; the firmware executes
-an id once, so that repeating is safe for writes too. What arrives with another id is late and thrown away.
+an id once, so that repeating is safe for writes too. A reply with another id is late and is discarded.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ TRIES = 5
 HELLO_EVERY_S = 0.3
 
 # Opening a port resets many boards. Their boot loader then listens at another baud rate (Optiboot: 115 200)
-# and takes what it hears for commands, that to erase a page among them. It leaves at once, though, where
-# the second byte of a command is no blank, and zeros at our rate can never look like the command to erase:
-# that has bits which are set side by side, zeros are high for a stop bit of 2 us in 20.
+# and interprets the bytes as commands, such as to erase a page. It leaves at once, though, if the second
+# byte of a command is no blank, and zeros at our rate can never look like the command to erase: it has
+# neighbouring bits that are set, but zeros are high only for a stop bit of 2 us in 20.
 ZEROS = bytes(1)
 """An empty packet for the firmware; for a loader a byte that is no command, and the next one no blank after
 it: two of them make it leave. Without gaps between them a run of zeros keeps some loaders in step."""
@@ -49,7 +49,7 @@ class Port(Protocol):
     """A serial port as the link needs it; failures are typed errors already."""
 
     def receive(self, wait_s: float, /) -> bytes:
-        """Whatever has arrived; waits for the first byte for at most `wait_s`."""
+        """Bytes that have arrived; waits at most `wait_s` for the first byte."""
 
     def send(self, data: bytes, /) -> None:
         """Send all bytes."""
@@ -59,14 +59,14 @@ class Port(Protocol):
 
 
 class RefusedError(Exception):
-    """The firmware refused a request: that copy of it executed nothing.
+    """The firmware refused a request and executed nothing of this copy.
 
     Attributes
     ----------
     code : int
         Of `wire.Refusal`.
     once : bool
-        The request had been sent a single time, so no earlier copy can have been executed either.
+        The request was sent only once, so no earlier copy can have been executed.
     """
 
     def __init__(self, request: str, error: wire.Error, *, once: bool) -> None:
@@ -81,7 +81,7 @@ class RefusedError(Exception):
 
 @dataclass
 class LinkCounts:
-    """What went on besides the work."""
+    """Counts of requests, retries and late replies."""
 
     requests: int = 0
     retries: int = 0
@@ -90,7 +90,7 @@ class LinkCounts:
 
 @dataclass(frozen=True)
 class _Answer(Generic[B]):
-    """A reply or a refusal, with how often the request was sent by then."""
+    """A reply or a refusal, and the number of copies of the request sent until then."""
 
     body: B | wire.Error
     sent: int
@@ -135,16 +135,16 @@ class SerialLink:
         self._clock = clock
         self._tries = tries
         self._dice = dice or random.Random()
-        # Ids never start anew on this port, so that a straggler of an old session is behind in any new.
+        # Ids continue over sessions on this port, so that a late packet of an old session has an old id.
         self._id = self._dice.randrange(1 << 16)
         self._replies: deque[Packet] = deque()
 
     # -- requests ---------------------------------------------------------------------------------------
 
     def hello(self, wait_s: float) -> wire.HelloReply:
-        """Open a session; repeats for so long, since a board may still boot.
+        """Open a session; repeat the request for `wait_s`, because a board may be booting.
 
-        Zeros go before each hello, so that a boot loader which listens leaves instead of reading it.
+        Zeros are sent before each hello, so that a listening boot loader leaves instead of reading it.
 
         Raises
         ------
@@ -193,7 +193,7 @@ class SerialLink:
         Raises
         ------
         RefusedError
-            The firmware said no.
+            The firmware refused the request.
         BusTimeoutError
             No answer to any try.
         """
@@ -219,7 +219,7 @@ class SerialLink:
         return self._id
 
     def pump(self, wait_s: float) -> bool:
-        """Take in what arrives; False where nothing did in time."""
+        """Receive packets; False if nothing arrived in time."""
         data = self.port.receive(wait_s)
         if not data:
             return False
@@ -232,7 +232,7 @@ class SerialLink:
         return True
 
     def _listen(self, wait_s: float) -> None:
-        """Take in what arrives, and send nothing."""
+        """Receive packets and send nothing."""
         end_s = self._clock.now_s() + wait_s
         while (left := end_s - self._clock.now_s()) > 0:
             self.pump(left)
@@ -259,7 +259,7 @@ class SerialLink:
         *,
         nonce: int | None = None,
     ) -> _Answer[B] | None:
-        """Send a request until it is answered; `again` says by the copies sent whether one more may go."""
+        """Send a request until it is answered; `again(copies sent)` decides if one more may be sent."""
         sent = 0
         while again(sent):
             self.port.send(packet)
@@ -286,7 +286,7 @@ class SerialLink:
             self.pump(left)
 
     def _judge(self, packet: Packet, reply: type[B]) -> B | wire.Error | None:
-        """The reply in a packet; None where it is another's or unsound."""
+        """The reply in a packet; None if it is invalid or belongs to another request."""
         if packet.id != self._id:
             return None
         try:

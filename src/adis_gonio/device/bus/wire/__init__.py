@@ -1,6 +1,146 @@
-"""The wire protocol of the project's own firmware: constants, bodies, packets; no input or output."""
+"""The wire protocol of the project's firmware: packets of header, body and CRC-32 in COBS.
 
+The receiver never fails on invalid bytes. No input or output here: bytes in, packets out
+(firmware_proto/PROTOCOL.md).
+"""
+
+from __future__ import annotations
+
+import binascii
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+from adis_gonio.base.errors import NotInstalledError
 from adis_gonio.device.bus.wire.body import Body
-from adis_gonio.device.bus.wire.packets import Packet, Receiver, ReceiverCounts, crc32, encode, load_cobs
+from adis_gonio.device.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, MAX_RAW, PacketType
+
+_DELIMITER = b"\0"
+_LONGEST = MAX_RAW + 1
+_KINDS = frozenset(int(kind) for kind in PacketType)
+
+
+@dataclass(frozen=True)
+class Packet:
+    """A sound packet: type, id (u16) and body."""
+
+    type: int
+    id: int
+    body: bytes = b""
+
+    @classmethod
+    def of(cls, body: Body, request_id: int) -> Packet:
+        """Packet that carries a body."""
+        return cls(body.TYPE, request_id, body.pack())
+
+
+@dataclass
+class ReceiverCounts:
+    """Counts of valid and discarded packets."""
+
+    packets: int = 0
+    crc_errors: int = 0
+    cobs_errors: int = 0
+    length_errors: int = 0
+    unknown: int = 0
+
+    @property
+    def bad(self) -> int:
+        """Number of discarded packets."""
+        return self.crc_errors + self.cobs_errors + self.length_errors + self.unknown
+
+
+@functools.cache
+def load_cobs() -> Any:
+    """Module of package cobs.
+
+    Raises
+    ------
+    NotInstalledError
+        It is missing.
+    """
+    try:
+        from cobs import cobs
+    except ImportError:
+        raise NotInstalledError("serial: cobs is not installed: pip install 'adis-gonio[serial]'") from None
+    return cobs
+
+
+def crc32(data: bytes) -> int:
+    """CRC-32/ISO-HDLC, as in Ethernet and zlib."""
+    return binascii.crc32(data)
+
+
+def encode(packet: Packet) -> bytes:
+    """A packet on the wire, with a delimiter on both sides.
+
+    The first delimiter ends any invalid bytes that the other side has collected.
+
+    Raises
+    ------
+    ValueError
+        The packet is longer than the protocol allows, or its type or id out of range.
+    """
+    if not (0 <= packet.type <= 0xFF and 0 <= packet.id <= 0xFFFF):
+        raise ValueError(f"type {packet.type} or id {packet.id} does not fit a packet's header")
+    raw = bytes((packet.type,)) + packet.id.to_bytes(2, "little") + packet.body
+    if len(raw) + CRC_SIZE > MAX_RAW:
+        raise ValueError(f"a packet of {len(raw) + CRC_SIZE} bytes: at most {MAX_RAW}")
+    raw += crc32(raw).to_bytes(CRC_SIZE, "little")
+    stuffed: bytes = load_cobs().encode(raw)
+    return _DELIMITER + stuffed + _DELIMITER
+
+
+class Receiver:
+    """Extracts the valid packets from a stream of bytes and counts the rest."""
+
+    def __init__(self) -> None:
+        self.counts = ReceiverCounts()
+        self._cobs = load_cobs()
+        self._rest = b""
+        self._too_long = False
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Packets that are complete with these bytes; never raises on their content."""
+        parts = (self._rest + data).split(_DELIMITER)
+        self._rest = parts.pop()
+        packets = []
+        for part in parts:
+            packet = self._take(part)
+            self._too_long = False
+            if packet is not None:
+                packets.append(packet)
+        if len(self._rest) > _LONGEST:  # endless invalid bytes must not fill the memory
+            self._too_long = True
+            self._rest = b""
+        return packets
+
+    def reset(self) -> None:
+        """Forget a packet that is not complete."""
+        self._rest, self._too_long = b"", False
+
+    def _take(self, part: bytes) -> Packet | None:
+        counts = self.counts
+        if self._too_long or len(part) > _LONGEST:
+            counts.length_errors += 1
+            return None
+        if not part:
+            return None
+        try:
+            raw: bytes = self._cobs.decode(part)
+        except self._cobs.DecodeError:
+            counts.cobs_errors += 1
+            return None
+        if len(raw) < HEADER_SIZE + CRC_SIZE:
+            counts.length_errors += 1
+        elif crc32(raw[:-CRC_SIZE]) != int.from_bytes(raw[-CRC_SIZE:], "little"):
+            counts.crc_errors += 1
+        elif raw[0] not in _KINDS:
+            counts.unknown += 1
+        else:
+            counts.packets += 1
+            return Packet(raw[0], int.from_bytes(raw[1:HEADER_SIZE], "little"), raw[HEADER_SIZE:-CRC_SIZE])
+        return None
+
 
 __all__ = ["Body", "Packet", "Receiver", "ReceiverCounts", "crc32", "encode", "load_cobs"]

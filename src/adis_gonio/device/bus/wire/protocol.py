@@ -12,7 +12,6 @@ from adis_gonio.device.bus.wire.body import Body
 
 VERSION = 1
 BAUD = 500_000
-BAUD_FAST = 1_000_000
 
 HEADER_SIZE = 3
 CRC_SIZE = 4
@@ -20,10 +19,7 @@ MAX_RAW = 252
 CRC_CHECK = 0xCBF43926
 REPLY_BIT = 0x80
 
-CLOCKS = 6
 WRITE_BIT = 0x8000
-RESERVED_BIT = 0x4000
-IDLE_FRAME = 0x0000
 RETRY_MS = 250
 
 DEFAULT_CLOCK_HZ = 250_000
@@ -53,7 +49,7 @@ class PacketType(IntEnum):
 
 
 class FirmwareCapability(IntFlag):
-    """What a firmware can do."""
+    """Capabilities of a firmware."""
 
     STREAM = 1 << 0
     """Runs a list of read frames by itself."""
@@ -66,7 +62,7 @@ class FirmwareCapability(IntFlag):
 
 
 class Trigger(IntEnum):
-    """What starts a scan of a stream."""
+    """Start of a scan of a stream."""
 
     RISING = 0
     """Rising edge of data-ready."""
@@ -77,7 +73,7 @@ class Trigger(IntEnum):
 
 
 class Refusal(IntEnum):
-    """Why a request was refused."""
+    """Reason of a refused request."""
 
     NO_SESSION = 1
     """No hello since power-on: the firmware restarted."""

@@ -1,0 +1,161 @@
+"""Values with their uncertainty, and the levels and coverage factors by which results are judged.
+
+JCGM 100:2008 (GUM), G.4.1 (Welch–Satterthwaite) and G.3.2 (Student's distribution). A changed level changes
+answers. Numbers of the search of the trace are in `adis_gonio.tracing.thresholds`, limits of a bring-up in
+`adis_gonio.bench.bringup.limits`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.numbers import format_uncertain
+
+INADEQUATE = 0.01
+"""p-value of χ² below which a residual is too large for the noise that was measured."""
+FOUND_WITHIN = 0.01
+"""Probability of any finding inside the dwells of a session without faults (family-wise)."""
+FOUND_IN_ONE_POSE = 0.01
+"""Probability that one pose without effects shows one, over all candidates."""
+OUTLYING = 0.01
+"""Probability that a fleet without any outlying unit, stage or operator names one (family-wise)."""
+DRIFTING = 0.05
+"""Probability of a false drift, over all quantities of a sensor (Bonferroni)."""
+SLOW_NOISE = 0.025
+"""One-sided level of a noise process: its interval of 95 % leaves zero."""
+LINE_IN_NOISE = 1e-4
+"""Probability that noise alone shows a spectral line in a record at rest."""
+LINK_REFUSED = 1e-3
+"""p-value below which links by gyros contradict gravity."""
+COMMON_DIVISOR = 1e-6
+"""Probability that differences of words have a common divisor by chance."""
+POSITION_QUESTIONED = 1e-4
+"""Probability that a correct position is questioned: one in a hundred tumbles of 100."""
+CREDIBLE_SET = 0.95
+"""Least probability of a set of names in one session."""
+POPULATION_SET = 0.99
+"""Least probability of a set of names in a population of sessions."""
+
+
+COVERED = 0.95
+"""Probability of the interval of an expanded uncertainty U."""
+NORMAL_95 = 1.959963984540054
+"""Coverage factor at unlimited degrees of freedom."""
+
+
+def coverage_factor(dof: float) -> float:
+    """Coverage factor k of 95 %: Student's quantile at `dof`, at least 1 degree of freedom."""
+    if math.isinf(dof):
+        return NORMAL_95
+    from scipy.special import stdtrit
+
+    return float(stdtrit(max(dof, 1.0), 0.5 * (1 + COVERED)))
+
+
+def wilson(hits: float, n: int, z: float = NORMAL_95) -> tuple[float, float]:
+    """Wilson's interval (1927) of a probability, by default of 95 %; 0 to 1 if n is 0."""
+    if n == 0:
+        return 0.0, 1.0
+    share = hits / n
+    middle = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * math.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
+    return (0.0 if hits == 0 else middle - half), (1.0 if hits == n else middle + half)
+
+
+def effective_dof(parts: Sequence[tuple[float, float]]) -> float:
+    """Degrees of freedom of a sum of variances, each with its own: (Σ v)² / Σ (v²/ν); inf if unlimited."""
+    total = sum(variance for variance, _ in parts)
+    doubt = sum(variance**2 / dof for variance, dof in parts if math.isfinite(dof) and variance > 0)
+    return total**2 / doubt if doubt > 1e-12 * total**2 else math.inf
+
+
+def expanded(u: float | None, dof: float, factor: float | None = None) -> tuple[float | None, float | None]:
+    """(k, U), with k = `factor` if given; (None, None) if u is not known."""
+    if u is None or not math.isfinite(u):
+        return None, None
+    k = coverage_factor(dof) if factor is None else factor
+    return k, k * u
+
+
+def factor_over(variances: Floats, dof: float) -> float:
+    """Coverage factor of 95 % for errors with different variances (m,), relative to the root of their mean.
+
+    Each error has Student's distribution with `dof`; if the variances differ much, the mixture has longer
+    tails than each of them.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import stdtr
+
+    mean = float(variances.mean())
+    if not mean > 0 or float(np.ptp(variances)) < 1e-9 * mean:
+        return coverage_factor(dof)
+    spread = np.sqrt(np.maximum(variances, 1e-12 * mean) / mean)
+    nu = min(max(dof, 1.0), 1e9)
+
+    def missing(k: float) -> float:
+        return float((1 - 2 * stdtr(nu, -k / spread)).mean()) - COVERED
+
+    return float(brentq(missing, 0.0, coverage_factor(dof) * float(spread.max())))
+
+
+@dataclass(frozen=True)
+class Value:
+    """A value, its standard uncertainty (None: not determined), unit and effective degrees of freedom."""
+
+    value: float
+    u: float | None
+    unit: str
+    dof: float = math.inf
+    factor: float | None = None
+    """Coverage factor, if the distribution is not Student's with `dof`."""
+
+    def __str__(self) -> str:
+        """Value ± standard uncertainty with unit, such as `1.08 ± 0.13 mg`."""
+        return format_uncertain(self.value, self.u, self.unit)
+
+    @property
+    def k(self) -> float | None:
+        """Coverage factor of 95 %: `factor`, or from `dof` if it is None; None without an uncertainty."""
+        return expanded(self.u, self.dof, self.factor)[0]
+
+    @property
+    def U(self) -> float | None:  # noqa: N802 (GUM)
+        """Expanded uncertainty k·u: value ± U covers 95 %."""
+        return expanded(self.u, self.dof, self.factor)[1]
+
+    def as_dict(self) -> dict[str, Any]:
+        """`{"value", "u", "dof", "k", "U", "unit"}`; `dof` is None if unlimited or unknown."""
+        k, expanded_u = expanded(self.u, self.dof, self.factor)
+        return {
+            "value": finite_or_none(self.value),
+            "u": finite_or_none(self.u),
+            "dof": finite_or_none(self.dof) if k is not None else None,
+            "k": k,
+            "U": expanded_u,
+            "unit": self.unit,
+        }
+
+
+def finite_or_none(value: float | None) -> float | None:
+    """Return None for an infinity or NaN, which JSON does not have."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+@dataclass(frozen=True)
+class Detectable(JsonRecord):
+    """Smallest amplitude that the session can show; None if it cannot show any.
+
+    The JSON document is one value of `detectable`.
+    """
+
+    amplitude: float | None
+    unit: str
+    parameter: str
+    reason: str = ""

@@ -1,0 +1,293 @@
+"""Calibrations as JSON documents and files, and back; gyros by themselves or under the key `gyro`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import DataError, FitError, UsageError, one_line
+from adis_gonio.base.jsonable import json_value
+from adis_gonio.base.shapes import (
+    anything,
+    choice,
+    fields,
+    list_of,
+    mapping_of,
+    nullable,
+    number,
+    text,
+    whole,
+)
+from adis_gonio.calibrate.calibration import Calibration, EffectTerm
+from adis_gonio.calibrate.coefficients import VERSION, Coefficient, NotCorrected
+from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
+from adis_gonio.device.sensor.registers import BY_NAME
+from adis_gonio.model.effects import AXES, effect
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
+from adis_gonio.model.records import SENSORS
+from adis_gonio.record.provenance import Covered, Provenance
+
+Made = TypeVar("Made", Calibration, GyroCalibration)
+
+
+def calibration_from(document: Any, name: str = "calibration") -> Calibration:
+    """Read a calibration from a JSON document.
+
+    Raises
+    ------
+    DataError
+        The document is not a calibration, is of a newer version or has unusable entries. The message begins
+        with `name`.
+    """
+    hint = "; make one with adis-gonio export SESSION -o NAME.json"
+    made = _read_from(document, name, Calibration.schema, "calibration", _read, hint)
+    if document.get("gyro") is None:
+        return made
+    return replace(made, gyro=gyro_calibration_from(document["gyro"], f"{name}: gyro"))
+
+
+def gyro_calibration_from(document: Any, name: str = "gyro calibration") -> GyroCalibration:
+    """Read a gyro calibration from a JSON document; errors as `calibration_from`."""
+    return _read_from(document, name, GyroCalibration.schema, "gyro calibration", _read_gyro)
+
+
+def _read_from(
+    document: Any,
+    name: str,
+    schema: str,
+    kind: str,
+    read: Callable[[Mapping[str, Any]], Made],
+    hint: str = "",
+) -> Made:
+    if not isinstance(document, Mapping) or document.get("schema") != schema:
+        raise DataError(f"{name}: is no {kind}{hint}")
+    if document.get("version") != VERSION:
+        raise DataError(
+            f"{name}: is a {kind} of version {document.get('version')!r}, this program reads "
+            f"{VERSION}: update adis-gonio"
+        )
+    try:
+        return read(document)
+    except (KeyError, TypeError, ValueError, AttributeError, UsageError, FitError) as error:
+        reason = f"lacks {error}" if isinstance(error, KeyError) else str(error).lstrip(" .")
+        raise DataError(f"{name}: is a damaged {kind}: {reason}") from None
+
+
+_GAINS, _LEAST_GAIN = ("scale_x", "scale_y", "scale_z"), 1e-6
+_VALUE = number(-1e15, 1e15)
+_TEXTS = list_of(text, 0, 10_000)
+_BODY = {
+    "method": text,
+    "parameters": mapping_of(
+        fields(
+            {"value": _VALUE, "u": nullable(number(0.0, 1e15)), "unit": text},
+            {"dof": nullable(number(0.0, 1e300))},
+            others=anything,
+        )
+    ),
+    "covariance": nullable(
+        fields(
+            {"names": _TEXTS, "matrix": list_of(list_of(number(-1e30, 1e30), 0, 10_000), 0, 10_000)},
+            others=anything,
+        )
+    ),
+    "not_corrected": list_of(fields({"effect": text, "reason": text}), 0, 10_000),
+    "assumed": _TEXTS,
+    "reference": fields(
+        {
+            "session_temperature_c": nullable(mapping_of(_VALUE)),
+            "session_supply_v": nullable(mapping_of(_VALUE)),
+        },
+        others=anything,
+    ),
+}
+_EFFECT = fields(
+    {
+        "effect": text,
+        "axes": list_of(choice("x", "y", "z"), 0, 3),
+        "choices": mapping_of(whole(-1000, 1000)),
+        "parameters": _TEXTS,
+    },
+    others=anything,
+)
+DOCUMENT = fields(
+    {
+        **_BODY,
+        "sensor": choice(*SENSORS),
+        "plane": choice("xy", "none"),
+        "unit": choice("mg", "counts"),
+        "counts_per_mg": nullable(list_of(_VALUE, 2, 3)),
+        "gravity_mps2": number(1e-6, 1e6),
+        "effects": list_of(_EFFECT, 0, 10_000),
+        "offsets_lsb": nullable(list_of(whole(*BY_NAME["XACCL_OFF"].range), 3, 3)),
+        "source": mapping_of(text),
+    },
+    others=anything,
+)
+"""Types and ranges of the entries of a calibration file."""
+GYRO_DOCUMENT = fields(
+    {
+        **_BODY,
+        "unit": choice("dps"),
+        "offsets_lsb": nullable(list_of(whole(*BY_NAME["XGYRO_OFF"].range), 3, 3)),
+    },
+    {"source": text},
+    others=anything,
+)
+"""Types and ranges of the entries of a gyro calibration."""
+
+
+def _read(document: Mapping[str, Any]) -> Calibration:
+    DOCUMENT(document)
+    shared, counts = _read_body(document), document["counts_per_mg"]
+    where = Provenance(
+        sensor=document["sensor"],
+        plane=document["plane"],
+        gravity_mps2=float(document["gravity_mps2"]),
+        counts=document["unit"] == "counts",
+        **{name: shared.pop(name) for name in ("temperature_c", "supply_v", "offsets_lsb")},
+        **document["source"],
+    )
+    effects = tuple(
+        EffectTerm(effect(one["effect"], one["axes"], **one["choices"]), tuple(one["parameters"]))
+        for one in document["effects"]
+    )
+    counts_per_mg = None if counts is None else tuple(map(float, counts))
+    return _checked(Calibration(provenance=where, effects=effects, counts_per_mg=counts_per_mg, **shared))
+
+
+def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
+    GYRO_DOCUMENT(document)
+    reference = document["reference"]
+    # Effects of temperature and supply are zero at the reference: another one would move the zero rates.
+    if (reference["temperature_c"], reference["supply_v"]) != (REFERENCE_C, REFERENCE_V):
+        raise ValueError(f"its reference is not {REFERENCE_C:g} °C and {REFERENCE_V:g} V")
+    names = list(document["parameters"])
+    strange = [name for name in names if kind_of(name) is None]
+    missing = [f"gyro_bias_{axis}" for axis in AXES if f"gyro_bias_{axis}" not in names]
+    if strange:
+        raise ValueError(f"{strange[0]} is no parameter of a gyro")
+    if missing:
+        raise ValueError(f"parameter {missing[0]} is missing")
+    # Files of older versions lack the source.
+    made = GyroCalibration(source=document.get("source", ""), **_read_body(document))
+    made.check()
+    return made
+
+
+def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes that both kinds of calibrations share."""
+    covariance, offsets, reference = document["covariance"], document["offsets_lsb"], document["reference"]
+    return {
+        "method": document["method"],
+        "parameters": tuple(_parameter(key, value) for key, value in document["parameters"].items()),
+        "covariance": None if covariance is None else matrix_of(covariance, list(document["parameters"])),
+        "not_corrected": tuple(NotCorrected(**one) for one in document["not_corrected"]),
+        "assumed": tuple(document["assumed"]),
+        "temperature_c": _covered(reference["session_temperature_c"]),
+        "supply_v": _covered(reference["session_supply_v"]),
+        "offsets_lsb": None if offsets is None else tuple(offsets),
+    }
+
+
+def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
+    """Read the covariance (p, p) of p parameters.
+
+    Raises
+    ------
+    ValueError
+        Names or size differ, the matrix is not symmetric, or a variance is negative.
+    """
+    if covariance["names"] != names:
+        raise ValueError("the names of the covariance differ from the names of the parameters")
+    rows, p = covariance["matrix"], len(names)
+    if len(rows) != p or any(len(row) != p for row in rows):
+        raise ValueError(f"the covariance of {p} parameters is no matrix of {p} × {p} finite numbers")
+    matrix = np.array(rows, dtype=float).reshape(p, p)
+    sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    if (np.diag(matrix) < 0).any() or (np.abs(matrix - matrix.T) > 1e-9 * np.outer(sizes, sizes)).any():
+        raise ValueError("the covariance is not symmetric, or a variance is negative")
+    return matrix
+
+
+def _checked(calibration: Calibration) -> Calibration:
+    """Return the calibration; `ValueError` if its parts are not consistent."""
+    names = set(calibration.names)
+    for term in calibration.effects:
+        wanted = len(term.effect.parameters)
+        if len(term.parameters) != wanted or not set(term.parameters) <= names:
+            raise ValueError(f"effect {term.effect.name} needs {wanted} of the parameters")
+    if calibration.provenance.counts != (calibration.counts_per_mg is not None):
+        raise ValueError("counts_per_mg goes with unit counts")
+    if calibration.counts_per_mg is not None and len(calibration.counts_per_mg) != calibration.axes:
+        raise ValueError(f"counts_per_mg has to hold {calibration.axes} numbers")
+    for one in calibration.parameters:
+        if one.name in _GAINS and not _LEAST_GAIN <= abs(one.value) <= 1 / _LEAST_GAIN:
+            raise ValueError(f"{one.name} is {one.value:g}: no gain of a sensor")
+    for name in calibration.measurement.names:
+        if name not in names and name not in calibration.assumed:
+            raise ValueError(f"parameter {name} is missing")
+    return calibration
+
+
+def _parameter(name: str, entry: Mapping[str, Any]) -> Coefficient:
+    u, dof = entry["u"], entry.get("dof")
+    known_u, known_dof = (None if one is None else float(one) for one in (u, dof))
+    return Coefficient(name, float(entry["value"]), known_u, entry["unit"], known_dof)
+
+
+def _covered(entry: Mapping[str, Any] | None) -> Covered | None:
+    return None if entry is None else Covered(**entry)
+
+
+LARGEST_BYTES = 10_000_000
+"""Largest size of a calibration file; usual files have some ten thousand bytes."""
+
+
+def calibration_in(path: str | Path) -> Calibration | None:
+    """Read a calibration from a JSON file; None if the file does not begin like JSON.
+
+    Raises
+    ------
+    DataError
+        The file is JSON but not a calibration, or it is damaged.
+    """
+    document = json_document(Path(path))
+    return None if document is None else calibration_from(document, str(path))
+
+
+def json_document(path: Path) -> Any:
+    """Read the JSON document of a file; None if the file does not begin like JSON.
+
+    Each text becomes one printable line, because texts appear in messages, comments and pages.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(64)
+            if content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] not in (b"{", b"["):
+                return None
+            content += file.read(LARGEST_BYTES)
+    except OSError:
+        return None
+    if len(content) > LARGEST_BYTES:
+        raise DataError(f"{path}: is no calibration: it has more than {LARGEST_BYTES // 1_000_000} MB")
+    try:
+        return _printable(json_value(content.decode("utf-8-sig"), parse_constant=float))
+    except ValueError as error:
+        raise DataError(f"{path}: is no JSON: {error}") from None
+
+
+def _printable(value: Any) -> Any:
+    """Convert each text of a JSON value to one printable line."""
+    if isinstance(value, str):
+        return one_line(value)
+    if isinstance(value, list):
+        return [_printable(entry) for entry in value]
+    if isinstance(value, dict):
+        return {one_line(key): _printable(entry) for key, entry in value.items()}
+    return value

@@ -1,0 +1,635 @@
+"""`cp2130:` - a board with Silicon Labs' CP2130, by pyusb (extra `usb`).
+
+`cp2130:` if one board is connected, `cp2130:SERIAL` if there are several. Options:
+
+| option | meaning | default |
+|---|---|---|
+| `cs` | GPIO that is chip select, 0 to 10; the board must have made it one | 0 |
+| `reset_gpio` | GPIO on the chip's RST | none |
+| `event_counter` | 1: data-ready is wired to the event counter, GPIO.4 | 0 |
+| `timeout_ms` | time for one transfer | 250 |
+| `bus`, `address` | location of the board, if boards have equal serial numbers | |
+
+A frame is one bulk WriteRead of two bytes. Requests are described in AN792; every parser takes any bytes
+and either returns their meaning or raises `ProtocolError`.
+
+Timing
+    The chip selects, clocks and deselects within a command; the host keeps stall and period: it sends the
+    next command only when both have passed since the last reply arrived, which is later than the rise of
+    CS. A command is therefore never queued behind another, which the chip would not survive. A frame takes
+    one bulk transfer each way: 500 frames a second if each transfer waits for its own USB frame (1 ms),
+    4000 if both together take 0.25 ms. These are bounds; none was measured.
+Errors
+    Bulk replies carry no tag, so a late reply would look like the next one. After a time-out the device
+    is therefore reset (USB port reset) and configured again; after any other failure halts of its pipes are
+    cleared and replies discarded. A frame is never repeated if its command may have left.
+Not protected
+    The data carry no checksum of their own. On the cable the CRC of USB protects them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import functools
+import struct
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any, Protocol
+
+import numpy as np
+
+from adis_gonio.base.errors import (
+    BusError,
+    BusTimeoutError,
+    CannotOpenError,
+    NotInstalledError,
+    ProtocolError,
+    UsageError,
+)
+from adis_gonio.device.bus.contract import Capability, SpiTiming, Words
+from adis_gonio.device.bus.host import (
+    RESET_PULSE_S,
+    SAFE_TIMING,
+    WALL,
+    Clock,
+    HostBus,
+    UrlOptions,
+    busy,
+    gone,
+    missing,
+    no_permission,
+    require_separate_pins,
+    several,
+)
+from adis_gonio.device.bus.opening import BusUrl, Device
+
+VENDOR_ID, PRODUCT_ID = 0x10C4, 0x87A0
+TYPE_OUT, TYPE_IN = 0x40, 0xC0
+PACKET = 64
+CHANNELS = 11
+FRAME_BYTES = 2
+
+CLOCKS_HZ = (12e6, 6e6, 3e6, 1.5e6, 750e3, 375e3, 187.5e3, 93.75e3)
+"""SPI clocks by their code."""
+
+CS_LOW_FOR_A_WHOLE_COMMAND = True
+"""[M] Chip select stays low for one bulk command, and the chip's own "CS toggle" works per byte: so a
+frame is one WriteRead of two bytes with the toggle off. If a scope shows CS rising between the two bytes,
+change the delay mask in `delay_request`."""
+
+CPHA_BIT, CPOL_BIT, PUSH_PULL_BIT = 5, 4, 3
+"""[M] Bits of the SPI word; bits 2:0 are the clock code."""
+
+EVENT_PIN = 4
+"""GPIO.4, the only pin that can count."""
+COUNTER_MODES = (4, 5, 6, 7)
+"""[M] Modes of the event counter that count: edges rising and falling, pulses negative and positive.
+The pin's duty is programmed at the factory or once by its owner (OTP), never by this package."""
+
+PIN_BITS = (3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14)
+"""[M] Bits of GPIO.0 to GPIO.10 in a word of pins. The answer about chip selects has a word of channels,
+which count from bit 0, and a word of pins: the pins that are an active chip select."""
+
+
+class ControlRequest(IntEnum):
+    """Control requests that this package sends; none of the OTP memory."""
+
+    SET_GPIO_MODE = 0x23
+    GET_CHIP_SELECT = 0x24
+    SET_CHIP_SELECT = 0x25
+    GET_SPI_WORD = 0x30
+    SET_SPI_WORD = 0x31
+    SET_SPI_DELAY = 0x33
+    GET_EVENT_COUNTER = 0x44
+
+
+class GpioMode(IntEnum):
+    """Mode of a pin."""
+
+    INPUT = 0
+    OPEN_DRAIN = 1
+    PUSH_PULL = 2
+
+
+_THIS_ONE_ONLY = 2
+_WRITE_READ = 2
+_HEADER = struct.Struct("<HBBI")
+_COUNTER = struct.Struct(">BH")
+_SELECTS = struct.Struct(">HH")
+
+
+def clock_code(clock_hz: float) -> int | None:
+    """Code of the fastest clock not above `clock_hz`; None if all are faster."""
+    return next((code for code, clock in enumerate(CLOCKS_HZ) if clock <= clock_hz), None)
+
+
+def spi_word(code: int) -> int:
+    """SPI word of a channel: mode 3, chip select push-pull, a clock."""
+    return 1 << CPHA_BIT | 1 << CPOL_BIT | 1 << PUSH_PULL_BIT | code
+
+
+def spi_word_request(channel: int, word: int) -> bytes:
+    """Data of `SET_SPI_WORD`."""
+    return bytes((channel, word))
+
+
+def parse_spi_words(data: bytes) -> tuple[int, ...]:
+    """SPI words of all channels, the answer to `GET_SPI_WORD`."""
+    if len(data) != CHANNELS:
+        raise ProtocolError(f"CP2130: {len(data)} SPI words instead of {CHANNELS}")
+    return tuple(data)
+
+
+def select_request(channel: int) -> bytes:
+    """Data of `SET_CHIP_SELECT`: this channel and no other."""
+    return bytes((channel, _THIS_ONE_ONLY))
+
+
+def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
+    """Channels and pins with an active chip select, from the answer to `GET_CHIP_SELECT`."""
+    if len(data) != _SELECTS.size:
+        raise ProtocolError(f"CP2130: chip selects of {len(data)} bytes instead of {_SELECTS.size}")
+    channels, pins = _SELECTS.unpack(data)
+    return (
+        frozenset(channel for channel in range(CHANNELS) if channels >> channel & 1),
+        frozenset(pin for pin, bit in enumerate(PIN_BITS) if pins >> bit & 1),
+    )
+
+
+def delay_request(channel: int) -> bytes:
+    """Data of `SET_SPI_DELAY`: no delays and no CS toggle; the host keeps the times between frames."""
+    return bytes((channel, 0)) + bytes(6)
+
+
+def gpio_request(pin: int, mode: GpioMode, level: int) -> bytes:
+    """Data of `SET_GPIO_MODE`."""
+    return bytes((pin, mode, level))
+
+
+def frame_command(frame: int) -> bytes:
+    """Bulk command that sends one frame and reads as much."""
+    return _HEADER.pack(0, _WRITE_READ, 0, FRAME_BYTES) + frame.to_bytes(FRAME_BYTES, "big")
+
+
+def parse_frame(data: bytes) -> int:
+    """Word received during a frame."""
+    if len(data) != FRAME_BYTES:
+        raise ProtocolError(f"CP2130: {len(data)} bytes came in for a frame of {FRAME_BYTES}")
+    return int.from_bytes(data, "big")
+
+
+def parse_counter(data: bytes) -> tuple[int, int]:
+    """Mode and count (u16, wraps), the answer to `GET_EVENT_COUNTER`."""
+    if len(data) != _COUNTER.size:
+        raise ProtocolError(f"CP2130: an event counter of {len(data)} bytes instead of {_COUNTER.size}")
+    mode, count = _COUNTER.unpack(data)
+    return mode & 7, count
+
+
+TIMEOUT_S = 0.25
+"""Time for one transfer; the chip needs less than 1 ms."""
+_DRAIN_MS = 5
+_MOST_LATE = 64
+_GONE = (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN)
+_LATE = (errno.ETIMEDOUT, 10060)
+
+
+class UsbDevice(Protocol):
+    """The used methods of a pyusb device."""
+
+    def ctrl_transfer(
+        self,
+        bm_request_type: int,
+        b_request: int,
+        w_value: int,
+        w_index: int,
+        data_or_length: bytes | int,
+        timeout: int,
+        /,
+    ) -> object:
+        """Control transfer; bytes for one to the host."""
+
+    def write(self, endpoint: int, data: bytes, timeout: int, /) -> int:
+        """Bulk transfer to the device."""
+
+    def read(self, endpoint: int, size: int, timeout: int, /) -> object:
+        """Bulk transfer to the host; an array of bytes."""
+
+    def clear_halt(self, endpoint: int, /) -> None:
+        """End a stall."""
+
+    def reset(self) -> None:
+        """Reset the port."""
+
+
+class Cp2130Bus(HostBus):
+    """A bus over an open USB device.
+
+    Parameters
+    ----------
+    device : UsbDevice
+        Interface 0 is claimed.
+    usb_error : type
+        Class of the errors of `device`.
+    claim : callable
+        Claims the interface again after a port reset.
+    release : callable
+        Called when the bus is closed.
+    endpoints : tuple of int
+        Bulk endpoints out and in.
+    url : str
+        For messages.
+    cs : int
+        GPIO that is chip select, which is also the channel.
+    reset_gpio : int or None
+        GPIO on the chip's RST, driven open-drain.
+    event_counter : bool
+        Offer the event counter of GPIO.4, which must be configured in the board's OTP.
+    timeout_s : float
+        Time for one transfer.
+    clock : Clock
+        The bus's clock.
+
+    Raises
+    ------
+    UsageError
+        Two duties on a pin, or no event counter on this board.
+    CannotOpenError
+        The pin of `cs` is no chip select.
+    BusError
+        The device does not take its settings.
+    """
+
+    def __init__(
+        self,
+        device: UsbDevice,
+        usb_error: type[OSError],
+        *,
+        claim: Callable[[], object],
+        release: Callable[[], object],
+        endpoints: tuple[int, int],
+        url: str = "cp2130:",
+        cs: int = 0,
+        reset_gpio: int | None = None,
+        event_counter: bool = False,
+        timeout_s: float = TIMEOUT_S,
+        clock: Clock = WALL,
+    ) -> None:
+        super().__init__(url, clock, release)
+        self._device = device
+        self._usb_error = usb_error
+        self._claim = claim
+        self._out_endpoint, self._in_endpoint = endpoints
+        self._cs = cs
+        self._reset_gpio = reset_gpio
+        self._timeout_s = timeout_s
+        self._unsure = False
+        self._must_reset = False
+        event = EVENT_PIN if event_counter else None
+        require_separate_pins(url, cs, reset_gpio, event, f"GPIO.{EVENT_PIN}")
+        self._drain()
+        self._timing = self._configure(SAFE_TIMING)
+        offered = set()
+        self._drive_reset(1)
+        if reset_gpio is not None:
+            offered.add(Capability.HARD_RESET)
+        self._counted = 0
+        if event_counter:
+            mode, self._counted = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
+            if mode not in COUNTER_MODES:
+                raise UsageError(f"{url}: GPIO.{EVENT_PIN} of this board is no event counter (see its OTP)")
+            offered.add(Capability.EVENT_COUNTER)
+        self.capabilities = frozenset(offered)
+
+    # -- frames ----------------------------------------------------------------------------------------
+
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        code = clock_code(timing.clock_hz)
+        if code is None:
+            raise UsageError(
+                f"{self.url}: the slowest clock is {CLOCKS_HZ[-1]:g} Hz, not {timing.clock_hz:g}"
+            )
+        self._settle()
+        self._set_up(code)
+        return SpiTiming(CLOCKS_HZ[code], timing.stall_us, timing.period_us)
+
+    def _set_up(self, code: int) -> None:
+        word = spi_word(code)
+        self._out(ControlRequest.SET_SPI_WORD, spi_word_request(self._cs, word))
+        self._out(ControlRequest.SET_SPI_DELAY, delay_request(self._cs))
+        self._out(ControlRequest.SET_CHIP_SELECT, select_request(self._cs))
+        if parse_spi_words(self._in(ControlRequest.GET_SPI_WORD, PACKET))[self._cs] != word:
+            raise ProtocolError(f"{self.url}: the CP2130 did not take its SPI word")
+        channels, pins = parse_selects(self._in(ControlRequest.GET_CHIP_SELECT, PACKET))
+        if channels != {self._cs}:
+            raise ProtocolError(f"{self.url}: the CP2130 did not take its chip select")
+        if self._cs not in pins:
+            raise CannotOpenError(
+                f"{self.url}: GPIO.{self._cs} of this board is no chip select, by its OTP or until it is"
+                " plugged in again: wire CS to another and say which (?cs=)"
+            )
+
+    def _exchange(self, frames: Words) -> Words:
+        self._settle()
+        replies = np.empty(len(frames), np.uint16)
+        try:
+            for k, frame in enumerate(frames.tolist()):
+                self._pace.wait(self._timing)
+                self._bulk_out(frame_command(frame))
+                replies[k] = parse_frame(self._bulk_in(PACKET, self._timeout_s))
+                self._pace.done(self._timing)
+        except BusError as error:
+            self._fail(error)
+            raise
+        except BaseException:  # the operator's Ctrl-C: a reply may still come
+            self._unsure = self._must_reset = True
+            raise
+        return replies
+
+    # -- optional capabilities ---------------------------------------------------------------------------
+
+    def _pull_reset(self) -> None:
+        self._settle()
+        for level in (0, 1):
+            self._drive_reset(level)
+            self.sleep_s(RESET_PULSE_S)
+
+    def _drive_reset(self, level: int) -> None:
+        if self._reset_gpio is not None:
+            mode = gpio_request(self._reset_gpio, GpioMode.OPEN_DRAIN, level)
+            self._out(ControlRequest.SET_GPIO_MODE, mode)
+
+    def _count_edges(self) -> int:
+        """Edges since the last call or port reset."""
+        self._settle()
+        _, count = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
+        # The counter is never set back, so that a read that fails loses nothing.
+        new, self._counted = (count - self._counted) & 0xFFFF, count
+        return new
+
+    # -- transfers -----------------------------------------------------------------------------------------
+
+    @property
+    def _timeout_ms(self) -> int:
+        return max(1, round(self._timeout_s * 1000))
+
+    def _out(self, request: ControlRequest, data: bytes) -> None:
+        self._call(
+            lambda: self._device.ctrl_transfer(TYPE_OUT, request, 0, 0, data, self._timeout_ms),
+            request.name,
+        )
+
+    def _in(self, request: ControlRequest, size: int) -> bytes:
+        ms = self._timeout_ms
+        return _bytes(
+            self._call(lambda: self._device.ctrl_transfer(TYPE_IN, request, 0, 0, size, ms), request.name)
+        )
+
+    def _bulk_out(self, data: bytes) -> None:
+        sent = self._call(lambda: self._device.write(self._out_endpoint, data, self._timeout_ms), "a frame")
+        if sent != len(data):
+            raise ProtocolError(f"{self.url}: {sent} of {len(data)} bytes of a command left")
+
+    def _bulk_in(self, size: int, timeout_s: float) -> bytes:
+        ms = max(1, round(timeout_s * 1000))
+        return _bytes(self._call(lambda: self._device.read(self._in_endpoint, size, ms), "a reply"))
+
+    def _call(self, action: Callable[[], object], what: str) -> object:
+        try:
+            return action()
+        except self._usb_error as error:
+            raise self._typed(error, what) from error
+
+    def _typed(self, error: OSError, what: str) -> BusError:
+        if error.errno in _GONE:
+            return gone(self.url)
+        if error.errno in _LATE:
+            return BusTimeoutError(f"{self.url}: no answer to {what} within {self._timeout_s:g} s")
+        if error.errno == errno.EACCES:
+            return CannotOpenError(f"{self.url}: the permission was taken away")
+        return ProtocolError(f"{self.url}: {what} failed: {error.strerror or error}")
+
+    # -- after a failure -----------------------------------------------------------------------------------
+
+    def _fail(self, error: BusError) -> None:
+        """Note the recovery that a failure needs, and do it if the device is present."""
+        self._unsure = True
+        self._must_reset |= isinstance(error, BusTimeoutError)
+        if not isinstance(error, CannotOpenError):
+            try:
+                self._settle()
+            except BusError:
+                self._unsure = True  # the first error counts, the next use tries again
+
+    def _settle(self) -> None:
+        """Bring the device to a known state after a failure."""
+        if not self._unsure:
+            return
+        if self._must_reset:
+            self._reset()
+        else:
+            self._end_halts()
+        self._drain()
+        self._unsure = False
+
+    def _reset(self) -> None:
+        self._call(self._device.reset, "a port reset")
+        self._call(self._claim, "claiming the interface")
+        code = clock_code(self._timing.clock_hz)
+        assert code is not None, "the timing in force was configured"
+        self._set_up(code)
+        self._drive_reset(1)
+        if Capability.EVENT_COUNTER in self.capabilities:
+            _, self._counted = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
+        self._must_reset = False
+        self._pace.done(self._timing)
+
+    def _end_halts(self) -> None:
+        for endpoint in (self._in_endpoint, self._out_endpoint):
+            self._call(functools.partial(self._device.clear_halt, endpoint), "ending a halt")
+
+    def _drain(self) -> None:
+        """Discard the replies in the pipe."""
+        for _ in range(_MOST_LATE):
+            try:
+                self._bulk_in(PACKET, _DRAIN_MS / 1000)
+            except BusTimeoutError:
+                return
+            except ProtocolError:
+                self._end_halts()
+        raise ProtocolError(f"{self.url}: unexpected replies; does another program use it?")
+
+
+def _bytes(data: object) -> bytes:
+    return bytes(data)  # type: ignore[call-overload,no-any-return]  # pyusb gives array.array, untyped
+
+
+_OPTIONS = ("cs", "reset_gpio", "event_counter", "timeout_ms", "bus", "address")
+_INTERFACE = 0
+
+
+def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> Cp2130Bus:
+    """Open a board (see the module's text).
+
+    Parameters
+    ----------
+    backend : usb.backend.IBackend
+        In place of libusb.
+    clock : Clock
+        The bus's clock.
+
+    Raises
+    ------
+    UsageError
+        An unknown option, or several boards fit.
+    NotInstalledError
+        pyusb or libusb-package is not installed.
+    CannotOpenError
+        No such board, no permission, or another program has it.
+    """
+    options = UrlOptions(url, _OPTIONS)
+    cs = options.number("cs", 0, 0, 10)
+    reset_gpio = options.number_or_none("reset_gpio", 0, 10)
+    event_counter = options.switch("event_counter")
+    timeout_ms = options.number("timeout_ms", round(TIMEOUT_S * 1000), 10, 10_000)
+    place = options.number_or_none("bus", 0, 999), options.number_or_none("address", 0, 255)
+    usb = _load()
+    boards = _boards(usb, backend)
+    fits = [
+        board
+        for board in boards
+        if place[0] in (None, board.bus)
+        and place[1] in (None, board.address)
+        and (not url.place or _serial(usb, board) == url.place)
+    ]
+    if not fits:
+        denied = [board for board in boards if _serial(usb, board) is None]
+        if denied:
+            raise no_permission(url.text, _node(denied[0]), "usb 87a0")
+        raise missing(url.text, "such CP2130" if boards else "CP2130", _devices(usb, boards))
+    if len(fits) > 1:
+        raise several(url.text, _devices(usb, fits))
+    device = fits[0]
+
+    def claim() -> None:
+        usb.util.claim_interface(device, _INTERFACE)
+
+    with contextlib.ExitStack() as stack:
+        stack.callback(usb.util.dispose_resources, device)
+        try:
+            with contextlib.suppress(NotImplementedError):
+                if device.is_kernel_driver_active(_INTERFACE):
+                    device.detach_kernel_driver(_INTERFACE)
+            claim()
+            endpoints = _endpoints(usb, url.text, device)
+        except usb.core.USBError as error:
+            raise _cannot_open(url.text, device, error) from error
+        kept = contextlib.ExitStack()
+        bus = Cp2130Bus(
+            device,
+            usb.core.USBError,
+            claim=claim,
+            release=kept.close,
+            endpoints=endpoints,
+            url=url.text,
+            cs=cs,
+            reset_gpio=reset_gpio,
+            event_counter=event_counter,
+            timeout_s=timeout_ms / 1000,
+            clock=clock,
+        )
+        kept.push(stack.pop_all())
+    return bus
+
+
+def find_devices(*, backend: Any = None) -> list[Device]:
+    """Boards that are connected, with the URL of each."""
+    usb = _load()
+    return _devices(usb, _boards(usb, backend))
+
+
+def _load() -> Any:
+    try:
+        import usb.core
+        import usb.util
+    except ImportError:
+        raise NotInstalledError("cp2130: pyusb is not installed: pip install 'adis-gonio[usb]'") from None
+    return usb
+
+
+def _libusb() -> Any:
+    """Libusb of libusb-package, else the system's."""
+    try:
+        import libusb_package
+    except ImportError:
+        import usb.backend.libusb1
+
+        return usb.backend.libusb1.get_backend()
+    return libusb_package.get_libusb1_backend()
+
+
+def _boards(usb: Any, backend: Any) -> list[Any]:
+    backend = backend or _libusb()
+    if backend is None:
+        raise NotInstalledError("cp2130: libusb is not installed: pip install 'adis-gonio[usb]'")
+    try:
+        found = usb.core.find(find_all=True, backend=backend, idVendor=VENDOR_ID, idProduct=PRODUCT_ID)
+        return sorted(found, key=lambda board: (board.bus or 0, board.address or 0))
+    except usb.core.USBError as error:
+        raise ProtocolError(f"cp2130: USB devices cannot be listed: {error.strerror or error}") from error
+
+
+def _endpoints(usb: Any, url: str, device: Any) -> tuple[int, int]:
+    """Bulk endpoints out and in by the board's descriptors.
+
+    They are 0x01 and 0x82, or 0x02 and 0x81 if the board's OTP gives reading the higher priority.
+    """
+    interface = usb.util.find_descriptor(
+        device.get_active_configuration(), bInterfaceNumber=_INTERFACE, bAlternateSetting=0
+    )
+    bulk = [
+        endpoint.bEndpointAddress
+        for endpoint in interface or ()
+        if usb.util.endpoint_type(endpoint.bmAttributes) == usb.util.ENDPOINT_TYPE_BULK
+    ]
+    out = [address for address in bulk if address < usb.util.ENDPOINT_IN]
+    back = [address for address in bulk if address >= usb.util.ENDPOINT_IN]
+    if len(out) != 1 or len(back) != 1:
+        raise ProtocolError(f"{url}: this board has no pair of bulk endpoints: is it a CP2130?")
+    return out[0], back[0]
+
+
+def _serial(usb: Any, board: Any) -> str | None:
+    """Serial number, read by opening the device; None without permission."""
+    try:
+        return str(board.serial_number or "")
+    except (usb.core.USBError, ValueError, NotImplementedError):
+        return None
+    finally:
+        usb.util.dispose_resources(board)
+
+
+def _node(board: Any) -> str:
+    return f"/dev/bus/usb/{board.bus or 0:03d}/{board.address or 0:03d}"
+
+
+def _devices(usb: Any, boards: list[Any]) -> list[Device]:
+    serials = [_serial(usb, board) for board in boards]
+    devices = []
+    for board, serial in zip(boards, serials, strict=True):
+        unique = serial and serial.isalnum() and serials.count(serial) == 1
+        place = serial if unique else f"?bus={board.bus}&address={board.address}"
+        denied = ", no permission (adis-gonio devices --udev)" if serial is None else ""
+        devices.append(Device(f"cp2130:{place}", f"CP2130, USB to SPI, {_node(board)}{denied}"))
+    return devices
+
+
+def _cannot_open(url: str, device: Any, error: Any) -> BusError:
+    if error.errno == errno.EACCES:
+        return no_permission(url, _node(device), "usb 87a0")
+    if error.errno == errno.EBUSY:
+        return busy(url, _node(device))
+    if error.errno in (errno.ENODEV, errno.ENOENT):
+        return gone(url)
+    return ProtocolError(f"{url}: the CP2130 cannot be opened: {error.strerror or error}")

@@ -1,0 +1,786 @@
+"""`mcp2210:` - a board with Microchip's MCP2210, by hidapi (extra `hid`).
+
+`mcp2210:` if one board is connected, `mcp2210:SERIAL` if there are several. Options:
+
+| option | meaning | default |
+|---|---|---|
+| `cs` | GP that is chip select, 0 to 8 | 0 |
+| `reset_gpio` | GP on the chip's RST | none |
+| `event_counter` | 1: data-ready is wired to GP6 | 0 |
+| `timeout_ms` | time for one answer | 250 |
+| `backend` | `hidraw` or `libusb`, on Linux | hidraw |
+| `path` | the device's path in hidapi, if boards have equal serial numbers | |
+
+A frame is one SPI transaction of two bytes. Reports have 64 bytes each way, little endian; every parser
+takes any bytes and either returns their meaning or raises `ProtocolError`.
+
+Timing
+    The chip drives CS around every transaction; its own delays have steps of 100 µs and lie within the
+    CS-low time, so they are zero. The host keeps stall and period: it sends a transfer only when both have
+    passed since the answer that reported the end of the last frame, which is later than the rise of CS. A
+    frame takes two commands, start and fetch. A command is a report each way. The maker's sibling MCP2221
+    exchanges 500 reports a second at xHCI controllers and 333 at EHCI (EasyMCP2221, "USB speed limits"): at
+    most 167 to 250 frames a second, for any clock. A fetch with the answer "not yet" (engine started, or
+    status 0xF8) costs one more command.
+Errors
+    HID answers arrive in order and carry the code of their command. After any failure the transfer is
+    cancelled, and answers are discarded up to the answer to a mark with a unique number, so that a late
+    answer, even to an earlier cancel, is never used for another command. A transfer that was refused (busy,
+    stuck engine) has clocked nothing and is tried once more; a transfer that was accepted is never
+    repeated. If the device does not take a report, nothing more is sent to it until the bus is used again.
+Writes
+    A write of hidapi has no time-out: on hidraw the kernel waits 5 s for a device that takes nothing, on
+    libusb hidapi waits 1 s and then reports a failure. A thread therefore writes, and the caller limits its
+    wait.
+Not protected
+    The data of an answer carry no checksum of their own. On the cable the CRC of USB protects them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import struct
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any, Protocol
+from urllib.parse import quote
+
+import numpy as np
+
+from adis_gonio.base.errors import BusError, BusTimeoutError, NotInstalledError, ProtocolError, UsageError
+from adis_gonio.device.bus.contract import Capability, SpiTiming, Words
+from adis_gonio.device.bus.host import (
+    RESET_PULSE_S,
+    SAFE_TIMING,
+    WALL,
+    Clock,
+    HostBus,
+    UrlOptions,
+    busy,
+    claimed,
+    gone,
+    missing,
+    no_permission,
+    readable_and_writable,
+    require_separate_pins,
+    several,
+)
+from adis_gonio.device.bus.opening import BusUrl, Device
+
+VENDOR_ID, PRODUCT_ID = 0x04D8, 0x00DE
+REPORT = 64
+PINS = 9
+BASE_HZ = 12_000_000
+SLOWEST_HZ = 1_500
+FRAME_BYTES = 2
+
+STARTS_WITHOUT_DATA = True
+"""[M] The answer that accepts a transfer carries no data, even if the bytes were already clocked; the next
+answer has the data. From the maker's example; a board that differs causes the error "data before the
+transfer has started"."""
+
+EVENT_PIN = 6
+"""GP6, the only pin that can count."""
+COUNT_RISING_EDGES = 0b010
+"""[M] Chip settings, bits 3:1: events that GP6 counts."""
+EVENT_MODE_MASK = 0b1110
+
+
+ECHO = 2
+"""[M] Byte of the answer to an EEPROM read that repeats the address. It is the only part of a harmless
+request that this chip repeats, so it marks a place in the order of answers."""
+
+
+class Command(IntEnum):
+    """Commands that this package sends; none writes to NVRAM or EEPROM."""
+
+    CANCEL = 0x11
+    EVENTS = 0x12
+    GET_CHIP = 0x20
+    SET_CHIP = 0x21
+    SET_GPIO_VALUES = 0x30
+    GET_GPIO_VALUES = 0x31
+    SET_GPIO_DIRECTIONS = 0x32
+    GET_GPIO_DIRECTIONS = 0x33
+    SET_SPI = 0x40
+    GET_SPI = 0x41
+    TRANSFER = 0x42
+    READ_EEPROM = 0x50
+
+
+class AnswerStatus(IntEnum):
+    """Second byte of an answer."""
+
+    DONE = 0x00
+    NOT_OWNED = 0xF7
+    BUSY = 0xF8
+    UNKNOWN = 0xF9
+    WRITE_FAILED = 0xFA
+    ACCESS_1 = 0xFB
+    ACCESS_2 = 0xFC
+    ACCESS_3 = 0xFD
+
+
+STATUS_WORDS = {
+    AnswerStatus.NOT_OWNED: "another master has the SPI bus",
+    AnswerStatus.BUSY: "the SPI engine is busy",
+    AnswerStatus.UNKNOWN: "the command is unknown: is this an MCP2210?",
+    AnswerStatus.WRITE_FAILED: "a write failed",
+    AnswerStatus.ACCESS_1: "access denied: the settings are protected",
+    AnswerStatus.ACCESS_2: "access denied: the settings are protected",
+    AnswerStatus.ACCESS_3: "access denied: the settings are protected",
+}
+
+
+class Engine(IntEnum):
+    """State of the transfer engine, fourth byte of a transfer's answer."""
+
+    FINISHED = 0x10
+    STARTED = 0x20
+    RUNNING = 0x30
+
+
+class Designation(IntEnum):
+    """Function of a pin."""
+
+    GPIO = 0
+    CS = 1
+    DEDICATED = 2
+
+
+_CHIP = struct.Struct("<9sHHB")
+_SPI = struct.Struct("<IHHHHHHB")
+_WORD = struct.Struct("<H")
+
+
+def request(command: Command, body: bytes = b"") -> bytes:
+    """A report to the device, without a report id."""
+    return (bytes([command]) + body).ljust(REPORT, b"\0")
+
+
+def status_of(answer: bytes, command: Command) -> int:
+    """Status byte of an answer to a command.
+
+    Raises
+    ------
+    ProtocolError
+        Not 64 bytes, or the answer to another command.
+    """
+    if len(answer) != REPORT:
+        raise ProtocolError(f"MCP2210: an answer of {len(answer)} bytes instead of {REPORT}")
+    if answer[0] != command:
+        raise ProtocolError(f"MCP2210: answer to 0x{answer[0]:02X} instead of 0x{command:02X}")
+    return answer[1]
+
+
+def status_words(status: int) -> str:
+    """Meaning of a status."""
+    try:
+        return STATUS_WORDS[AnswerStatus(status)]
+    except (ValueError, KeyError):
+        return f"status 0x{status:02X}"
+
+
+def mark(number: int) -> bytes:
+    """Request for an answer with a number (u8): a read of the EEPROM, discarded."""
+    return request(Command.READ_EEPROM, bytes([number]))
+
+
+def is_mark(answer: bytes, number: int) -> bool:
+    """True for the answer to `mark(number)`."""
+    return len(answer) == REPORT and answer[0] == Command.READ_EEPROM and answer[ECHO] == number
+
+
+@dataclass(frozen=True)
+class ChipSettings:
+    """Pins in RAM (commands 0x20, 0x21): nine designations, default outputs and directions, flags."""
+
+    designations: tuple[int, ...]
+    outputs: int
+    directions: int
+    flags: int
+
+    @classmethod
+    def parse(cls, answer: bytes) -> ChipSettings:
+        """Read an answer to `GET_CHIP`."""
+        if status_of(answer, Command.GET_CHIP):
+            raise ProtocolError(f"MCP2210: chip settings not read: {status_words(answer[1])}")
+        designations, outputs, directions, flags = _CHIP.unpack_from(answer, 4)
+        if any(kind > Designation.DEDICATED for kind in designations):
+            raise ProtocolError("MCP2210: a pin's designation is none of GPIO, CS, dedicated")
+        return cls(tuple(designations), outputs, directions, flags)
+
+    def with_pin(self, pin: int, kind: Designation) -> ChipSettings:
+        """Copy with another designation of one pin."""
+        designations = list(self.designations)
+        designations[pin] = kind
+        return replace(self, designations=tuple(designations))
+
+    def request(self) -> bytes:
+        """`SET_CHIP`."""
+        body = _CHIP.pack(bytes(self.designations), self.outputs, self.directions, self.flags)
+        return request(Command.SET_CHIP, bytes(3) + body)
+
+
+@dataclass(frozen=True)
+class SpiSettings:
+    """SPI settings in RAM (commands 0x40, 0x41); the delays are zero, because the host keeps the times."""
+
+    bit_rate_hz: int
+    idle_cs: int
+    active_cs: int
+    times_100us: tuple[int, int, int]
+    transaction: int
+    mode: int
+
+    @classmethod
+    def for_frames(cls, clock_hz: float, cs: int) -> SpiSettings:
+        """Frames of two bytes in mode 3, CS on one GP.
+
+        The chip divides 12 MHz; the rate is the fastest possible one not above `clock_hz`.
+        """
+        rate = BASE_HZ // -int(-BASE_HZ // clock_hz)
+        idle = (1 << PINS) - 1
+        return cls(rate, idle, idle & ~(1 << cs), (0, 0, 0), FRAME_BYTES, 3)
+
+    @classmethod
+    def parse(cls, answer: bytes) -> SpiSettings:
+        """Read an answer to `GET_SPI`."""
+        if status_of(answer, Command.GET_SPI):
+            raise ProtocolError(f"MCP2210: SPI settings not read: {status_words(answer[1])}")
+        rate, idle, active, lead, hold, between, transaction, mode = _SPI.unpack_from(answer, 4)
+        return cls(rate, idle, active, (lead, hold, between), transaction, mode)
+
+    def request(self) -> bytes:
+        """`SET_SPI`."""
+        body = _SPI.pack(
+            self.bit_rate_hz, self.idle_cs, self.active_cs, *self.times_100us, self.transaction, self.mode
+        )
+        return request(Command.SET_SPI, bytes(3) + body)
+
+
+def transfer(data: bytes = b"") -> bytes:
+    """Start a transaction, or fetch the received bytes."""
+    return request(Command.TRANSFER, bytes([len(data), 0, 0]) + data)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """An answer to a transfer that was accepted."""
+
+    engine: Engine
+    data: bytes
+
+    @classmethod
+    def parse(cls, answer: bytes) -> Progress:
+        """Read an answer with status DONE."""
+        if status_of(answer, Command.TRANSFER):
+            raise ProtocolError(f"MCP2210: transfer refused: {status_words(answer[1])}")
+        count = answer[2]
+        if count > FRAME_BYTES:
+            raise ProtocolError(f"MCP2210: {count} bytes came in for a frame of {FRAME_BYTES}")
+        try:
+            engine = Engine(answer[3])
+        except ValueError:
+            raise ProtocolError(f"MCP2210: engine state 0x{answer[3]:02X} is not defined") from None
+        if engine is Engine.STARTED and count:
+            raise ProtocolError("MCP2210: data before the transfer has started")
+        return cls(engine, answer[4 : 4 + count])
+
+    @classmethod
+    def of_poll(cls, answer: bytes) -> Progress:
+        """Read the answer to a transfer without data.
+
+        The engine refuses those too while it clocks (0xF8, data sheet DS22288A, figure 3-23): not yet.
+        """
+        if status_of(answer, Command.TRANSFER) == AnswerStatus.BUSY:
+            return cls(Engine.STARTED, b"")
+        return cls.parse(answer)
+
+
+def parse_events(answer: bytes) -> int:
+    """Count of an answer to `EVENTS`."""
+    if status_of(answer, Command.EVENTS):
+        raise ProtocolError(f"MCP2210: event counter not read: {status_words(answer[1])}")
+    return int(_WORD.unpack_from(answer, 4)[0])
+
+
+def parse_pins(answer: bytes, command: Command) -> int:
+    """Nine bits of an answer to a GPIO command."""
+    if status_of(answer, command):
+        raise ProtocolError(f"MCP2210: GPIO not read: {status_words(answer[1])}")
+    return int(_WORD.unpack_from(answer, 4)[0]) & (1 << PINS) - 1
+
+
+def pins_request(command: Command, bits: int) -> bytes:
+    """Set values or directions (1 is an input) of the nine pins."""
+    return request(command, bytes(3) + _WORD.pack(bits))
+
+
+WRITE_S = 2.5
+"""Time for a write: longer than hidapi's own second on libusb, so that no write is pending there, and half
+of the kernel's time on hidraw. A board takes a report within 1 ms, but a busy host may be slow."""
+AT_ONCE_S = 0.5
+"""A write that fails later than this was not taken; a missing device fails at once."""
+LONGEST_WRITE_S = 6.0
+"""The kernel has cancelled a write by then."""
+
+
+class HidDevice(Protocol):
+    """The used methods of an open device of package hidapi."""
+
+    def write(self, data: bytes, /) -> int:
+        """Send a report with a leading report id; a negative number is a failure."""
+
+    def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
+        """A report, or nothing in time; `OSError` once the device is gone."""
+
+    def set_nonblocking(self, on: int, /) -> int:
+        """Let reads without a time-out return at once."""
+
+    def close(self) -> None:
+        """Give the device back."""
+
+
+class TimedWrites:
+    """A `HidDevice` with a `write` that raises `TimeoutError` if the device takes nothing.
+
+    Parameters
+    ----------
+    device : HidDevice
+        Device; `close` also closes it.
+    timeout_s : float
+        Time for a write, including a pending write before it.
+    """
+
+    def __init__(self, device: HidDevice, timeout_s: float = WRITE_S) -> None:
+        self._device = device
+        self._timeout_s = timeout_s
+        self._thread = ThreadPoolExecutor(1, "mcp2210-write")
+        self._last: Future[int] | None = None
+
+    def write(self, data: bytes, /) -> int:
+        """Send a report with a leading report id; a negative number is a failure."""
+        if self._last is not None and not wait([self._last], self._timeout_s).done:
+            raise TimeoutError("an earlier report is still pending")
+        self._last = self._thread.submit(self._write, data)
+        return self._last.result(self._timeout_s)
+
+    def _write(self, data: bytes) -> int:
+        begin_s = time.monotonic()
+        sent = self._device.write(data)
+        if sent < 0 and time.monotonic() - begin_s > AT_ONCE_S:
+            raise TimeoutError("hidapi's own time-out")
+        return sent
+
+    def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
+        """A report, or nothing in time; `OSError` once the device is gone."""
+        return self._device.read(size, timeout_ms)
+
+    def set_nonblocking(self, on: int, /) -> int:
+        """Let reads without a time-out return at once."""
+        return self._device.set_nonblocking(on)
+
+    def close(self) -> None:
+        """Close the device; waits for a write, because hidapi frees memory that the write uses."""
+        self._thread.shutdown(wait=False)
+        if self._last is None or wait([self._last], LONGEST_WRITE_S).done:
+            self._device.close()
+        else:
+            self._last.add_done_callback(self._close_late)
+
+    def _close_late(self, _: Future[int]) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            self._device.close()
+
+
+TIMEOUT_S = 0.25
+"""Time for one answer; the chip needs 1 to 2 ms."""
+_TRIES = 2
+_MOST_LATE = 64
+"""Most foreign answers that are discarded before an error."""
+
+
+class Mcp2210Bus(HostBus):
+    """A bus over an open HID device.
+
+    Parameters
+    ----------
+    device : HidDevice
+        Belongs to the bus from now on.
+    url : str
+        For messages.
+    cs : int
+        GP that is chip select.
+    reset_gpio : int or None
+        GP on the chip's RST; driven low or left floating.
+    event_counter : bool
+        Data-ready is wired to GP6: count its edges.
+    timeout_s : float
+        Time for one answer.
+    clock : Clock
+        The bus's clock.
+    release : callable
+        Called when the bus is closed, in place of the device's own `close`.
+
+    Raises
+    ------
+    UsageError
+        A pin has two duties.
+    BusError
+        The device does not take its settings.
+    """
+
+    def __init__(
+        self,
+        device: HidDevice,
+        *,
+        url: str = "mcp2210:",
+        cs: int = 0,
+        reset_gpio: int | None = None,
+        event_counter: bool = False,
+        timeout_s: float = TIMEOUT_S,
+        clock: Clock = WALL,
+        release: Callable[[], object] | None = None,
+    ) -> None:
+        super().__init__(url, clock, release or device.close)
+        self._device = device
+        self._cs = cs
+        self._reset_gpio = reset_gpio
+        self._timeout_s = timeout_s
+        self._unsure = True
+        self._takes_reports = True
+        self._marked = 0
+        event = EVENT_PIN if event_counter else None
+        require_separate_pins(url, cs, reset_gpio, event, f"GP{EVENT_PIN}")
+        offered = set()
+        if reset_gpio is not None:
+            offered.add(Capability.HARD_RESET)
+        if event_counter:
+            offered.add(Capability.EVENT_COUNTER)
+        self.capabilities = frozenset(offered)
+        device.set_nonblocking(1)
+        self._settle()
+        self._set_pins()
+        self._timing = self._configure(SAFE_TIMING)
+
+    # -- frames --------------------------------------------------------------------------------------
+
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        if timing.clock_hz < SLOWEST_HZ:
+            raise UsageError(f"{self.url}: the slowest clock is {SLOWEST_HZ} Hz, not {timing.clock_hz:g}")
+        self._settle()
+        wanted = SpiSettings.for_frames(timing.clock_hz, self._cs)
+        self._ask_done(Command.SET_SPI, wanted.request())
+        got = SpiSettings.parse(self._ask(Command.GET_SPI))
+        if (
+            replace(got, bit_rate_hz=wanted.bit_rate_hz) != wanted
+            or not 0 < got.bit_rate_hz <= timing.clock_hz
+        ):
+            raise ProtocolError(f"{self.url}: the MCP2210 did not take its settings: {got}")
+        return SpiTiming(float(got.bit_rate_hz), timing.stall_us, timing.period_us)
+
+    def _exchange(self, frames: Words) -> Words:
+        self._settle()
+        replies = np.empty(len(frames), np.uint16)
+        try:
+            for k, frame in enumerate(frames.tolist()):
+                replies[k] = self._frame(frame)
+        except BaseException as error:  # an interruption by the operator leaves an answer behind as well
+            self._unsure = True
+            if isinstance(error, BusError) and self._takes_reports:
+                self._settle_quietly()
+            raise
+        return replies
+
+    def _frame(self, frame: int) -> int:
+        self._pace.wait(self._timing)
+        self._start(frame.to_bytes(FRAME_BYTES, "big"))
+        data = b""
+        deadline = self._clock.now_s() + self._timeout_s
+        while True:
+            progress = Progress.of_poll(self._ask(Command.TRANSFER, transfer()))
+            data += progress.data
+            if progress.engine is Engine.FINISHED:
+                break
+            if self._clock.now_s() > deadline:
+                raise BusTimeoutError(
+                    f"{self.url}: the SPI engine does not finish a frame within {self._timeout_s:g} s"
+                )
+        self._pace.done(self._timing)
+        if len(data) != FRAME_BYTES:
+            raise ProtocolError(f"{self.url}: a frame ended with {len(data)} of {FRAME_BYTES} bytes")
+        return int.from_bytes(data, "big")
+
+    def _start(self, data: bytes) -> None:
+        """Begin a transaction; a refused one has clocked nothing and is tried once more."""
+        for left in range(_TRIES - 1, -1, -1):
+            answer = self._ask(Command.TRANSFER, transfer(data))
+            status = status_of(answer, Command.TRANSFER)
+            if status == AnswerStatus.DONE:
+                progress = Progress.parse(answer)
+                if STARTS_WITHOUT_DATA and progress.engine is not Engine.STARTED:
+                    raise ProtocolError(f"{self.url}: data before the transfer has started")
+                return
+            if status not in (AnswerStatus.BUSY, AnswerStatus.NOT_OWNED):
+                raise ProtocolError(f"{self.url}: {status_words(status)}")
+            if left:
+                self._cancel()
+                self._pace.wait(self._timing)
+        raise busy(self.url, f"the SPI side ({status_words(status)})")
+
+    # -- optional capabilities -----------------------------------------------------------------------
+
+    def _pull_reset(self) -> None:
+        bit = 1 << (self._reset_gpio or 0)
+        self._settle()
+        values = parse_pins(self._ask(Command.GET_GPIO_VALUES), Command.GET_GPIO_VALUES)
+        inputs = parse_pins(self._ask(Command.GET_GPIO_DIRECTIONS), Command.GET_GPIO_DIRECTIONS)
+        self._ask_done(Command.SET_GPIO_VALUES, pins_request(Command.SET_GPIO_VALUES, values & ~bit))
+        for directions in (inputs & ~bit, inputs | bit):
+            report = pins_request(Command.SET_GPIO_DIRECTIONS, directions)
+            self._ask_done(Command.SET_GPIO_DIRECTIONS, report)
+            self.sleep_s(RESET_PULSE_S)
+
+    def _count_edges(self) -> int:
+        """Edges on GP6 since the last call."""
+        self._settle()
+        return parse_events(self._ask(Command.EVENTS))
+
+    def _set_pins(self) -> None:
+        now = ChipSettings.parse(self._ask(Command.GET_CHIP))
+        wanted = now.with_pin(self._cs, Designation.CS)
+        if self._reset_gpio is not None:
+            wanted = wanted.with_pin(self._reset_gpio, Designation.GPIO)
+            wanted = replace(wanted, directions=wanted.directions | 1 << self._reset_gpio)
+        if Capability.EVENT_COUNTER in self.capabilities:
+            wanted = wanted.with_pin(EVENT_PIN, Designation.DEDICATED)
+            flags = wanted.flags & ~EVENT_MODE_MASK | COUNT_RISING_EDGES << 1
+            wanted = replace(wanted, flags=flags)
+        if wanted != now:
+            self._ask_done(Command.SET_CHIP, wanted.request())
+        if Capability.EVENT_COUNTER in self.capabilities:
+            self._ask(Command.EVENTS)
+
+    # -- reports --------------------------------------------------------------------------------------
+
+    def _ask_done(self, command: Command, report: bytes) -> None:
+        status = status_of(self._ask(command, report), command)
+        if status != AnswerStatus.DONE:
+            raise ProtocolError(f"{self.url}: {status_words(status)}")
+
+    def _ask(self, command: Command, report: bytes | None = None) -> bytes:
+        """Send a report and return its own answer."""
+        try:
+            return self._converse(command, report if report is not None else request(command))
+        except BaseException:
+            self._unsure = True
+            raise
+
+    def _converse(self, command: Command, report: bytes) -> bytes:
+        answer = self._await(report, lambda answer: len(answer) != REPORT or answer[0] == command)
+        status_of(answer, command)
+        return answer
+
+    def _await(self, report: bytes, is_mine: Callable[[bytes], bool]) -> bytes:
+        """Send a report and return the first answer that is its own."""
+        while self._read(0):
+            pass  # discard late answers
+        self._write(report)
+        deadline = self._clock.now_s() + self._timeout_s
+        for _ in range(_MOST_LATE):
+            left = deadline - self._clock.now_s()
+            answer = self._read(max(1, round(left * 1000))) if left > 0 else b""
+            if not answer:
+                raise BusTimeoutError(f"{self.url}: no answer within {self._timeout_s:g} s")
+            if is_mine(answer):
+                return answer  # others are late, of requests that were given up
+        raise ProtocolError(f"{self.url}: only answers to other commands; does another program use it?")
+
+    def _write(self, report: bytes) -> None:
+        try:
+            sent = self._device.write(b"\0" + report)
+            self._takes_reports = True
+        except TimeoutError as error:
+            self._takes_reports = False
+            raise BusTimeoutError(f"{self.url}: the device takes no report within {WRITE_S:g} s") from error
+        except (OSError, ValueError) as error:
+            raise gone(self.url) from error
+        if sent < 0:
+            raise gone(self.url)
+
+    def _read(self, timeout_ms: int) -> bytes:
+        try:
+            return bytes(self._device.read(REPORT, timeout_ms))
+        except (OSError, ValueError) as error:
+            raise gone(self.url) from error
+
+    # -- after a failure -------------------------------------------------------------------------------
+
+    def _settle(self) -> None:
+        """Bring the device to a known state after a failure."""
+        if self._unsure:
+            self._cancel()
+            self._unsure = False
+
+    def _settle_quietly(self) -> None:
+        """Like `_settle`, after an error: the first error counts, the next use tries again."""
+        try:
+            self._settle()
+        except BusError:
+            self._unsure = True
+
+    def _cancel(self) -> None:
+        self._converse(Command.CANCEL, request(Command.CANCEL))
+        # The answer may belong to an earlier cancel. Answers keep their order: after the answer to the mark
+        # no earlier answer can follow.
+        self._marked = (self._marked + 1) & 0xFF
+        number = self._marked
+        self._await(mark(number), lambda answer: is_mark(answer, number))
+        self._pace.done(self._timing)
+
+
+_OPTIONS = ("cs", "reset_gpio", "event_counter", "timeout_ms", "backend", "path")
+_BACKENDS = ("hidraw", "libusb")
+
+
+def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp2210Bus:
+    """Open a board (see the module's text).
+
+    Parameters
+    ----------
+    hid : module
+        In place of hidapi's; its writes must not block.
+    clock : Clock
+        The bus's clock.
+
+    Raises
+    ------
+    UsageError
+        An unknown option, or several boards fit.
+    NotInstalledError
+        hidapi is not installed.
+    CannotOpenError
+        No such board, no permission, or another program has it.
+    """
+    options = UrlOptions(url, _OPTIONS)
+    backend = options.one_of("backend", _BACKENDS)
+    cs = options.number("cs", 0, 0, 8)
+    reset_gpio = options.number_or_none("reset_gpio", 0, 8)
+    event_counter = options.switch("event_counter")
+    timeout_ms = options.number("timeout_ms", round(TIMEOUT_S * 1000), 10, 10_000)
+    blocks = hid is None
+    hid = hid or _load(backend)
+    boards = _boards(hid)
+    wanted = options.text("path")
+    fits = [
+        board
+        for board in boards
+        if (not wanted or _path(board) == wanted) and (not url.place or _serial(board) == url.place)
+    ]
+    if not fits:
+        raise missing(url.text, "such MCP2210" if boards else "MCP2210", _devices(boards))
+    if len(fits) > 1:
+        raise several(url.text, _devices(fits))
+    with contextlib.ExitStack() as stack:
+        device: HidDevice = _open(hid, url.text, fits[0], stack)
+        if blocks:
+            device = TimedWrites(device)
+        stack.callback(device.close)
+        kept = contextlib.ExitStack()
+        bus = Mcp2210Bus(
+            device,
+            url=url.text,
+            cs=cs,
+            reset_gpio=reset_gpio,
+            event_counter=event_counter,
+            timeout_s=timeout_ms / 1000,
+            clock=clock,
+            release=kept.close,
+        )
+        kept.push(stack.pop_all())
+    return bus
+
+
+def find_devices(*, hid: Any = None) -> list[Device]:
+    """Boards that are connected, with the URL of each."""
+    return _devices(_boards(hid or _load(_BACKENDS[0])))
+
+
+def _load(backend: str) -> Any:
+    """Hidapi's module: on Linux it has two, one a backend."""
+    names = ["hidraw", "hid"] if sys.platform == "linux" and backend == "hidraw" else ["hid"]
+    for name in names:
+        with contextlib.suppress(ImportError):
+            module = importlib.import_module(name)
+            if hasattr(module, "device"):
+                return module
+            raise NotInstalledError(
+                "mcp2210: module 'hid' belongs to package hid, not hidapi: pip uninstall hid;"
+                " pip install --force-reinstall hidapi"
+            )
+    raise NotInstalledError("mcp2210: hidapi is not installed: pip install 'adis-gonio[hid]'")
+
+
+def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack) -> HidDevice:
+    path = _path(board)
+    node = _node(path)
+    if not readable_and_writable(node):
+        raise no_permission(url, node, f"{'hidraw' if 'hidraw' in node else 'usb'} 04d8")
+    stack.enter_context(claimed(node, url))
+    device = hid.device()
+    try:
+        device.open_path(board["path"])
+    except OSError:
+        # hidapi reports only "open failed": find the reason.
+        if not any(_path(other) == path for other in _boards(hid)):
+            raise missing(url, "MCP2210 any more") from None
+        raise busy(url, node) from None
+    opened: HidDevice = device
+    return opened
+
+
+def _boards(hid: Any) -> list[dict[str, Any]]:
+    found = hid.enumerate(VENDOR_ID, PRODUCT_ID)
+    return sorted(found, key=lambda board: (_serial(board), _path(board)))
+
+
+def _path(board: dict[str, Any]) -> str:
+    path = board["path"]
+    return path.decode(errors="replace") if isinstance(path, bytes) else str(path)
+
+
+def _serial(board: dict[str, Any]) -> str:
+    return str(board.get("serial_number") or "")
+
+
+def _node(path: str) -> str:
+    """Device file behind a path of hidapi: itself, or for libusb the node of the port it names."""
+    if path.startswith("/"):
+        return path
+    from pathlib import Path
+
+    port = Path("/sys/bus/usb/devices") / path.partition(":")[0]
+    try:
+        bus, number = (int((port / name).read_text()) for name in ("busnum", "devnum"))
+    except (OSError, ValueError):
+        return path
+    return f"/dev/bus/usb/{bus:03d}/{number:03d}"
+
+
+def _devices(boards: list[dict[str, Any]]) -> list[Device]:
+    serials = [_serial(board) for board in boards]
+    devices = []
+    for board, serial in zip(boards, serials, strict=True):
+        path = _path(board)
+        unique = serial.isalnum() and serials.count(serial) == 1
+        place = serial if unique else f"?path={quote(path, safe='/')}"
+        denied = "" if readable_and_writable(_node(path)) else ", no permission (adis-gonio devices --udev)"
+        name = board.get("product_string") or "MCP2210"
+        devices.append(Device(f"mcp2210:{place}", f"{name}, HID to SPI, {path}{denied}"))
+    return devices

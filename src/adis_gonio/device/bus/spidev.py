@@ -1,0 +1,481 @@
+"""`spidev:/dev/spidev0.0` - SPI pins of a Raspberry Pi and other Linux boards; needs no package.
+
+| option | meaning | default |
+|---|---|---|
+| `reset_gpio` | the chip's RST: `17` on gpiochip0, or `gpiochip4:17` | none |
+| `cs_high_us` | time for which the kernel keeps CS high within a message | 10 |
+
+Many frames are one ioctl if the kernel can keep the stall; otherwise each frame is one. The structures
+follow the kernel (linux/spi/spidev.h, linux/gpio.h), with pointers of 64 bits on all systems.
+
+Timing
+    Within a message the kernel raises CS between transfers with `cs_change`, and keeps it high for 10 µs;
+    `delay_usecs` comes *before* the rise and so cannot lengthen the stall, and spidev passes on no other
+    delay. 10 µs are enough for the chip's fast mode (9 µs). In this mode the whole batch is one
+    SPI_IOC_MESSAGE; the clock keeps the frame period: it is so slow that 16 clocks and the 10 µs fill the
+    period, and CS rises right after the last clock, as required by the chip's sleep command. For a longer
+    stall (normal mode: 75 µs) every frame is its own message and the host waits in between. If the device
+    tree lengthens the time (`spi-cs-inactive-delay-ns`), set `cs_high_us` and batches are one message in
+    normal mode too.
+Sizes
+    A message has at most 511 transfers because of the size field of its number, and fewer if the driver's
+    buffer (`bufsiz`, 4096 bytes) is short, since newer kernels round each transfer up to a cache line. A
+    message that is too long is refused before anything is clocked (EMSGSIZE); it is then sent in halves,
+    and the host keeps the stall between them.
+Errors
+    An ioctl has no time-out; the kernel's controller drivers have their own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from adis_gonio.base.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
+from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiTiming, Words
+from adis_gonio.device.bus.host import (
+    RESET_PULSE_S,
+    SAFE_TIMING,
+    WALL,
+    Clock,
+    HostBus,
+    UrlOptions,
+    busy,
+    gone,
+    missing,
+    no_permission,
+    readable_and_writable,
+    several,
+)
+from adis_gonio.device.bus.opening import BusUrl, Device
+
+_WRITE, _READ = 1, 2
+_SIZE_BITS = 14
+
+
+def _ioc(direction: int, kind: int, number: int, size: int) -> int:
+    return direction << 30 | size << 16 | kind << 8 | number
+
+
+class Transfer(ctypes.Structure):
+    """struct spi_ioc_transfer."""
+
+    _fields_ = (
+        ("tx_buf", ctypes.c_uint64),
+        ("rx_buf", ctypes.c_uint64),
+        ("len", ctypes.c_uint32),
+        ("speed_hz", ctypes.c_uint32),
+        ("delay_usecs", ctypes.c_uint16),
+        ("bits_per_word", ctypes.c_uint8),
+        ("cs_change", ctypes.c_uint8),
+        ("tx_nbits", ctypes.c_uint8),
+        ("rx_nbits", ctypes.c_uint8),
+        ("word_delay_usecs", ctypes.c_uint8),
+        ("pad", ctypes.c_uint8),
+    )
+
+
+TRANSFER_SIZE = ctypes.sizeof(Transfer)
+MOST_TRANSFERS = ((1 << _SIZE_BITS) - 1) // TRANSFER_SIZE
+"""Transfers that fit the size field of an ioctl number: 511."""
+
+_SPI = ord("k")
+WR_MODE32 = _ioc(_WRITE, _SPI, 5, 4)
+RD_MODE32 = _ioc(_READ, _SPI, 5, 4)
+MODE_3 = MODE_BITS = 0b11
+LSB_FIRST, THREE_WIRE, LOOP = 0x08, 0x10, 0x20
+BENT_FRAMES = LSB_FIRST | THREE_WIRE | LOOP
+"""Flags of the mode that change the bits of a frame or their source. The other flags define the drive of CS
+and belong to the kernel: since 5.4 it sets SPI_CS_HIGH if CS is a GPIO of any polarity."""
+
+
+def message(count: int) -> int:
+    """SPI_IOC_MESSAGE(count)."""
+    return _ioc(_WRITE, _SPI, 0, count * TRANSFER_SIZE)
+
+
+class _LineAttribute(ctypes.Structure):
+    _fields_ = (
+        ("id", ctypes.c_uint32),
+        ("padding", ctypes.c_uint32),
+        ("value", ctypes.c_uint64),
+        ("mask", ctypes.c_uint64),
+    )
+
+
+class LineRequest(ctypes.Structure):
+    """struct gpio_v2_line_request with its configuration unrolled."""
+
+    _fields_ = (
+        ("offsets", ctypes.c_uint32 * 64),
+        ("consumer", ctypes.c_char * 32),
+        ("flags", ctypes.c_uint64),
+        ("num_attrs", ctypes.c_uint32),
+        ("config_padding", ctypes.c_uint32 * 5),
+        ("attrs", _LineAttribute * 10),
+        ("num_lines", ctypes.c_uint32),
+        ("event_buffer_size", ctypes.c_uint32),
+        ("padding", ctypes.c_uint32 * 5),
+        ("fd", ctypes.c_int32),
+    )
+
+
+class LineValues(ctypes.Structure):
+    """struct gpio_v2_line_values."""
+
+    _fields_ = (("bits", ctypes.c_uint64), ("mask", ctypes.c_uint64))
+
+
+GET_LINE = _ioc(_READ | _WRITE, 0xB4, 0x07, ctypes.sizeof(LineRequest))
+SET_VALUES = _ioc(_READ | _WRITE, 0xB4, 0x0F, ctypes.sizeof(LineValues))
+LINE_OUTPUT, LINE_OPEN_DRAIN = 1 << 3, 1 << 6
+ATTRIBUTE_VALUES = 2
+
+
+def open_drain_line(offset: int) -> LineRequest:
+    """Request for one line as an open-drain output that is not pulled."""
+    request = LineRequest()
+    request.offsets[0] = offset
+    request.consumer = b"adis-gonio reset"
+    request.flags = LINE_OUTPUT | LINE_OPEN_DRAIN
+    request.num_attrs = 1
+    request.attrs[0].id = ATTRIBUTE_VALUES
+    request.attrs[0].value = request.attrs[0].mask = 1
+    request.num_lines = 1
+    return request
+
+
+class Kernel(Protocol):
+    """The used system calls; tests replace them."""
+
+    def open(self, path: str) -> int:
+        """File descriptor of a device file, for reading and writing; `OSError`."""
+
+    def ioctl(self, fd: int, request: int, argument: Any) -> int:
+        """Call with a ctypes object that the kernel reads and writes; `OSError`."""
+
+    def lock(self, fd: int) -> None:
+        """Advisory lock; `BlockingIOError` if another program has it."""
+
+    def close(self, fd: int) -> None:
+        """Close a descriptor."""
+
+
+class LinuxKernel:
+    """System calls of Linux.
+
+    Raises
+    ------
+    ImportError
+        This system has no `fcntl`.
+    """
+
+    def __init__(self) -> None:
+        import fcntl
+
+        self._fcntl = fcntl
+
+    def open(self, path: str) -> int:
+        """File descriptor of a device file."""
+        return os.open(path, os.O_RDWR | os.O_CLOEXEC)
+
+    def ioctl(self, fd: int, request: int, argument: Any) -> int:
+        """ioctl(2)."""
+        result: int = self._fcntl.ioctl(fd, request, argument, True)
+        return result
+
+    def lock(self, fd: int) -> None:
+        """flock(2), exclusive and without waiting."""
+        self._fcntl.flock(fd, self._fcntl.LOCK_EX | self._fcntl.LOCK_NB)
+
+    def close(self, fd: int) -> None:
+        """close(2)."""
+        os.close(fd)
+
+
+CS_HIGH_US = 10.0
+"""[M] CS-high time between two transfers with cs_change: the default of the kernel's SPI core
+(`_spi_transfer_cs_change_delay`). A controller driver with its own loop may differ."""
+
+SLOWEST_HZ = 10_000
+"""Slowest clock that fills a period; below it frames are sent one by one."""
+
+_GONE = (errno.ENODEV, errno.ESHUTDOWN, errno.ENXIO)
+
+
+class SpidevBus(HostBus):
+    """A bus over an open spidev file.
+
+    Parameters
+    ----------
+    system : Kernel
+        System calls.
+    fd : int
+        The open device file.
+    release : callable
+        Called when the bus is closed.
+    url : str
+        For messages.
+    cs_high_us : float
+        Time that the kernel keeps CS high between the transfers of a message.
+    reset_fd : int or None
+        Requested GPIO line on the chip's RST, open-drain.
+    clock : Clock
+        The bus's clock.
+
+    Raises
+    ------
+    CannotOpenError
+        The controller cannot do mode 3.
+    BusError
+        The file is no spidev, or the mode reads back otherwise.
+    """
+
+    def __init__(
+        self,
+        system: Kernel,
+        fd: int,
+        *,
+        release: Callable[[], object],
+        url: str = "spidev:",
+        cs_high_us: float = CS_HIGH_US,
+        reset_fd: int | None = None,
+        clock: Clock = WALL,
+    ) -> None:
+        super().__init__(url, clock, release)
+        self._system = system
+        self._fd = fd
+        self._cs_high_us = cs_high_us
+        self._reset_fd = reset_fd
+        self._most = MOST_TRANSFERS
+        if reset_fd is not None:
+            self.capabilities = frozenset({Capability.HARD_RESET})
+        self._set_mode()
+        self._timing = self._configure(SAFE_TIMING)
+
+    # -- frames ------------------------------------------------------------------------------------------
+
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        if timing.clock_hz < 1:
+            raise UsageError(f"{self.url}: a clock of {timing.clock_hz:g} Hz is not possible")
+        return SpiTiming(float(int(self._clock_for(timing))), timing.stall_us, timing.period_us)
+
+    def _clock_for(self, timing: SpiTiming) -> float:
+        """Clock that fills the period if frames are one message, else the requested clock."""
+        if timing.stall_us > self._cs_high_us:
+            return timing.clock_hz
+        left_us = timing.period_us - self._cs_high_us
+        filling = FRAME_BITS / left_us * 1e6 if left_us > 0 else timing.clock_hz
+        return min(timing.clock_hz, filling) if filling >= SLOWEST_HZ else timing.clock_hz
+
+    def _fills(self, timing: SpiTiming) -> bool:
+        """True if the kernel alone keeps stall and period within a message."""
+        frame_us = FRAME_BITS / timing.clock_hz * 1e6 + self._cs_high_us
+        return self._cs_high_us >= timing.stall_us and frame_us >= timing.period_us
+
+    def _exchange(self, frames: Words) -> Words:
+        replies = np.empty(len(frames), np.uint16)
+        at = 0
+        while at < len(frames):
+            size = min(self._most, len(frames) - at) if self._fills(self._timing) else 1
+            self._pace.wait(self._timing)
+            try:
+                replies[at : at + size] = self._message(frames[at : at + size])
+            except OSError as error:
+                if error.errno == errno.EMSGSIZE and size > 1:
+                    self._most = size // 2  # refused before anything was clocked
+                    continue
+                raise self._typed(error) from error
+            finally:
+                self._pace.done(self._timing)
+            at += size
+        return replies
+
+    def _message(self, frames: Words) -> Words:
+        """Send one ioctl, in which every frame is a transfer with its own chip-select period."""
+        count = len(frames)
+        sent = frames.astype(">u2")
+        received = np.zeros(count, ">u2")
+        step = sent.itemsize
+        transfers = (Transfer * count)()
+        for j, transfer in enumerate(transfers):
+            transfer.tx_buf = sent.ctypes.data + j * step
+            transfer.rx_buf = received.ctypes.data + j * step
+            transfer.len = step
+            transfer.speed_hz = int(self._timing.clock_hz)
+            transfer.bits_per_word = 8
+            # On the last transfer cs_change would leave CS low.
+            transfer.cs_change = j < count - 1
+        clocked = self._system.ioctl(self._fd, message(count), transfers)
+        if clocked != count * step:
+            raise ProtocolError(f"{self.url}: {clocked} of {count * step} bytes were clocked")
+        return received.astype(np.uint16)
+
+    # -- optional capabilities -----------------------------------------------------------------------------
+
+    def _pull_reset(self) -> None:
+        for bit in (0, 1):
+            self._call(self._reset_fd or 0, SET_VALUES, LineValues(bit, 1))
+            self.sleep_s(RESET_PULSE_S)
+
+    # -- calls ---------------------------------------------------------------------------------------------
+
+    def _set_mode(self) -> None:
+        mode = self._mode() & ~(MODE_BITS | BENT_FRAMES) | MODE_3
+        try:
+            self._system.ioctl(self._fd, WR_MODE32, ctypes.c_uint32(mode))
+        except OSError as error:
+            if error.errno == errno.EINVAL:
+                raise CannotOpenError(
+                    f"{self.url}: this controller cannot do SPI mode 3 (CPHA = 1), as the auxiliary SPI of"
+                    " a Raspberry Pi (spidev1.x): wire the sensor to the main one (spidev0.x)"
+                ) from error
+            raise self._typed(error) from error
+        got = self._mode() & (MODE_BITS | BENT_FRAMES)
+        if got != MODE_3:
+            raise ProtocolError(f"{self.url}: the SPI controller is in mode {got:#x}, not 3")
+
+    def _mode(self) -> int:
+        """Mode and its flags in the kernel."""
+        mode = ctypes.c_uint32()
+        self._call(self._fd, RD_MODE32, mode)
+        return mode.value
+
+    def _call(self, fd: int, request: int, argument: Any) -> None:
+        try:
+            self._system.ioctl(fd, request, argument)
+        except OSError as error:
+            raise self._typed(error) from error
+
+    def _typed(self, error: OSError) -> BusError:
+        if error.errno in _GONE:
+            return gone(self.url)
+        if error.errno == errno.ETIMEDOUT:
+            return BusTimeoutError(f"{self.url}: the SPI controller does not finish a transfer")
+        if error.errno == errno.ENOTTY:
+            return ProtocolError(f"{self.url}: this is no spidev file")
+        return ProtocolError(f"{self.url}: the SPI driver failed: {error.strerror or error}")
+
+
+_OPTIONS = ("reset_gpio", "cs_high_us")
+_LINE = re.compile(r"(?:(gpiochip\d+):)?(\d+)")
+
+
+def open_from_url(
+    url: BusUrl, *, system: Kernel | None = None, clock: Clock = WALL, folder: str = "/dev"
+) -> SpidevBus:
+    """Open a device file (see the module's text).
+
+    Parameters
+    ----------
+    system : Kernel
+        System calls, in place of Linux's.
+    clock : Clock
+        The bus's clock.
+    folder : str
+        Folder of the device files.
+
+    Raises
+    ------
+    UsageError
+        An unknown option, or several device files fit.
+    CannotOpenError
+        No such file, no permission, or another program has it.
+    """
+    options = UrlOptions(url, _OPTIONS)
+    cs_high_us = options.number("cs_high_us", round(CS_HIGH_US), 0, 1_000_000)
+    line = _line(url, options)
+    path = url.place
+    if not path:
+        devices = find_devices(folder=folder)
+        if len(devices) > 1:
+            raise several(url.text, devices)
+        if not devices:
+            raise missing(url.text, "SPI device file (on a Raspberry Pi: dtparam=spi=on)")
+        path = BusUrl.parse(devices[0].url).place
+    if system is None:
+        try:
+            system = LinuxKernel()
+        except ImportError:
+            raise CannotOpenError(f"{url.text}: spidev is Linux's; this system has none") from None
+    with contextlib.ExitStack() as stack:
+        fd = _open(system, url.text, path, "spidev", folder)
+        stack.callback(system.close, fd)
+        try:
+            system.lock(fd)
+        except BlockingIOError:
+            raise busy(url.text, path) from None
+        reset_fd = None
+        if line is not None:
+            reset_fd = _request_line(system, url.text, f"{folder}/{line[0]}", line[1], folder)
+            stack.callback(system.close, reset_fd)
+        kept = contextlib.ExitStack()
+        bus = SpidevBus(
+            system,
+            fd,
+            release=kept.close,
+            url=url.text,
+            cs_high_us=cs_high_us,
+            reset_fd=reset_fd,
+            clock=clock,
+        )
+        kept.push(stack.pop_all())
+    return bus
+
+
+def find_devices(*, folder: str = "/dev") -> list[Device]:
+    """SPI device files of this machine."""
+    devices = []
+    for path in sorted(Path(folder).glob("spidev*")):
+        denied = "" if readable_and_writable(str(path)) else ", no permission (adis-gonio devices --udev)"
+        devices.append(Device(f"spidev:{path}", f"SPI pins of this machine{denied}"))
+    return devices
+
+
+def _line(url: BusUrl, options: UrlOptions) -> tuple[str, int] | None:
+    text = options.text("reset_gpio")
+    if not text:
+        return None
+    found = _LINE.fullmatch(text)
+    if found is None:
+        raise UsageError(f"'{url.text}': reset_gpio is a line such as 17 or gpiochip4:17")
+    return found[1] or "gpiochip0", int(found[2])
+
+
+def _open(system: Kernel, url: str, path: str, rule: str, folder: str) -> int:
+    try:
+        return system.open(path)
+    except OSError as error:
+        raise _cannot_open(error, url, path, rule, folder) from error
+
+
+def _request_line(system: Kernel, url: str, path: str, offset: int, folder: str) -> int:
+    chip = _open(system, url, path, "gpiochip", folder)
+    request = open_drain_line(offset)
+    try:
+        system.ioctl(chip, GET_LINE, request)
+    except OSError as error:
+        if error.errno == errno.EINVAL:
+            raise UsageError(f"{url}: {path} has no line {offset}") from error
+        raise _cannot_open(error, url, f"line {offset} of {path}", "gpiochip", folder) from error
+    finally:
+        system.close(chip)
+    return int(request.fd)
+
+
+def _cannot_open(error: OSError, url: str, path: str, rule: str, folder: str) -> BusError:
+    if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+        return missing(url, f"{path} (on a Raspberry Pi: dtparam=spi=on)", find_devices(folder=folder))
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return no_permission(url, path, rule)
+    if error.errno == errno.EBUSY:
+        return busy(url, path)
+    return ProtocolError(f"{url}: {path} cannot be opened: {error.strerror or error}")

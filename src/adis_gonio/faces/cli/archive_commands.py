@@ -1,0 +1,363 @@
+"""`archive`, `history`, `due` and `fleet`: many sessions together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import counted, format_uncertain
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import (
+    check_page,
+    console,
+    print_json,
+    print_table,
+    report_progress,
+    write_page,
+)
+
+if TYPE_CHECKING:
+    from adis_gonio.fleet.fleet_pages import FleetResult
+    from adis_gonio.fleet.fleet_run import Scan
+    from adis_gonio.fleet.session_record import SessionRecord
+    from adis_gonio.fleet.store import Store
+
+_HEAD = ("serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects", "file")
+_HISTORY_WIDTH = 80
+_MOST_ROWS = 40
+"""Rows of a table of `fleet` on the terminal."""
+
+
+@contextmanager
+def _indexed(
+    places: Sequence[Path], index_path: Path | None, *, trace: bool
+) -> Iterator[tuple[Store, Scan]]:
+    """Open the index, add all sessions in the folders, and report problems of its file."""
+    from adis_gonio.fleet.fleet_run import scan
+    from adis_gonio.fleet.store import Store
+
+    places = places or (Path(),)
+    with Store.of(places, index_path) as store:
+        with report_progress(f"reading {', '.join(map(str, places))}"):
+            found = scan(store, places, trace=trace)
+        for problem in store.problems:
+            click.echo(problem, err=True)
+        yield store, found
+
+
+def _records_of(store: Store, serial: str) -> list[SessionRecord]:
+    """Records of a sensor in the order of time; else `UsageError` with similar serial numbers."""
+    from adis_gonio.fleet.sensor_history import alike, known_serial
+
+    known = store.serials()
+    found = store.records(known_serial(serial, known))
+    for other in alike(serial, known):
+        click.echo(f"sessions of '{other}' are not included with '{serial}': another sensor?", err=True)
+    return found
+
+
+@option.command("archive")
+@option.places
+@click.option("--serial", help="Only sessions of the sensor with this serial number.")
+@click.option("--operator", help="Only sessions of this operator.")
+@click.option("--stage", help="Only sessions on this stage.")
+@option.index
+@option.json
+def archive_command(
+    *, places: tuple[Path, ...], index_path: Path | None, trace: bool, as_json: bool, **asked: str | None
+) -> int:
+    """List the sessions in folders and their subfolders: archives and samples CSV.
+
+    An index keeps the results, so that only new or changed files are computed. Files that cannot be used
+    are listed with the reason. The index still lists a session after its file is gone.
+    """
+    with _indexed(places, index_path, trace=trace) as (store, scan):
+        rows = store.rows(**asked)
+        broken = [row for row in rows if row["status"] != "ok"]
+        if not any(asked.values()):
+            broken += [record.row() | {"copies": [], "gone": False} for record in scan.unreadable]
+        good = [row for row in rows if row["status"] == "ok"]
+        for row in (*good, *broken):
+            row |= {name: " ".join(row[name]) for name in ("effects", "model_effects")}
+        document = {
+            "index": str(store.path),
+            "computed": scan.computed,
+            "known": scan.known,
+            "sessions": good,
+            "failed": broken,
+            "problems": list(store.problems),
+        }
+    if as_json:
+        print_json(document)
+        return 1 if document["problems"] else 0
+    screen = console(most=160)
+    if good:
+        print_table(screen, _HEAD, [_archive_cells(row) for row in good], texts={0, 1, 2, 3, 4, 8, 9})
+    for row in good:
+        if row["copies"]:
+            screen.print(f"the same file, counted once: {', '.join([row['path'], *row['copies']])}")
+    for row in broken:
+        screen.print(f"not used: {row['path']}: {row['reason'].removeprefix(row['path'] + ': ')}")
+    screen.print(
+        f"{counted(len(good), 'session')}, {counted(len(broken), 'file')} not used; "
+        f"{scan.computed} computed now, {scan.known} known before ({store.path})"
+    )
+    return 1 if document["problems"] else 0
+
+
+def _archive_cells(row: Mapping[str, Any]) -> list[str]:
+    return [
+        *(row[name] or "–" for name in ("serial", "operator", "stage")),
+        (row["when"] or "–")[:16].replace("T", " "),
+        row["plan"] or "–",
+        *(
+            "–" if row[name] is None else format_uncertain(row[name], row[f"{name}_u95"])
+            for name in ("delta_k", "delta_phi", "angle")
+        ),
+        row["effects"] or ("none" if row["traced"] else "not traced"),
+        row["path"] + (" (gone)" if row["gone"] else "") + (" (doubtful)" if row["doubts"] else ""),
+    ]
+
+
+@option.command("history")
+@click.argument("serial")
+@option.places
+@option.output("Write a page with figures (extra: report).")
+@click.option(
+    "--run-length", type=click.FloatRange(min=10), metavar="N",
+    help="Mean number of sessions between false alarms of the CUSUM (default: 465, from h = 5 σ).",
+)  # fmt: skip
+@option.index
+@option.json
+def history_command(
+    *,
+    serial: str,
+    places: tuple[Path, ...],
+    output: Path | None,
+    run_length: float | None,
+    index_path: Path | None,
+    trace: bool,
+    as_json: bool,
+) -> None:
+    """Show ΔK, Δφ, biases and the angle error of a sensor over its sessions, with U.
+
+    The command tests for drift between sessions, draws a control chart (CUSUM, and 3σ limits from u and the
+    scatter between sessions), and lists the effects found each time.
+    """
+    from adis_gonio.fleet import sensor_history
+    from adis_gonio.fleet.control_charts import CUSUM_H, limit_for
+
+    check_page(output)
+    h = CUSUM_H if run_length is None else limit_for(run_length)
+    with _indexed(places, index_path, trace=trace) as (store, _):
+        found = sensor_history.history_of(serial, _records_of(store, serial), h=h)
+    if output is not None:
+        from adis_gonio.fleet.fleet_pages import history_page
+
+        write_page(output, history_page(found))
+    if as_json:
+        print_json(found.as_dict())
+        return
+    screen = console(most=_HISTORY_WIDTH)
+    screen.print(f"Sensor {found.serial}: {sensor_history.headline(found)}", style="bold")
+    for track in found.tracks.values():
+        screen.print()
+        screen.print(track.label, style="bold cyan")
+        for line in sensor_history.chart_lines(track, screen.width):
+            screen.print(line)
+        for text in (*sensor_history.drift_sentences(track), *sensor_history.chart_sentences(track, found)):
+            screen.print(f"  {text}")
+    screen.print()
+    screen.print("Effects found", style="bold cyan")
+    for row in sensor_history.effect_table(found):
+        screen.print(f"  {'  '.join(row)}")
+    for record, reason in found.left_out:
+        screen.print(f"left out: {record.path}: {reason}")
+
+
+@option.command("due")
+@click.argument("serial")
+@option.places
+@click.option(
+    "--limit", "limit_deg", type=option.POSITIVE, metavar="DEG",
+    help="Permissible error of an angle for your use (default: assume 0.1°).",
+)  # fmt: skip
+@option.with_default(
+    "--first", "first_days", type=option.POSITIVE, default=365.25, metavar="DAYS",
+    help="Interval of a sensor without a known history.",
+)  # fmt: skip
+@option.with_default(
+    "--longer", type=click.FloatRange(min=1), default=1.5, metavar="FACTOR",
+    help="Factor after a calibration that was still good.",
+)  # fmt: skip
+@option.with_default(
+    "--shorter", type=click.FloatRange(0, 1, min_open=True), default=0.5, metavar="FACTOR",
+    help="Factor after a calibration outside the limit.",
+)  # fmt: skip
+@option.index
+@option.json
+def due_command(
+    *,
+    serial: str,
+    places: tuple[Path, ...],
+    limit_deg: float | None,
+    index_path: Path | None,
+    trace: bool,
+    as_json: bool,
+    **factors: Any,
+) -> None:
+    """Compute when a sensor's next calibration is due, with the rule and the reason (ILAC-G24 / OIML D 10).
+
+    Staircase: the interval grows if the previous calibration was still good, and shrinks if it was not.
+    Control chart: the day on which drift and U reach the permissible error. The earlier date counts.
+    """
+    from adis_gonio.fleet.calibration_due import DEFAULT_LIMIT_DEG, Rules, due_of
+    from adis_gonio.fleet.sensor_history import history_of
+
+    limits = Rules(DEFAULT_LIMIT_DEG if limit_deg is None else limit_deg, limit_deg is None, **factors)
+    with _indexed(places, index_path, trace=trace) as (store, _):
+        found = due_of(history_of(serial, _records_of(store, serial)), limits)
+    if as_json:
+        print_json(found.as_dict())
+        return
+    screen = console(most=100)
+    date = f"{found.date}, by the {found.by}" if found.date else "unknown"
+    screen.print(f"Next calibration of {found.serial}: {date}", style="bold")
+    for rule in found.rules:
+        screen.print(f"  {rule.method}: {rule.date or 'no date'}: {rule.why}")
+        if rule.assumes:
+            screen.print(f"    assumes: {rule.assumes}")
+    if found.limits.assumed:
+        limit = f"{found.limits.limit_deg:g}°"
+        screen.print(f"  {limit} is assumed as permissible error of an angle: set yours with --limit")
+
+
+@option.command("fleet")
+@click.argument(
+    "files",
+    type=click.Path(path_type=Path, readable=False),  # an unreadable file becomes a row of the result
+    nargs=-1,
+    required=True,
+    metavar="FILES…",
+)
+@click.option(
+    "--trace/--no-trace", default=True, help="Also look for effects (the default): seconds per session."
+)
+@click.option(
+    "--workers", type=click.IntRange(min=1), metavar="N",
+    help="Number of processes (default: one per core).",
+)  # fmt: skip
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Use a dask cluster, such as tcp://10.0.0.1:8786 (extra: fleet)."
+)
+@option.file(
+    "--output", "-o", "outputs", multiple=True,
+    help="Summary to write: .html for a page, .json, .parquet with a row per session; may be repeated.",
+)  # fmt: skip
+@option.file(
+    "--journal", help="File that keeps the results during the work (default: next to the first -o)."
+)
+@option.flag("--population", help="Name effects that many sessions share, even if each is too weak in one.")
+@option.json
+def fleet_command(
+    *,
+    files: tuple[Path, ...],
+    trace: bool,
+    workers: int | None,
+    scheduler: str | None,
+    outputs: tuple[Path, ...],
+    journal: Path | None,
+    population: bool,
+    as_json: bool,
+) -> int:
+    """Fit and trace many sessions, and summarise parameters, effects and outliers.
+
+    FILES are sessions or folders of sessions. With -o or --journal, each result is kept as soon as it is
+    there: after Ctrl-C, a crash or a full disk, the same command continues. The exit status is 1 if a
+    session failed.
+    """
+    from adis_gonio.base.budget import current
+    from adis_gonio.fleet.fleet_pages import FleetResult, check_outputs
+    from adis_gonio.fleet.fleet_run import files_of, run_fleet, survey
+    from adis_gonio.fleet.session_record import Options
+    from adis_gonio.fleet.workers import Cluster, LocalPool
+
+    if workers is not None and scheduler is not None:
+        raise UsageError("--workers and --scheduler: the one is for this machine, the other for a cluster")
+    names = files_of(files)
+    check_outputs(outputs, names)
+    if journal is None and outputs:
+        journal = outputs[0].with_name(f"{outputs[0].name}.journal")
+    options = Options(trace=trace, evidence=population)
+    with _journal(journal) as store, report_progress(f"fleet of {counted(len(names), 'file')}"):
+        tell = current().tell
+        tell("reading")
+        found = survey(names, current().share)
+        tell("waiting for workers")
+        with LocalPool(workers) if scheduler is None else Cluster(scheduler) as pool:
+            fleet = run_fleet(found, options, pool, store, lambda progress: tell(str(progress)))
+        tell("summary")
+        outcome = FleetResult(fleet, options)
+        for path in outputs:
+            outcome.write(path)
+    if as_json:
+        print_json(outcome.as_dict())
+    else:
+        _show_fleet(outcome)
+    for path in outputs:
+        click.echo(f"{path}: {counted(len(outcome.rows), 'session')}", err=True)
+    if fleet.failed:
+        click.echo(f"{counted(fleet.failed, 'session')} of {len(outcome.rows)} failed", err=True)
+    return 1 if fleet.failed else 0
+
+
+@contextmanager
+def _journal(path: Path | None) -> Iterator[Store]:
+    """Open the store of the results; after Ctrl-C, report the number of results in it."""
+    from adis_gonio.fleet.store import IN_MEMORY, Store
+
+    with Store(path or IN_MEMORY, strict=True) as store:
+        try:
+            yield store
+        except KeyboardInterrupt:
+            if path is not None:
+                done = counted(store.sessions, "session")
+                click.echo(f"{path} keeps {done}: the same command continues from there", err=True)
+            raise
+
+
+def _show_fleet(outcome: FleetResult) -> None:
+    from adis_gonio.fleet import fleet_summary
+
+    screen = console()
+    summary = outcome.summary
+
+    def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], texts: int = 1) -> None:
+        if not rows:
+            return
+        screen.print()
+        screen.print(title, style="bold cyan")
+        print_table(screen, head, rows[:_MOST_ROWS], range(texts))
+        if len(rows) > _MOST_ROWS:
+            screen.print(f"{len(rows) - _MOST_ROWS} more: in the JSON document")
+
+    screen.print(fleet_summary.headline(summary), style="bold")
+    for line in fleet_summary.remarks(summary):
+        screen.print(line)
+    table("Parameters", fleet_summary.PARAMETER_HEAD, fleet_summary.parameter_rows(summary))
+    table("Effects by frequency", fleet_summary.EFFECT_HEAD, fleet_summary.effect_rows(summary))
+    screen.print()
+    screen.print(fleet_summary.outlying_text(summary))
+    table("Outlying groups", fleet_summary.OUTLYING_HEAD, fleet_summary.outlying_rows(summary))
+    if outcome.population_lines:
+        screen.print()
+    for line in outcome.population_lines:
+        screen.print(line)
+    table("Failed", ["file", "reason"], [list(failure) for failure in summary.failures], texts=2)
+    repeated = [[one.path, one.same_as] for one in outcome.fleet.repeated]
+    table("Count once", ["file", "same session as"], repeated, texts=2)

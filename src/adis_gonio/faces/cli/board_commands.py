@@ -1,0 +1,283 @@
+"""`bringup` and `write`: the commands that check a board and write its registers."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import console, json_text, print_json, table_of
+
+if TYPE_CHECKING:
+    from adis_gonio.bench.bringup import Bringup, Row
+    from adis_gonio.bench.writeback import OffsetWriter, WritePlan
+
+
+@option.command("bringup", "--output --allow-writes --yes")
+@option.url
+@option.output("Write FILE.html and FILE.json.", metavar="FILE")
+@option.flag("--allow-writes", "--writes", help="Also run the steps that write registers.")
+@option.flag("--flash", help="With --allow-writes: also write the flash once.")
+@option.flag("--yes", help="Answer yes to the question of each step that writes.")
+@option.flag("--leave-registers", help="Write nothing, not even data-ready during the scans.")
+@option.variant
+@option.json
+def bringup_command(
+    *,
+    url: str,
+    output: Path | None,
+    allow_writes: bool,
+    flash: bool,
+    yes: bool,
+    leave_registers: bool,
+    variant: str,
+    as_json: bool,
+) -> int:
+    """Check a new board step by step, harmless steps first, and report the properties of its part.
+
+    Lay the part still, best with one axis along gravity. The first steps only read: link, bit errors,
+    supply, variant, sample rate, data-ready and noise (data-ready is enabled during these steps, as in a
+    stream). With --allow-writes, further steps settle open questions of the register table. Each asks
+    first, and everything written is undone and read back, also after Ctrl-C. The exit status is 1 if a step
+    found a fault.
+    """
+    if not allow_writes and (flash or yes):
+        raise UsageError(f"--{'flash' if flash else 'yes'} goes with --allow-writes")
+    if allow_writes and leave_registers:
+        raise UsageError("--leave-registers writes nothing, so it excludes --allow-writes")
+    if allow_writes and not (yes or at_a_terminal()):
+        raise UsageError(
+            "--allow-writes asks before each step, and standard input is no terminal: add --yes"
+        )
+    files = _check_report_files(output)
+    from adis_gonio.bench.bringup import Permission, bring_up
+    from adis_gonio.device.bus import open_bus
+    from adis_gonio.device.sensor.variants import variant as find_variant
+
+    def ask(question: str) -> bool:
+        try:
+            return yes or click.confirm(question, default=False, err=True)
+        except click.Abort:
+            raise KeyboardInterrupt from None
+
+    def tell(row: Row) -> None:
+        click.echo(f"{row.result.verdict:13} {row.name:15} {row.result.text}", err=as_json)
+
+    part = find_variant(variant)
+    permission = Permission(allow_writes, flash, not leave_registers, ask)
+    with open_bus(url) as bus:
+        found = bring_up(bus, variant=part, permission=permission, tell=tell)
+    if files:
+        _write_report(found, *files)
+    if as_json:
+        print_json(found.as_dict())
+    else:
+        click.echo(f"\n{found.headline} Writes: {found.undone}.")
+    if found.stopped:
+        raise KeyboardInterrupt
+    return 0 if found.sound else 1
+
+
+def _check_report_files(output: Path | None) -> tuple[Path, ...]:
+    """Paths of the page and of the JSON document, which have the same stem; none without an output."""
+    if output is None:
+        return ()
+    if output.suffix.lower() not in ("", ".html", ".json"):
+        raise UsageError(f"{output}: bringup writes a page and a JSON: name it {output.stem}.html")
+    from adis_gonio.base.output import check_output
+
+    page, document = output.with_suffix(".html"), output.with_suffix(".json")
+    return check_output(page, force=True), check_output(document, force=True)
+
+
+def _write_report(found: Bringup, page: Path, document: Path) -> None:
+    from adis_gonio.base.output import replacing, write_utf8
+    from adis_gonio.bench.bringup.bringup_page import build_page
+
+    for path, text in ((document, json_text(found.as_dict()) + "\n"), (page, build_page(found))):
+        with replacing(path) as temporary:
+            write_utf8(temporary, text)
+    click.echo(f"written: {page}, {document}", err=True)
+
+
+@option.command("write", "--dry-run --save --undo")
+@option.session
+@option.url
+@option.flag("--save", help="Save to flash after verification (ENDURANCE goes up by one).")
+@option.flag("--undo", help="Restore the offsets from before the write.")
+@option.flag("--status", help="Only report whether the sensor holds the old or the new offsets.")
+@option.flag("--dry-run", help="Measure, check and show the plan; write nothing.")
+@option.flag("--yes", help="Write without asking.")
+@click.option(
+    "--at", "angle_deg", type=float, metavar="DEGREES",
+    help="Current angle of the stage, as in the session (default: compare only the length of gravity).",
+)  # fmt: skip
+@option.dwell(5.0)
+@click.option("--method", help="Method as in `fit` (default: the recommended one).")
+@option.flag(
+    "--gyros", help="Write the zero rates of the gyros (XGYRO_OFF …) instead of accelerometer biases."
+)
+@click.option(
+    "--autonull", type=click.Choice(["quick", "precise"]),
+    help="With --gyros: let the chip null its gyros, and keep the result if it agrees with the session;"
+    " precise takes 30 s. The chip saves the result to flash.",
+)  # fmt: skip
+@option.flag("--even-if-inadequate", help="Write even if the fit is inadequate.")
+@option.no_check
+@option.json
+def write_command(
+    *,
+    session: Path,
+    url: str,
+    undo: bool,
+    status: bool,
+    dry_run: bool,
+    yes: bool,
+    as_json: bool,
+    no_check: bool,
+    **options: Any,
+) -> int:
+    """Write a session's biases into the sensor's offset registers, so that the sensor corrects them itself.
+
+    Keep the part still, mounted as in the session. The command first shows the plan: the present and the
+    new register values, and their effect in mg. Then y writes, and Enter changes nothing. The written
+    values are read back and verified by a dwell; if the dwell contradicts the plan, the old offsets are
+    restored. A power cut loses the new offsets unless --save puts them into flash.
+
+    Accelerometers and gyros are written separately: --gyros writes the zero rates, without the part due to
+    gravity, if the session calibrates them; --gyros --undo restores only those.
+
+    The session file keeps the old offsets for --undo. After a power cut, a Ctrl-C or an error run the
+    command again: it reports whether the old or the new offsets are in place, and finishes; --status only
+    reports.
+    """
+    if sum((undo, status, dry_run)) > 1:
+        raise UsageError("--undo, --status and --dry-run exclude each other")
+    null = options["autonull"]
+    if null and (not options["gyros"] or undo or status or options["save"]):
+        raise UsageError("--autonull goes with --gyros, and without --undo, --status and --save (it saves)")
+    if not (yes or status or dry_run or at_a_terminal()):
+        raise UsageError(
+            "write asks before it writes, and standard input is no terminal: add --yes or --dry-run"
+        )
+    from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
+    from adis_gonio.bench.writeback.offset_writer import load
+    from adis_gonio.device.sensor import open_sensor
+    from adis_gonio.record.source import refuse_chip_options
+
+    refuse_chip_options(url, {"write SESSION": True})
+    settings = WriteSettings(
+        **{name: options[name] for name in ("save", "angle_deg", "dwell_s", "method", "gyros")},
+        doubtful=options["even_if_inadequate"],
+    )
+    variant = load(session).sensor
+    with open_sensor(url, variant=variant, check=not no_check) as sensor:
+        writer = OffsetWriter(sensor, session, settings, tell=_tell)
+        state = writer.standing()
+        if status:
+            document: dict[str, Any] = {"state": state.as_dict(), "plan": None, "done": False}
+        else:
+            _tell(state.text)
+            document = (
+                _undo(writer, yes=yes)
+                if undo
+                else _write(writer, yes=yes, dry_run=dry_run, quiet=as_json, null=null)
+            )
+    if as_json:
+        print_json(document)
+    else:
+        click.echo(document["state"]["text"])
+    return 0 if document["state"]["registers"] in ("untouched", "old", "new") else 1
+
+
+def _write(
+    writer: OffsetWriter, *, yes: bool, dry_run: bool, quiet: bool, null: str | None
+) -> dict[str, Any]:
+    plan = writer.plan()
+    if not quiet:
+        _print_plan(plan)
+    document = {"plan": plan.as_dict(), "state": writer.standing().as_dict(), "done": False}
+    if dry_run:
+        return document
+    if null:
+        _tell(
+            "the chip takes the outputs of this pose for zero rates, including the part due to gravity; it"
+            " saves them to flash, with all other registers that have a copy there (ENDURANCE goes up by"
+            " one, or by two if the null has to be undone)"
+        )
+        answer = "null" if yes or _confirm("Let the chip null its gyros?") else "leave"
+    else:
+        answer = "write" if yes else _ask_to_write(writer, plan)
+    if answer == "leave":
+        _tell("nothing was changed")
+        return document
+    if answer == "null":
+        done = writer.autonull(precise=null == "precise")
+    else:
+        done = writer.undo() if answer == "back" else writer.write()
+    return document | {"done": True} | done.as_dict()
+
+
+def _undo(writer: OffsetWriter, *, yes: bool) -> dict[str, Any]:
+    if not (yes or _confirm("Set the old offsets back?")):
+        _tell("nothing was changed")
+        return {"plan": None, "state": writer.standing().as_dict(), "done": False}
+    return {"plan": None, "done": True} | writer.undo().as_dict()
+
+
+def _ask_to_write(writer: OffsetWriter, plan: WritePlan) -> str:
+    """Ask the operator; return `write`, `back` or `leave`."""
+    if writer.standing().registers == "half":
+        question = "An earlier write was not finished: finish it (f), set it back (b), or leave it (Enter)"
+        return {"f": "write", "b": "back"}.get(_prompt(question)[:1], "leave")
+    if not plan.changes and not writer.settings.save:
+        return "write"
+    flash = " and save to flash" if writer.settings.save else ""
+    return "write" if _confirm(f"Write{flash}?") else "leave"
+
+
+def at_a_terminal() -> bool:
+    """True if standard input is a terminal, so that somebody can answer a question."""
+    return sys.stdin.isatty()
+
+
+def _confirm(question: str) -> bool:
+    return _prompt(f"{question} [y, Enter changes nothing]") in ("y", "yes")
+
+
+def _prompt(question: str) -> str:
+    try:
+        return str(click.prompt(question, default="", show_default=False, err=True)).strip().lower()
+    except click.Abort:
+        raise KeyboardInterrupt from None
+
+
+def _print_plan(plan: WritePlan) -> None:
+    """Show a plan with one row for each axis."""
+    from adis_gonio.bench.writeback.offset_plan import UNITS
+
+    head = ("register", "now", "new", "moves the output", "bias now", "u", "bias after")
+    rows = []
+    for axis in plan.axes:
+        unit, places = UNITS[axis.unit], 2 if axis.unit == "mg" else 3
+        moved, bias, after = (
+            f"{value:+.{places}f} {unit}" for value in (axis.effect, axis.bias_now, axis.bias_after)
+        )
+        u = f"{axis.u:.2g} {unit}"
+        rows.append((axis.register, str(axis.now), str(axis.new), moved, bias, u, after))
+    console().print(table_of(head, rows))
+    for axis in plan.axes:
+        if axis.clipped:
+            _tell(f"{axis.register} is at its limit: {axis.bias_after:+.1f} mg of the bias remain")
+        if axis.now != axis.recorded:
+            _tell(f"{axis.register} was {axis.recorded} when the session was recorded")
+    for doubt in plan.doubts:
+        _tell(f"doubtful: {doubt}")
+
+
+def _tell(text: str) -> None:
+    click.echo(text, err=True)

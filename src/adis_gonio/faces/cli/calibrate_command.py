@@ -1,0 +1,380 @@
+"""`calibrate`: the bench session, by the screen or by plain prompts."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from adis_gonio.base.errors import FitError, SessionError, UsageError
+from adis_gonio.base.numbers import counted
+from adis_gonio.base.output import exists_error
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import print_json, report_progress
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+
+if TYPE_CHECKING:
+    from adis_gonio.bench.advisor import TraceAdvisor
+    from adis_gonio.bench.runner import SessionRunner
+    from adis_gonio.model.records import Session
+    from adis_gonio.record.plans import Plan
+    from adis_gonio.record.source import SampleSource
+    from adis_gonio.tracing.trace_result import TraceResult
+
+_METADATA = {
+    "operator": "operator, who measures",
+    "serial": "serial number of the part",
+    "stage": "stage or fixture",
+}
+_TURNED = {
+    "free-turn": "a free turn has no positions",
+    "gyro-turns": "of gyro turns all take part in the fit",
+}
+
+
+@option.command(
+    "calibrate",
+    "--output --plan --resume",
+    {
+        "Plan": "--positions --check --duration --turns --auto --extend --trace --max-extra",
+        "Measuring": "--dwell --settle --rate --filter --range --record-turns --poll",
+        "Place and fixture": "--gravity --latitude --height --fixture",
+        "Record": "--title --note --operator --serial --stage",
+    },
+)
+@option.url
+@option.output("Session file to write.", required=True)
+@click.option(
+    "--plan", "plan_name",
+    help="two-position (default), four-position, mmpm, tumble, poses, free-turn, gyro-turns, or a file.",
+)  # fmt: skip
+@option.positions
+@option.check
+@click.option(
+    "--duration", "duration_s", type=click.FloatRange(min=15, max=600), metavar="SECONDS",
+    help="With --plan free-turn: longest recording in s (default 60).",
+)  # fmt: skip
+@click.option(
+    "--turns", type=int, metavar="N",
+    help="With --plan free-turn: number of full turns (default 2); with gyro-turns: in each direction"
+    " (default 5).",
+)  # fmt: skip
+@option.flag("--auto", help="Move the stage by program and answer all prompts (simulator).")
+@option.flag("--extend", help="With --auto: extend two positions to four.")
+@option.flag(
+    "--trace", "closing",
+    help="Then trace the session, and measure the positions that decide open questions.",
+)  # fmt: skip
+@click.option(
+    "--max-extra", type=click.IntRange(0, 1000), metavar="N",
+    help="With --trace: most positions beyond the plan (default 24).",
+)  # fmt: skip
+@option.flag("--resume", help="Continue the session in the file.")
+@option.dwell()
+@option.settle
+@option.rate
+@option.filter
+@option.with_default(
+    "--range", "range_dps", type=int, default=300, metavar="DPS",
+    help="Range of the gyros: 300, 150 or 75 °/s.",
+)  # fmt: skip
+@click.option(
+    "--record-turns/--no-record-turns", "record_turns", default=None,
+    help="Record the moves between dwells, which calibrate the gyros: at most 2.4 MB each (default: yes;"
+    " for gyro-turns only the whole turns).",
+)  # fmt: skip
+@option.poll
+@option.gravity()
+@click.option(
+    "--latitude", type=float, metavar="DEGREES", help="Use the ellipsoid's gravity at this latitude."
+)
+@click.option("--height", type=float, default=0.0, metavar="M", help="Height, with --latitude.")
+@option.fixture()
+@option.title
+@click.option("--note", default="", help="Note to keep with the session.")
+@click.option("--operator", help="Operator; a terminal asks for it.")
+@click.option("--serial", help="Serial number of the part; a terminal asks for it.")
+@click.option("--stage", help="Stage or fixture in your own words; a terminal asks for it.")
+@option.flag("--plain", help="Prompt in plain lines, for logs and simple terminals.")
+@option.variant
+@option.no_check
+@option.json
+def calibrate_command(
+    *,
+    url: str,
+    output: Path,
+    resume: bool,
+    as_json: bool,
+    closing: bool,
+    plain: bool,
+    max_extra: int | None,
+    **options: Any,
+) -> int:
+    """Calibrate a sensor on a stage, position by position, and compute ΔK and Δφ.
+
+    Every sample goes into the session file as it is taken. The file survives a kill at any moment; --resume
+    continues with the missing positions. Ctrl-C ends the session and keeps all its data.
+
+    Each position is checked when the part comes to rest: it was not moved, it was turned the wrong way or
+    about another axis, or its angle error exceeds that of part and fixture. If you keep such a dwell, the
+    exit status is 1.
+
+    Scans start at the sensor's data-ready edges if the line is wired and the bridge can use it; otherwise,
+    or with --poll, they are polled.
+
+    A terminal of at least 80 × 24 shows the session on a screen with the live angle (extra: bench); with
+    --plain, in a log or on a smaller terminal the prompts are lines.
+
+    --plan free-turn records slow continuous turns between two rests, without declared angles: two in a
+    minute, in one direction or forth and back; or --turns N.
+
+    --plan gyro-turns calibrates the gyros on a level table: whole turns in both directions, from a mark
+    back to it, with the X, the Y and the Z arrow up (with an arrow down the part only rests; --positions 3
+    omits that).
+
+    With --trace, the session then lists the further positions that would decide open questions, and
+    measures them until the model is adequate or no position is expected to show more.
+    """
+    from adis_gonio.bench.advisor import MOST_EXTRA, TraceAdvisor
+    from adis_gonio.record.loading import load_session
+    from adis_gonio.record.plans import GYRO_TURNS
+    from adis_gonio.record.source import open_source, refuse_chip_options
+
+    if output.exists() and not resume:
+        raise exists_error(output, "--resume goes on with it, or choose another name")
+    if resume and not output.exists():
+        raise SessionError(f"{output}: no such session to resume")
+    if max_extra is not None and not closing:
+        raise UsageError("--max-extra limits the positions that --trace adds: give --trace as well")
+    refuse_chip_options(
+        url, _given_flags("rate_hz", "filter_m", "range_dps", "poll", "variant", "no_check")
+    )
+    advisor = TraceAdvisor(MOST_EXTRA if max_extra is None else max_extra) if closing else None
+    if resume and not closing and _is_complete(output):
+        click.echo(f"{output}: complete, nothing is left to do", err=True)
+        complete = True
+    else:
+        from adis_gonio.faces.cli.line_prompts import PlainBench, choose_face
+
+        with open_source(url, variant=options["variant"], check=not options["no_check"]) as sensor:
+            runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
+            prompts = PlainBench(runner, auto=options["auto"])
+            resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
+            plain = plain or options["auto"] or not runner.on_screen
+            complete = choose_face(runner, prompts, plain=plain, resume_by=resume_by).run()
+    session = load_session(output)
+    if session.facts["plan"]["name"] == GYRO_TURNS:
+        from adis_gonio.faces.cli.fit_commands import show_gyro_fit
+
+        show_gyro_fit(session, None, as_json=as_json)
+    else:
+        _show_result(session, advisor, complete=complete, as_json=as_json)
+    if not as_json:
+        click.echo(f"session: {session.source}")
+    return _status(session, complete=complete)
+
+
+def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> None:
+    """Show the fit of a session of positions, its gyro gains, and its trace if one was asked for."""
+    from adis_gonio.faces.cli.fit_commands import print_answer, print_gains
+    from adis_gonio.faces.cli.trace_commands import print_loop, print_trace
+    from adis_gonio.fitting import fit
+    from adis_gonio.fitting.gyros.gyro_fit import gains_of
+    from adis_gonio.tracing.traced_answer import answer_with_trace
+
+    truth = session.facts.get("truth")
+    traced = _trace(session, advisor) if advisor is not None else None
+    answer = answer_with_trace(fit(session), traced, own=False)
+    if as_json:
+        document = answer.as_dict()
+        document |= {"session": session.source, "complete": complete, "truth": truth}
+        document["doubts"] = session.facts["doubts"]
+        gains = gains_of(session)
+        if gains is not None:
+            document["gyro_gains"] = gains.as_dict()
+        if traced is not None:
+            document |= {"trace": traced.as_dict(), "rounds": session.facts["advised"]}
+        print_json(document)
+        return
+    print_answer(answer, truth)
+    print_gains(session)
+    if traced is not None:
+        click.echo()
+        print_trace(session, traced)
+        print_loop(session, traced)
+
+
+def _status(session: Session, *, complete: bool) -> int:
+    """Return the exit status, and report the dwells that were kept although a guard doubted them."""
+    doubts = session.facts["doubts"]
+    for doubt in doubts:
+        sure = "cannot" if doubt["attempt"] is not None else "may not"
+        click.echo(f"the result {sure} be right: {doubt['message']}", err=True)
+    if doubts:
+        kept = sum(doubt["attempt"] is not None for doubt in doubts)
+        what = [f"{counted(kept, 'dwell')} kept nevertheless"] if kept else []
+        skipped = sum(doubt["kind"] != "registers" for doubt in doubts) - kept
+        if skipped:
+            what.append(f"{counted(skipped, 'position')} that contradicted dwells before skipped")
+        click.echo("; ".join([*what, f"the data stay in {session.source}: measure again"]), err=True)
+    return 0 if complete and not doubts else 1
+
+
+def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
+    """The advisor's last trace if it covered all dwells, else a new one; None if none is possible."""
+    from adis_gonio.tracing.trace import trace
+
+    if advisor.result is not None and advisor.dwells == len(session.dwells):
+        return advisor.result
+    try:
+        with report_progress(f"tracing {counted(len(session.dwells), 'dwell')}"):
+            return trace(session, advisor.max_effects)
+    except FitError as error:
+        click.echo(f"not traced: {error}", err=True)
+        return None
+
+
+def _is_complete(path: Path) -> bool:
+    """True if all positions are done and the plan has no extended form to offer."""
+    from adis_gonio.record.archive import ArchiveView
+    from adis_gonio.record.plans import extension
+
+    with ArchiveView(path) as view:
+        done = not view.pending() and not view.faulty()
+        return done and extension(view.plan(), len(view.dwells())) is None
+
+
+def _given_flags(*names: str) -> dict[str, bool]:
+    """For each parameter, by its flag: True if it was given on the command line."""
+    context = click.get_current_context()
+    flags = {option.name: option.opts[-1] for option in context.command.params}
+    default = click.core.ParameterSource.DEFAULT
+    return {flags[name]: context.get_parameter_source(name) is not default for name in names}
+
+
+def _runner(
+    sensor: SampleSource,
+    output: Path,
+    *,
+    resume: bool,
+    advisor: TraceAdvisor | None,
+    plan_name: str | None,
+    positions: int | None,
+    check: int,
+    auto: bool,
+    extend: bool,
+    duration_s: float | None,
+    turns: int | None,
+    **options: Any,
+) -> SessionRunner:
+    """Return the runner of a new or resumed session."""
+    from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
+    from adis_gonio.bench.runner import SessionRunner
+    from adis_gonio.device.sensor.driver import DEFAULT_SCAN
+    from adis_gonio.faces.cli.line_prompts import on_terminal
+    from adis_gonio.record.plans import GYRO_TURNS
+    from adis_gonio.record.session_reader import FREE_TURN
+
+    if resume:
+        if plan_name is not None or positions is not None or turns is not None:
+            raise UsageError(
+                "--resume goes on with the session's own plan: leave --plan, --positions and --turns out"
+            )
+        if options["poll"]:
+            raise UsageError("--resume gets its scans as the session did before: leave --poll out")
+        return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
+    gravity, fixture = _gravity_and_fixture(sensor, plan_name, **options)
+    if plan_name in _TURNED and (check or extend or advisor is not None):
+        raise UsageError(f"{_TURNED[plan_name]}: leave --check, --extend and --trace out")
+    chosen, length_s = _choose_plan(plan_name, positions, check, duration_s, turns)
+    keeps_moves = options["record_turns"]
+    settings = option.measuring_settings(
+        dwell_s=options["dwell_s"] if length_s is None else length_s,
+        settle_s=options["settle_s"],
+        rate_hz=options["rate_hz"],
+        filter_m=options["filter_m"],
+        gyro_range_dps=options["range_dps"],
+        data_ready=False if options["poll"] else None,
+        turns=plan_name not in _TURNED if keeps_moves is None else keeps_moves,
+        registers=ALL_THERMOMETERS if plan_name == GYRO_TURNS else DEFAULT_SCAN,
+    )
+    return SessionRunner.begin(
+        sensor,
+        output,
+        chosen,
+        settings,
+        auto=auto,
+        extend=extend,
+        gravity_mps2=gravity,
+        fixture_sigma_deg=None if plan_name == FREE_TURN else fixture,
+        title=options["title"],
+        note=options["note"],
+        **_metadata(options, ask=on_terminal() and not auto),
+        advisor=advisor,
+    )
+
+
+def _gravity_and_fixture(
+    sensor: SampleSource,
+    plan_name: str | None,
+    *,
+    gravity_mps2: float | None,
+    fixture_deg: float | None,
+    latitude: float | None,
+    height: float,
+    **_: Any,
+) -> tuple[float, float | None]:
+    """Local gravity in m/s² and standard uncertainty of a stage angle in degrees.
+
+    A simulated bench states both if they are not given, as the operator of a real bench knows them.
+    """
+    from adis_gonio.model.records import normal_gravity_mps2
+
+    world = sensor.world
+    if latitude is not None:
+        if gravity_mps2 is not None:
+            raise UsageError("give --gravity or --latitude, not both")
+        gravity_mps2 = normal_gravity_mps2(latitude, height)
+    if world is None:
+        return STANDARD_GRAVITY_MPS2 if gravity_mps2 is None else gravity_mps2, fixture_deg
+    simulated = world.settings
+    if fixture_deg is None:
+        fixture_deg = simulated.mark_sigma_deg if plan_name == "gyro-turns" else simulated.fixture_sigma_deg
+    return simulated.gravity_mps2 if gravity_mps2 is None else gravity_mps2, fixture_deg
+
+
+def _metadata(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
+    """Operator, serial number and stage: as given, else asked for if somebody sits at a terminal."""
+    written = {}
+    for name, what in _METADATA.items():
+        given = options[name]
+        if given is None and ask:
+            given = click.prompt(f"{what} (Enter: none)", default="", show_default=False, err=True)
+        written[name] = given or ""
+    return written
+
+
+def _choose_plan(
+    name: str | None, positions: int | None, check: int, duration_s: float | None, turns: int | None
+) -> tuple[Plan, float | None]:
+    """Return the plan by its options, and the longest recording of a free turn."""
+    from adis_gonio.bench import gyro_turns, recorder
+    from adis_gonio.plan import find_plan
+    from adis_gonio.record.plans import DEFAULT_PLAN
+
+    if name == "free-turn":
+        if positions is not None:
+            raise UsageError(f"{_TURNED[name]}: leave --positions, --check, --extend and --trace out")
+        length_s = recorder.DURATION_S if duration_s is None else duration_s
+        return recorder.free_turn_plan(recorder.TURNS if turns is None else turns, length_s), length_s
+    if duration_s is not None:
+        dwell = "" if name == "gyro-turns" else ", or --dwell"
+        raise UsageError(f"--duration belongs to a free turn: give --plan free-turn{dwell}")
+    if name == "gyro-turns":
+        faces = 6 if positions is None else positions
+        return gyro_turns.gyro_turns_plan(gyro_turns.TURNS if turns is None else turns, faces), None
+    if turns is not None:
+        raise UsageError("--turns belongs to a free turn: give --plan free-turn (for gyros: gyro-turns)")
+    return find_plan(name or DEFAULT_PLAN, positions, check), None

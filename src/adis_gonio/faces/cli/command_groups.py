@@ -1,0 +1,89 @@
+"""The help of the program and of its commands: commands in groups, options in sections."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import click
+
+
+class Home(NamedTuple):
+    """Module of a command in this package, which defines `NAME_command`, and its sentence in the help."""
+
+    module: str
+    help: str
+
+
+class LazyGroup(click.Group):
+    """Group that imports the module of a command only when the command is called.
+
+    Parameters
+    ----------
+    groups : mapping
+        Commands by name, by the heading of their group in the help.
+    """
+
+    def __init__(self, *args: Any, groups: Mapping[str, Mapping[str, Home]], **more: Any) -> None:
+        super().__init__(*args, **more)
+        self._groups = groups
+        self._homes = {name: home for group in groups.values() for name, home in group.items()}
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order of the table."""
+        return list(self._homes)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import the module of a command and return the command."""
+        if cmd_name not in self._homes:
+            return None
+        module = importlib.import_module(f"{__package__}.{self._homes[cmd_name].module}")
+        command: click.Command = getattr(module, f"{cmd_name}_command")
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; the error for an unknown name suggests the nearest one."""
+        if args and args[0] not in self._homes and not args[0].startswith("-"):
+            near = difflib.get_close_matches(args[0], self._homes, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else "see adis-gonio --help"
+            raise click.UsageError(f"no command is called '{args[0]}'; {hint}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write each group with its heading, without importing the commands."""
+        width = max(map(len, self._homes))
+        for heading, group in self._groups.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name.ljust(width), home.help) for name, home in group.items()])
+
+
+class SectionedCommand(click.Command):
+    """Command that lists its options in sections of the help.
+
+    Parameters
+    ----------
+    sections : mapping of str to str
+        Flags, separated by spaces, by the heading of their section. An option in two sections is listed in
+        the first. The options in no section come last.
+    """
+
+    def __init__(self, *args: Any, sections: Mapping[str, str], **more: Any) -> None:
+        super().__init__(*args, **more)
+        self.sections = sections
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the sections."""
+        options = [param for param in self.get_params(ctx) if isinstance(param, click.Option)]
+        rows = {option.opts[0]: option.get_help_record(ctx) for option in options}
+        records = {flag: record for flag, record in rows.items() if record is not None}
+        for heading, flags in self.sections.items():
+            lines = [records.pop(flag) for flag in flags.split() if flag in records]
+            if lines:
+                with formatter.section(heading):
+                    formatter.write_dl(lines)
+        with formatter.section("Other options" if len(records) < len(rows) else "Options"):
+            formatter.write_dl(list(records.values()))

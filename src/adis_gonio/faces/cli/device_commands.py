@@ -1,0 +1,270 @@
+"""`devices`, `registers`, `selftest` and `serve`: the driver from the shell."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.bus import find_devices
+from adis_gonio.device.bus.host import udev_rules
+from adis_gonio.device.sensor import DEFAULT_SCAN, REGISTERS, Adis16354, Register, open_sensor
+from adis_gonio.device.sensor.registers import Kind, register, registers
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import console, print_json, table_of
+
+if TYPE_CHECKING:
+    from adis_gonio.handover.register_offsets import OffsetWord
+
+_ASSIGNMENT = re.compile(r"(?P<name>[A-Za-z0-9_/]+)=(?P<value>.+)")
+_VALUE = re.compile(r"(?P<number>[-+]?(0[xX][0-9a-fA-F]+|\d+(\.\d*)?([eE][-+]?\d+)?))\s*(?P<unit>\S*)")
+_UNITS = {"dps": "°/s", "degc": "°C", "c": "°C"}
+
+
+@option.command("devices")
+@option.flag("--udev", help="Print the udev rules that let a user open the bridges.")
+@option.json
+def devices_command(*, udev: bool, as_json: bool) -> None:
+    """List the buses and the connected devices, with the URL that opens each.
+
+    If the program cannot search a bus, its row gives the reason; the exit status is still 0.
+
+    Linux needs a rule before a user may open the devices. Write it, then plug the device in again:
+
+    \b
+    adis-gonio devices --udev | sudo tee /etc/udev/rules.d/70-adis-gonio.rules
+    """  # noqa: D301 - click keeps the lines of a paragraph with this character
+    if udev:
+        click.echo(udev_rules(), nl=False)
+        return
+    devices = find_devices()
+    if as_json:
+        print_json({"devices": [device.as_dict() for device in devices]})
+        return
+    rows = [(device.url, device.description) for device in devices]
+    console().print(table_of(("URL", "device"), rows, texts=(0, 1)))
+
+
+@option.command("selftest")
+@option.url
+@option.variant
+@option.no_check
+@option.json
+def selftest_command(*, url: str, variant: str, no_check: bool, as_json: bool) -> int:
+    """Run the sensor's internal self-test and report STATUS.
+
+    The outputs are unavailable for 35 ms. Reading STATUS clears it. The exit status is 1 if the test
+    failed.
+    """
+    with open_sensor(url, variant=variant, check=not no_check) as sensor:
+        before = sensor.status()
+        test = sensor.self_test()
+        supply = sensor.quantity("SUPPLY_OUT")
+        written = sensor.read("ENDURANCE")
+    if as_json:
+        print_json(
+            {
+                "passed": test.passed,
+                "failures": test.failures,
+                "status_before": before.messages,
+                "status_after": test.status.messages,
+                "supply_v": supply.value,
+                "endurance": written,
+            }
+        )
+    else:
+        click.echo(f"self-test    {'passed' if test.passed else 'FAILED: ' + '; '.join(test.failures)}")
+        click.echo(f"STATUS       {before} (before)")
+        click.echo(f"             {test.status} (after)")
+        click.echo(f"supply       {supply.value:.3f} V")
+        click.echo(f"flash        written {written} times of 10 000")
+    return 0 if test.passed else 1
+
+
+@option.command("serve")
+@option.url
+@option.with_default(
+    "--iio",
+    "port",
+    type=click.IntRange(0, 65535),
+    default=30431,
+    metavar="PORT",
+    help="TCP port; 0: a free one.",
+)
+@option.with_default(
+    "--listen", "host", default="127.0.0.1", metavar="ADDRESS",
+    help="Address to listen on; 0.0.0.0 is every address of this machine.",
+)  # fmt: skip
+@option.flag("--allow-writes", help="Let clients write calibbias, rate and filter.")
+@click.option("--registers", "names", help="Registers to serve, separated by commas.", metavar="NAME,…")
+@option.variant
+@option.no_check
+def serve_command(
+    *, url: str, port: int, host: str, allow_writes: bool, names: str | None, variant: str, no_check: bool
+) -> None:
+    """Serve the sensor as an IIO device to libiio's clients (iio_info, iio_readdev, pyadi-iio).
+
+    Ctrl-C or SIGTERM ends the server. The sensor streams while a client has a buffer open; if the bridge
+    can use data-ready, it is enabled during that time and then set back. Anybody who reaches the address
+    can connect, because there is no password. Without --listen only this machine reaches it.
+    """
+    from adis_gonio.faces.serve import IioServer, ServeSettings
+
+    chosen = tuple(row.name for row in registers(names.split(","))) if names else DEFAULT_SCAN
+
+    def ready(address: str, taken: int) -> None:
+        writing = "clients may write" if allow_writes else "read-only"
+        click.echo(
+            f"{url}: served as iio:device0 at ip:{address}:{taken}, {writing}; Ctrl-C ends it", err=True
+        )
+        if not ipaddress.ip_address(address.partition("%")[0]).is_loopback:
+            click.echo("anybody who reaches this address can connect; there is no password", err=True)
+
+    with open_sensor(url, variant=variant, check=not no_check) as sensor:
+        settings = ServeSettings(host, port, allow_writes, chosen)
+        IioServer(sensor, settings, tell=lambda line: click.echo(line, err=True), ready=ready).run()
+
+
+@option.command("registers")
+@click.argument("url", required=False)
+@click.argument("words", nargs=-1, metavar="[NAME | NAME=VALUE]...")
+@option.flag("--fields", help="Show the bit fields of control registers.")
+@option.flag("--save", help="Save to flash after writing (ENDURANCE goes up by one).")
+@option.file(
+    "--cal", "calibration_path", metavar="FILE",
+    help="Also show the offsets that this calibration (export, JSON) or session would write.",
+)  # fmt: skip
+@option.variant
+@option.no_check
+@option.json
+def registers_command(
+    *,
+    url: str | None,
+    words: tuple[str, ...],
+    fields: bool,
+    save: bool,
+    calibration_path: Path | None,
+    variant: str,
+    no_check: bool,
+    as_json: bool,
+) -> None:
+    """List, read and write registers.
+
+    Without a URL, the command lists the table of registers; with a URL, also their contents. NAME reads one
+    register, NAME=VALUE writes it and reads it back. VALUE is the register's number (decimal or 0x…) or a
+    quantity with its unit. XACCL_OFF=-57.3mg lowers the output by 57.3 mg, because the sensor adds the
+    offset registers to its outputs (`write` uses a session's biases). A list of all registers omits STATUS,
+    because a read clears it; name it to read it. --cal FILE compares the offsets with a calibration: zero
+    rates of the gyros in °/s (without the part due to gravity), biases of the accelerometers in mg.
+    """
+    if url is None:
+        if calibration_path is not None:
+            raise UsageError("--cal needs a URL: it is compared with the sensor's offsets")
+        _show_registers([(row, None) for row in REGISTERS], {}, fields=fields, as_json=as_json)
+        return
+    matches = [(word, _ASSIGNMENT.fullmatch(word)) for word in words]
+    writes = [(register(match["name"]), match["value"]) for _, match in matches if match]
+    reads = [register(word) for word, match in matches if not match]
+    if save and not writes:
+        raise UsageError("--save needs NAME=VALUE: there is nothing to write")
+    wanted: dict[str, OffsetWord] = {}
+    if calibration_path is not None:
+        from adis_gonio.handover.register_offsets import offset_words_in
+
+        wanted = {offset.name: offset for offset in offset_words_in(calibration_path)}
+    with open_sensor(url, variant=variant, check=not no_check) as sensor:
+        # All values are parsed before the first one is written.
+        numbers = [(row, _parse_number(sensor, row, text)) for row, text in writes]
+        for row, number in numbers:
+            sensor.write(row, number)
+        if save:
+            sensor.save_to_flash()
+        if not words:
+            reads = [row for row in REGISTERS if row.readable and row.name != "STATUS"]
+        if not save and any(row.flash_mask for row, _ in writes):
+            click.echo("volatile until saved to flash (--save)", err=True)
+        held = [(row, sensor.quantity(row)) for row in [row for row, _ in writes] + reads]
+        _show_registers(held, wanted, fields=fields, as_json=as_json)
+
+
+def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
+    """Number for a register from `0x…`, a decimal, or a quantity with its unit."""
+    match = _VALUE.fullmatch(text.strip())
+    if not match:
+        raise UsageError(f"{row.name}={text}: write a number, 0x…, or a quantity such as -57.3mg")
+    number, unit = match["number"], match["unit"]
+    if not unit:
+        try:
+            return int(number, 0)
+        except ValueError:
+            raise UsageError(
+                f"{row.name}={text}: a register holds whole numbers; give a unit for a quantity"
+            ) from None
+    lsb, zero, own = sensor.variant.lsb(row.kind, sensor.configuration().gyro_range_dps or 300)
+    if not own or _UNITS.get(unit.lower(), unit) != own:
+        raise UsageError(f"{row.name}={text}: its unit is {own or 'none'}, not {unit}")
+    return round((float(number) - zero) / lsb)
+
+
+def _show_registers(
+    rows: list[tuple[Register, Any]], wanted: Mapping[str, OffsetWord], *, fields: bool, as_json: bool
+) -> None:
+    """Show registers with their quantities; the quantity is None if a register was not read."""
+    if as_json:
+        documents = []
+        for row, quantity in rows:
+            offset = wanted.get(row.name)
+            more = {} if offset is None else {"calibration": offset.as_dict()}
+            documents.append(_register_document(row, quantity) | more)
+        print_json({"registers": documents})
+        return
+    from rich.table import Table
+
+    with_values = any(quantity is not None for _, quantity in rows)
+    if with_values:
+        columns = (">number", ">value", *([">by the calibration"] if wanted else []))
+    else:
+        columns = (">bits", "access", ">default", "flash", "confidence")
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("register", "address", *columns):
+        table.add_column(name.lstrip(">"), justify="right" if name[0] == ">" else "left")
+    table.add_column("meaning", overflow="fold")
+    for row, quantity in rows:
+        if with_values:
+            number = f"0x{quantity.number:04X}" if row.kind is Kind.FIELDS else str(quantity.number)
+            cells = [number, "" if row.kind in (Kind.FIELDS, Kind.COUNT) else str(quantity)]
+            cells += [str(wanted.get(row.name, ""))] if wanted else []
+        else:
+            bits, flash = f"{row.bits}{'s' if row.signed else 'u'}", "yes" if row.flash_mask else ""
+            cells = [bits, row.access.value, f"0x{row.default:04X}", flash, row.confidence]
+        table.add_row(row.name, f"0x{row.address:02X}", *cells, row.meaning)
+        if fields or (with_values and len(rows) <= 4):
+            for field in row.fields:
+                bits = f"[{field.high}:{field.low}]" if field.high != field.low else f"[{field.low}]"
+                held = [str(field.of(quantity.number))] if with_values else []
+                spare = [""] * (len(cells) - len(held))
+                table.add_row(f"  {field.name}", bits, *held, *spare, field.meaning, style="dim")
+    console().print(table)
+
+
+def _register_document(row: Register, quantity: Any) -> dict[str, Any]:
+    document: dict[str, Any] = {
+        name: getattr(row, name)
+        for name in ("name", "address", "bits", "signed", "default", "meaning", "source")
+    }
+    document |= {"access": row.access.value, "in_flash": bool(row.flash_mask), "confidence": row.confidence}
+    if row.fields:
+        document["fields"] = [
+            {"name": field.name, "high": field.high, "low": field.low, "meaning": field.meaning}
+            for field in row.fields
+        ]
+    if quantity is not None:
+        document |= {"number": quantity.number, "value": quantity.value, "unit": quantity.unit}
+        if row.fields:
+            document["held"] = {field.name: field.of(quantity.number) for field in row.fields}
+    return document

@@ -1,0 +1,306 @@
+"""`fit` and `allan`: parameters and noise of a recorded session."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import counted
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import (
+    WIDTH,
+    check_page,
+    console,
+    print_json,
+    report_progress,
+    table_of,
+    write_page,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from adis_gonio.base.uncertainty import Value
+    from adis_gonio.fitting.allan.allan_result import Part
+    from adis_gonio.fitting.answer import Answer
+    from adis_gonio.fitting.monte_carlo import MonteCarlo
+    from adis_gonio.model.records import Session
+    from adis_gonio.record.loading import Overrides
+
+_PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
+
+
+@option.command(
+    "fit",
+    "--method --all --json",
+    {"Uncertainty": "--monte-carlo --seed", "Gyros": "--sensor-part --calibration --gyros"},
+)
+@option.session
+@click.option(
+    "--method",
+    help="paper, two-position, four-position, mmpm or ml; free-turn for one continuous turn (default: the"
+    " recommended method).",
+)
+@option.flag("--all", "everything", help="Show every method in full.")
+@click.option(
+    "--monte-carlo", "trials", type=click.IntRange(min=100), metavar="N",
+    help="Also propagate the input distributions by N trials (GUM Supplement 1).",
+)  # fmt: skip
+@option.with_default("--seed", type=int, default=1, help="Seed of the trials.")
+@option.part()
+@option.file(
+    "--calibration", metavar="FILE",
+    help="With --sensor-part gyro: calibration or session of the same part's accelerometers.",
+)  # fmt: skip
+@option.file(
+    "--gyros",
+    help="For poses in space: another session of this part (plan gyro-turns), or its gyros' calibration.",
+)
+@option.overrides
+@option.json
+def fit_command(
+    *,
+    session: Path,
+    method: str | None,
+    part: str,
+    calibration: Path | None,
+    gyros: Path | None,
+    everything: bool,
+    trials: int | None,
+    seed: int,
+    as_json: bool,
+    overrides: Overrides,
+) -> None:
+    """Compute ΔK, Δφ and the other parameters of a recorded session, with their uncertainties.
+
+    The command shows the recommended method in full, and a score of each other method. A score is the error
+    on all dwells of the session; each dwell is left out of the fit that predicts it. --sensor-part gyro
+    fits zero rates and g-sensitivity, also gains and directions if the part was turned between dwells.
+    Recorded turns between poses in space add equations (calibrate --record-turns).
+    """
+    if part == "gyro":
+        if gyros is not None:
+            raise UsageError("--gyros goes with the accelerometers: leave out --sensor-part gyro")
+        if everything or trials is not None:
+            raise UsageError(
+                "--all and --monte-carlo are of the accelerometers' methods: gyros have one, gyro"
+            )
+        show_gyro_fit(option.load(session, overrides), method, as_json=as_json, calibration=calibration)
+        return
+    if calibration is not None:
+        raise UsageError("--calibration goes with --sensor-part gyro")
+    from adis_gonio.faces.api import fit
+    from adis_gonio.fitting.answer import Answer
+    from adis_gonio.model.records import METADATA
+
+    loaded = option.load(session, overrides)
+    what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
+    with report_progress(f"fitting {what} of {session.name}"):
+        answer = Answer.of(fit(loaded, method=method, gyros=gyros), own=method is not None)
+        document = answer.as_dict()
+    run = None
+    if trials is not None:
+        import numpy as np
+
+        from adis_gonio.fitting.monte_carlo import monte_carlo
+
+        with report_progress(f"{trials} Monte Carlo trials"):
+            run = monte_carlo(answer.result, trials, np.random.default_rng(seed))
+    if as_json:
+        print_json(document if run is None else {**document, "monte_carlo": run.as_dict()})
+        return
+    title = f"{loaded.title}: " if loaded.title else ""
+    written = [f"{name} {getattr(loaded, name)}" for name in METADATA if getattr(loaded, name)]
+    head = [f"{title}{what}, {loaded.sensor}", *([f"  {', '.join(written)}"] if written else [])]
+    head += [f"  {note}" for note in loaded.notes]
+    # `calibrate` shows the truth of simulated positions, `fit` the truth of a simulated free turn.
+    truth = loaded.facts.get("truth") if loaded.free_turn else None
+    print_answer(answer, truth, head, shown=loaded.notes, everything=everything)
+    print_gains(loaded)
+    if run is not None:
+        _print_monte_carlo(console(most=WIDTH), run)
+
+
+def print_answer(
+    answer: Answer,
+    truth: Mapping[str, float] | None = None,
+    head: Sequence[str] = (),
+    shown: Collection[str] = (),
+    *,
+    everything: bool = False,
+) -> None:
+    """Show the answer, its parameters in full and the other methods by a line each.
+
+    Parameters
+    ----------
+    truth : mapping of str to float, optional
+        True parameters of a simulation, shown next to the estimates.
+    head : sequence of str
+        Lines about the session, printed below the doubts about the model.
+    shown : collection of str
+        Warnings that were printed already.
+    everything : bool
+        Show all methods in full.
+    """
+    screen = console(most=WIDTH)
+    for line in answer.doubt_lines(screen.width):
+        screen.print(line, style="bold")
+    for lines in (head, answer.headline(screen.width)):
+        for k, line in enumerate(lines):
+            screen.print(line, style=None if k else "bold")
+        screen.print()
+    if truth is not None or answer.has_more:
+        screen.print(_parameter_table(answer, truth))
+    for line in answer.facts():
+        screen.print(f"  {line}")
+    names, rows = answer.budget_rows()
+    if rows:
+        screen.print("\nUncertainty budget: shares of the variance")
+        screen.print(table_of(names, rows, range(4)))
+    _print_scores(screen, answer, everything=everything)
+    for text in answer.warnings(everything=everything):
+        if text not in shown:
+            screen.print(text)
+
+
+def _parameter_table(answer: Answer, truth: Mapping[str, float] | None) -> Table:
+    columns, rows = list(_PARAMETER_HEAD), [list(row) for row in answer.parameter_rows()]
+    if truth is not None:
+        columns.insert(2, "truth")
+        for row in rows:
+            row.insert(2, f"{truth[row[0]]:.6g}" if row[0] in truth else "")
+    return table_of(columns, rows, (0, 1), bold=("delta_k", "delta_phi"))
+
+
+def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
+    """Show the scores of the methods, and with `everything` each method in full."""
+    from adis_gonio.fitting.answer import method_tables
+
+    head, rows = answer.score_rows()
+    failures = answer.comparison.failures
+    if len(rows) > 1 or failures:
+        screen.print(f"\n{answer.scored_on}")
+        if len(head) > 1:
+            screen.print(table_of(head, rows, bold=rows[0][:1] if rows else ()))
+    for method, reason in failures.items():
+        screen.print(f"no result by {method}: {reason}")
+    narrow = {"no_wrap": True}
+    for block_head, block in method_tables(answer.comparison.results, screen.width) if everything else ():
+        screen.print()
+        screen.print(table_of(block_head, block, (0, 1), number=narrow, text=narrow))
+
+
+def print_gains(session: Session) -> None:
+    """Print the gyro gains from the moves between dwells, if the session gives any."""
+    from adis_gonio.fitting.gyros.gyro_fit import gains_of
+
+    gains = gains_of(session)
+    if gains is not None:
+        console(most=WIDTH).print(gains.line)
+
+
+def _print_monte_carlo(screen: Console, run: MonteCarlo) -> None:
+    screen.print(f"\nMonte Carlo, {run.trials} trials (GUM Supplement 1)", style="bold")
+    screen.print(table_of(*run.rows(), (0, 1)))
+    for line in run.remarks:
+        screen.print(f"  {line}")
+
+
+def show_gyro_fit(
+    session: Session, method: str | None, *, as_json: bool, calibration: Path | None = None
+) -> None:
+    """Fit the gyros of a session and show the result."""
+    from adis_gonio.faces.api import fit
+
+    accelerometers = None
+    if calibration is not None:
+        from adis_gonio.tracing.trace_calibrations import load_calibration
+
+        accelerometers = load_calibration(calibration)
+    with report_progress("fitting the gyros"):
+        result = fit(session, method, part="gyro", accelerometers=accelerometers)
+    if as_json:
+        print_json(result.as_dict())
+        return
+    screen = console(most=WIDTH)
+    title = f"{session.title}: " if session.title else ""
+    screen.print(f"{title}gyros, {result.held}, {session.sensor}\n", style="bold")
+    screen.print(_gyro_table(result.parameters))
+    screen.print()
+    if result.triad is not None:
+        screen.print("The gyros' triad: rotation against the accelerometers', and 90° minus its angles")
+        screen.print(_gyro_table(result.triad))
+        screen.print()
+    screen.print(
+        f"  residual {result.residual_rms_dps:.3g} °/s rms, χ² {result.chi2:.1f} at {result.dof} degrees of"
+        " freedom"
+    )
+    if result.scores:
+        screen.print("\nEach dwell left out in turn, error of its rate in °/s, rms")
+        scores = [
+            (name, *(f"{v:.3f}" for v in score.rms_dps.values())) for name, score in result.scores.items()
+        ]
+        screen.print(table_of(("model", *"xyz"), scores))
+    for text in result.warnings:
+        screen.print(text)
+
+
+def _gyro_table(parameters: dict[str, Value]) -> Table:
+    from adis_gonio.fitting.answer import parameter_row
+
+    rows = [parameter_row(name, value) for name, value in parameters.items()]
+    return table_of(_PARAMETER_HEAD, rows, (0, 1))
+
+
+_ALLAN_ENDINGS = (".html", ".htm", ".svg")
+
+
+@option.command("allan", "--output --sensor-part --json")
+@option.session
+@option.part("gyro")
+@click.option(
+    "--filter", "filter_m", type=click.IntRange(0, 6), metavar="M",
+    help="Filter of the chip, two passes of 2^M taps, if the file does not contain it.",
+)  # fmt: skip
+@option.output("Write a page with the Allan plot (.html), or only the plot (.svg) (extra: report).")
+@option.overrides
+@option.json
+def allan_command(
+    *,
+    session: Path,
+    part: Part,
+    filter_m: int | None,
+    output: Path | None,
+    as_json: bool,
+    overrides: Overrides,
+) -> None:
+    """Estimate the noise of a part at rest: random walks and bias instability, with uncertainties.
+
+    The estimate is by maximum likelihood, from the dwells of a session or the rests of a continuous
+    recording; the Allan deviation is shown next to it. A kind of noise that is not found gets an upper
+    limit. docs/noise.md explains how long to record.
+    """
+    from adis_gonio.fitting.allan import fit_allan
+
+    if output is not None and output.suffix.lower() not in _ALLAN_ENDINGS:
+        raise UsageError(f"{output}: its ending says the format: .html for the page, .svg for the plot")
+    check_page(output)
+    loaded = option.load(session, overrides)
+    with report_progress(f"noise of {session.name}"):
+        found = fit_allan(loaded, part, filter_m=filter_m)
+    if output is not None:
+        from adis_gonio.handover.gyro_report import allan_page, allan_svg
+
+        draw = allan_svg if output.suffix.lower() == ".svg" else allan_page
+        write_page(output, draw(found))
+    if as_json:
+        print_json(found.as_dict())
+    else:
+        screen = console(most=80)
+        for line in found.summary().splitlines():
+            screen.print(line)

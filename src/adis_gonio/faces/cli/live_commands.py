@@ -1,0 +1,465 @@
+"""`stream` and `angle`: the readings of a sensor as they come."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import counted
+from adis_gonio.device.sensor import DEFAULT_SCAN, open_sensor
+from adis_gonio.device.sensor.registers import registers
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.terminal import Interrupt
+from adis_gonio.live.angle_smoother import LAG_S
+from adis_gonio.live.live_angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
+from adis_gonio.record.blocks import Block, count_alarms
+from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import SampleStream, has_frames, open_source, refuse_chip_options
+
+if TYPE_CHECKING:
+    from adis_gonio.record.samples_writer import SamplesRecorder
+
+INTERRUPTED = 130
+NOTES = {
+    "gap": "gap",
+    "saturated": "too fast for the gyro",
+    "out_of_plane": "turned out of the plane",
+    "calibration": "the calibration does not fit",
+    "gyro_calibration": "the gyros' calibration does not fit",
+}
+"""Text for each note of the smoothed angle."""
+
+
+@option.command(
+    "stream",
+    "--seconds --output --registers",
+    {
+        "Measuring": "--rate --filter --range --poll --leave-registers",
+        "Lines and file": "--every --gravity",
+    },
+)
+@option.url
+@click.option("--registers", "names", help="Registers to scan, separated by commas.", metavar="NAME,…")
+@option.seconds
+@option.with_default(
+    "--every", "every_s", type=float, default=0.2, metavar="SECONDS", help="Screen: time per line."
+)
+@option.output("Record every scan to .csv[.gz].")
+@click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Samples per second, 0.413 to 819.2.")
+@click.option(
+    "--filter", "filter_m", type=int, metavar="M", help="Filter: two passes of 2^M taps, M from 0 to 6."
+)
+@click.option(
+    "--range", "range_dps", type=int, metavar="DPS", help="Range of the gyros: 300, 150 or 75 °/s."
+)
+@option.with_default(
+    "--gravity", "gravity_mps2", type=float, default=9.80665, metavar="M/S²",
+    help="Local gravity for the file.",
+)  # fmt: skip
+@option.flag("--leave-registers", help="Write nothing; use data-ready only if it is already enabled.")
+@option.poll
+@option.flag("--json", "as_json", help="Write one JSON document with every scan at the end.")
+@option.variant
+@option.no_check
+def stream_command(
+    *,
+    url: str,
+    names: str | None,
+    seconds: float | None,
+    every_s: float,
+    output: Path | None,
+    gravity_mps2: float,
+    as_json: bool,
+    **chip: Any,
+) -> None:
+    """Show the sensor's readings, and record them with -o.
+
+    Each line on the screen shows the mean and the standard deviation of every value since the previous
+    line. The file gets every scan. It has no positions; `adis-gonio fit` finds the dwells by stillness.
+
+    If the bridge can use the sensor's data-ready line, the command enables it in MSC_CTRL during the stream
+    and sets it back at the end, also after Ctrl-C. Without edges, or with --poll, it polls the scans. The
+    other registers are unchanged unless --rate, --filter or --range is given.
+    """
+    _check_positive("--seconds", seconds)
+    _check_positive("--every", every_s)
+    if as_json and seconds is None:
+        raise UsageError("--json needs --seconds: a document has an end")
+    with contextlib.ExitStack() as stack:
+        part, rate_hz, open_stream = _open_stream(stack, url, names, **chip)
+        recorder = None
+        if output is not None:
+            from adis_gonio.record.samples_writer import SamplesRecorder
+
+            recorder = stack.enter_context(
+                SamplesRecorder(output, part, gravity_mps2=gravity_mps2, title=f"stream {url}")
+            )
+        show = ShownStream(max(1, round(every_s * rate_hz)), recorder, lines=not as_json)
+        stack.callback(show.print_totals)  # also after a failure: the earlier scans remain
+        stream = stack.enter_context(open_stream(min(show.scans_a_line, 1024)))
+        click.echo(f"{url}: {rate_hz:.4g} samples/s, {stream.how}", err=True)
+        show.run(stream, seconds)
+    if as_json:
+        show.print_document()
+
+
+def _check_positive(flag: str, value: float | None) -> None:
+    if value is not None and not value > 0:
+        raise UsageError(f"{flag} is {value:g}: take a time above 0")
+
+
+def _open_stream(
+    stack: contextlib.ExitStack,
+    url: str,
+    names: str | None,
+    *,
+    rate_hz: float | None,
+    filter_m: int | None,
+    range_dps: int | None,
+    leave_registers: bool,
+    poll: bool,
+    variant: str,
+    no_check: bool,
+) -> tuple[str, float, Callable[[int], SampleStream]]:
+    """Open a source; return its part, its rate in Hz, and the function that streams blocks of n scans."""
+    asked: dict[str, object] = {
+        "--registers": names,
+        "--leave-registers": leave_registers,
+        "--poll": poll,
+        "--rate": rate_hz,
+        "--filter": filter_m is not None,
+        "--range": range_dps,
+        "--no-check": no_check,
+    }
+    refuse_chip_options(url, asked)
+    configures = not (rate_hz is filter_m is range_dps is None)
+    if leave_registers and configures:
+        raise UsageError("--leave-registers writes nothing, so it excludes --rate, --filter and --range")
+    scan = tuple(row.name for row in registers(names.split(","))) if names else DEFAULT_SCAN
+    if not has_frames(url):
+        source = stack.enter_context(open_source(url))
+        rate = source.configure(Settings()).sample_rate_hz
+        return source.part.name, rate, partial(source.samples, Settings())
+    sensor = stack.enter_context(open_sensor(url, variant=variant, check=not no_check))
+    if configures:
+        sensor.configure(sample_rate_hz=rate_hz, filter_m=filter_m, gyro_range_dps=range_dps)
+
+    def stream(block_scans: int) -> SampleStream:
+        data_ready = False if poll else None
+        return sensor.stream(
+            scan, block_scans=block_scans, leave_registers=leave_registers, data_ready=data_ready
+        )
+
+    return sensor.variant.name, sensor.configuration().sample_rate_hz, stream
+
+
+class ShownStream:
+    """Shows and records a stream, and counts its scans.
+
+    Parameters
+    ----------
+    scans_a_line : int
+    recorder : SamplesRecorder or None
+    lines : bool
+        False keeps the blocks for `print_document` instead of printing lines.
+    """
+
+    def __init__(self, scans_a_line: int, recorder: SamplesRecorder | None, *, lines: bool) -> None:
+        self.scans_a_line = scans_a_line
+        self._recorder = recorder
+        self._lines = lines
+        self._waiting: list[Block] = []
+        self._columns: Columns | None = None
+        self._caveat_printed = False
+        self._scans = self._lost = self._dropped = self._alarms = 0
+
+    def run(self, stream: SampleStream, seconds: float | None) -> None:
+        """Take blocks until the time is over, the stream ends, or Ctrl-C."""
+        begin: float | None = None
+        end = False
+        with Interrupt() as interrupt:
+            for block in interrupt.steps(iter(stream)):
+                if begin is None and len(block):
+                    begin = float(block.time_s[0])
+                if seconds is not None and begin is not None:
+                    # Cut the block at the end of the asked time.
+                    keep = int(np.searchsorted(block.time_s, begin + seconds))
+                    block, end = block.first(keep), keep < len(block)
+                self._add(block, stream.caveat)
+                held = sum(map(len, self._waiting))
+                # A remainder of a few scans would make a line that cannot be compared with the others.
+                full = held >= self.scans_a_line or (end and held > self.scans_a_line // 2)
+                if self._lines and full and begin is not None:
+                    self._line(begin)
+                    self._waiting.clear()
+                if end:
+                    break
+        if interrupt.asked:
+            click.echo("", err=True)
+
+    def _add(self, block: Block, caveat: str) -> None:
+        if caveat and not self._caveat_printed:  # the speed of the bus is known after the first block
+            click.echo(caveat, err=True)
+            self._caveat_printed = True
+        self._scans += len(block)
+        self._lost += block.lost
+        self._dropped += block.dropped
+        self._alarms += count_alarms(block)
+        if self._recorder is not None:
+            if caveat and not self._recorder.rows:
+                self._recorder.notes = [caveat]
+            self._recorder.add(block)
+        if len(block):  # a block can be empty if its scans were dropped or lie beyond the end
+            self._waiting.append(block)
+
+    def _line(self, since_s: float) -> None:
+        if self._columns is None:
+            first = self._waiting[0]
+            width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+            self._columns = Columns.fitting(first.registers, first.units, width)
+            if self._columns.note:
+                click.echo(self._columns.note, err=True)
+            click.echo("\n".join(self._columns.heads))
+        click.echo(self._columns.line(self._waiting, since_s))
+
+    def print_totals(self) -> None:
+        """Print the numbers of scans and of lost scans, and the file."""
+        where = f", recorded in {self._recorder.path}" if self._recorder is not None else ""
+        more = f", {self._dropped} left out without new data (ND)" if self._dropped else ""
+        more += f", {self._alarms} with an error or alarm in STATUS (EA)" if self._alarms else ""
+        click.echo(f"{counted(self._scans, 'scan')}, {self._lost} lost{more}{where}", err=True)
+
+    def print_document(self) -> None:
+        """Print every scan as one JSON document."""
+        blocks = self._waiting
+        alarms = [block.alarm for block in blocks if block.alarm is not None]
+        document = {
+            "registers": list(blocks[0].registers) if blocks else [],
+            "units": list(blocks[0].units) if blocks else [],
+            "time_s": [float(t) for block in blocks for t in block.time_s],
+            "values": [[float(value) for value in row] for block in blocks for row in block.values()],
+            # None for a sensor that reports no alarms.
+            "alarm": [bool(a) for part in alarms for a in part] if alarms or not blocks else None,
+            "lost": self._lost,
+            "dropped": self._dropped,
+        }
+        click.echo(json.dumps(document))
+
+
+_TIME = 9
+_MEANS_TIME = 7
+_FULL = 19
+_MEANS = 9
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Layout of the lines of a stream.
+
+    Attributes
+    ----------
+    heads : tuple of str
+        Lines above the first line of values.
+    shown : int
+        Number of values shown, from the left.
+    cell, time_cell : int
+        Widths.
+    spread : bool
+        True if the standard deviation is shown next to the mean.
+    note : str
+        Message about values that did not fit on the screen, or an empty text.
+    """
+
+    heads: tuple[str, ...]
+    shown: int
+    cell: int
+    time_cell: int
+    spread: bool
+    note: str = ""
+
+    @classmethod
+    def fitting(cls, names: Sequence[str], units: Sequence[str], width: int | None) -> Columns:
+        """Return the layout for a width in columns (None: unlimited).
+
+        A narrow screen first loses the standard deviations, then the last values.
+        """
+        short = [name.removesuffix("_OUT") for name in names]
+        units = [unit or "1" for unit in units]
+        if width is None or _TIME + _FULL * len(short) <= width:
+            pairs = zip(short, units, strict=True)
+            head = f"{'time/s':>{_TIME}}" + "".join(f"{f'{name}/{unit}':>{_FULL}}" for name, unit in pairs)
+            return cls((head,), len(short), _FULL, _TIME, spread=True)
+        cell = max([_MEANS, *(len(name) + 1 for name in short)])
+        room = max(1, (width - _MEANS_TIME) // cell)
+        hidden = short[room:]
+        heads = tuple(
+            f"{first:>{_MEANS_TIME}}" + "".join(f"{word:>{cell}}" for word in row[:room])
+            for first, row in (("time", short), ("s", units))
+        )
+        note = f"the screen has {width} columns: means only"
+        if hidden:
+            note += f", without {', '.join(hidden)} (choose with --registers)"
+        return cls(heads, min(room, len(short)), cell, _MEANS_TIME, spread=False, note=note)
+
+    def line(self, blocks: Sequence[Block], since_s: float) -> str:
+        """One line for blocks that are not empty, with the time of their last scan."""
+        values = np.concatenate([block.values() for block in blocks])
+        time_s = float(blocks[-1].time_s[-1]) - since_s
+        cells = [
+            f"{mean:.2f} ± {sd:.2f}" if self.spread else f"{mean:.2f}"
+            for mean, sd in zip(values.mean(axis=0), values.std(axis=0), strict=True)
+        ]
+        return f"{time_s:{self.time_cell}.2f}" + "".join(
+            f"{cell:>{self.cell}}" for cell in cells[: self.shown]
+        )
+
+
+@option.command("angle", "--cal --seconds --json")
+@option.url
+@option.seconds
+@option.file(
+    "--cal", "calibration_path", metavar="FILE",
+    help="Correct the angle by a calibration (export, JSON) or by the fit of a session.",
+)  # fmt: skip
+@option.with_default(
+    "--lag", "lag_s", type=float, default=LAG_S, metavar="SECONDS",
+    help="Delay of the smoothed angle; 0: the smallest possible.",
+)  # fmt: skip
+@option.flag("--no-gyro", help="Use gravity alone: fewer registers to read, no smoothed angle.")
+@option.with_default(
+    "--reconnect", "patience_s", type=float, default=30.0, metavar="SECONDS",
+    help="Time to try to open a sensor again after its link broke; 0: end.",
+)  # fmt: skip
+@option.poll
+@option.flag("--json", "as_json", help="Write one JSON object per line, ten per second.")
+@option.variant
+@option.no_check
+def angle_command(
+    *,
+    url: str,
+    calibration_path: Path | None,
+    seconds: float | None,
+    lag_s: float,
+    no_gyro: bool,
+    patience_s: float,
+    poll: bool,
+    as_json: bool,
+    variant: str,
+    no_check: bool,
+) -> int:
+    """Show the live angle about gravity, ten times a second.
+
+    The angle is positive for the stage's positive turn, within ±180°. The first value combines gyros and
+    gravity: it comes with a lag and without the noise from shaking (not without gyros, or with --no-gyro).
+    The second value uses gravity alone. Without --cal, the angle is 0 if X reads +1 g, and its uncertainty
+    u covers only noise and motion. With --cal, the angles are corrected to the scale of the calibrated
+    stage, u covers noise and calibration, and the raw angle follows.
+
+    The sensor's settings are unchanged; data-ready is enabled only during the stream.
+    """
+    _check_positive("--seconds", seconds)
+    if not patience_s >= 0:
+        raise UsageError(f"--reconnect is {patience_s:g}: take 0 or more")
+    calibration = None
+    if calibration_path is not None:  # before the sensor is opened, because a fit takes a moment
+        from adis_gonio.tracing.trace_calibrations import load_calibration
+
+        calibration = load_calibration(calibration_path)
+
+    def reopen() -> contextlib.AbstractContextManager[LiveSource]:
+        data_ready = False if poll else None
+        return open_live(url, variant=variant, check=not no_check, data_ready=data_ready, gyros=not no_gyro)
+
+    def report_break(error: Exception) -> None:
+        click.echo(f"{error}; trying again for {patience_s:g} s", err=True)
+
+    with contextlib.closing(LiveBlocks(reopen, patience_s, report_break, time.sleep)) as blocks:
+        source = blocks.source
+        rate = f"{source.measuring.sample_rate_hz:.4g} samples/s"
+        click.echo(f"{url}: {rate}, {source.stream.how}", err=True)
+        last_s = math.inf if seconds is None else seconds - source.measuring.sample_period_s
+        line = _AngleLine(as_json=as_json)
+        try:
+            ended = _show_angles(live_angles(blocks, calibration, lag_s=lag_s), line, last_s)
+        finally:
+            line.end()
+    return 0 if ended or seconds is None else INTERRUPTED
+
+
+def _show_angles(angles: Iterator[LiveAngle], line: _AngleLine, last_s: float) -> bool:
+    """Show readings until the time is over or the samples end; return False after Ctrl-C."""
+    with Interrupt() as interrupt:
+        for reading in interrupt.steps(angles):
+            line.show(reading)
+            if reading.time_s >= last_s:
+                return True
+        return not interrupt.asked
+
+
+class _AngleLine:
+    """One line that changes in place on a terminal, otherwise a new line for each reading."""
+
+    def __init__(self, *, as_json: bool) -> None:
+        self._as_json = as_json
+        self._in_place = not as_json and sys.stdout.isatty()
+        self._began_s: float | None = None
+
+    def show(self, reading: LiveAngle) -> None:
+        if self._as_json:
+            click.echo(json.dumps(reading.as_dict()))
+        elif not self._in_place:
+            click.echo(format_angle(reading))
+        else:
+            width = shutil.get_terminal_size().columns
+            click.echo(f"\r{format_angle(reading, width - 1)}\x1b[K", nl=False)
+            # A simulated sensor, which needs no time, must not run faster than a person can read.
+            now_s = time.monotonic()
+            if self._began_s is None:
+                self._began_s = now_s - reading.time_s
+            time.sleep(max(0.0, self._began_s + reading.time_s - now_s))
+
+    def end(self) -> None:
+        if self._in_place and self._began_s is not None:
+            click.echo()
+
+
+def format_angle(reading: LiveAngle, width: int | None = None) -> str:
+    """One line for a reading; the last parts are left out if the line would exceed `width`."""
+    smoothed = reading.smoothed
+    by_gravity = reading.angle_deg if reading.corrected_deg is None else reading.corrected_deg
+    main, u_deg = by_gravity, reading.u_deg
+    if smoothed is not None:
+        main, u_deg = smoothed.smoothed_deg, smoothed.smoothed_u_deg
+    u = "" if u_deg is None else f" ± {u_deg:.3f}"
+    parts = [f"{main:+9.3f}{u}°"]
+    if smoothed is not None:
+        parts += [", ".join(NOTES[note] for note in smoothed.notes)] if smoothed.notes else []
+        parts.append(f"gravity {by_gravity:+9.3f}°")
+    if reading.corrected_deg is not None:
+        parts.append(f"raw {reading.angle_deg:+9.3f}°")
+    spread = "" if reading.spread_mg is None else f" ({reading.spread_mg:.1f} mg)"
+    state = {True: "still ", False: "moving", None: "…     "}[reading.still]
+    parts.append(f"{state}{spread}")
+    if reading.temperature_c is not None:
+        parts.append(f"{reading.temperature_c:.1f} °C")
+    if reading.lost:
+        parts.append(f"{reading.lost} lost")
+    text = parts[0]
+    for part in parts[1:]:
+        if width is not None and len(text) + 3 + len(part) > width:
+            break
+        text += f"   {part}"
+    return text if width is None else text[: max(width, 0)]

@@ -1,0 +1,365 @@
+"""`plan`, `template` and `simulate`: a session before it is measured."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import click
+import numpy as np
+
+from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.numbers import counted
+from adis_gonio.base.output import check_output, ends_in
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import print_json, report_progress
+from adis_gonio.model.records import SENSORS, STANDARD_GRAVITY_MPS2
+
+if TYPE_CHECKING:
+    from adis_gonio.plan import Bench, BestPlan, Prediction
+
+
+@option.command(
+    "plan",
+    "--fixture --positions --output",
+    {
+        "Search": "--angle-error --minutes --best --beware --grid --start --seed",
+        "Evaluation of a given plan": "--plan --check",
+        "Sensor and place": "--sensor --noise --flicker --gravity",
+    },
+)
+@option.fixture(required=True)
+@click.option(
+    "--noise", "noise_mg", type=float, metavar="MG",
+    help="White noise of a sample in mg rms, without the chip's filter (default: the variant's figure).",
+)  # fmt: skip
+@click.option(
+    "--flicker", "flicker_mg", type=float, metavar="MG",
+    help="Minimum of the Allan deviation in mg (default: the variant's figure).",
+)  # fmt: skip
+@click.option("--positions", type=int, metavar="N", help="Number of positions.")
+@click.option(
+    "--angle-error", "angle_deg", type=float, metavar="DEGREES",
+    help="Find the fewest positions with at most this angle error (rms over the turn).",
+)  # fmt: skip
+@click.option(
+    "--minutes", type=float, metavar="MINUTES", help="Take as many positions as fit into this time."
+)
+@click.option(
+    "--beware", metavar="EFFECT[,EFFECT…]", default="",
+    help="Possible effects, which the plan fits or distinguishes (simulate --list-effects).",
+)  # fmt: skip
+@click.option(
+    "--best", type=click.Choice(["angle", "parameters", "tell-apart"]),
+    help="Criterion of the search (default: tell-apart with --beware, else angle).",
+)  # fmt: skip
+@click.option("--plan", "plan_name", metavar="NAME|FILE", help="Evaluate this plan instead of a search.")
+@option.with_default(
+    "--check", type=int, default=0, help="With --plan: positions that the fit does not use."
+)
+@option.with_default(
+    "--grid", "grid_deg", type=float, default=5.0, metavar="DEGREES", help="Step of the searched angles."
+)
+@option.with_default(
+    "--start", "start_deg", type=float, default=0.0, metavar="DEGREES",
+    help="Angle of the part at the stage's zero, as far as it is known.",
+)  # fmt: skip
+@option.dwell()
+@option.settle
+@option.rate
+@option.filter
+@option.gravity()
+@option.with_default("--sensor", default="adis16354", help="adis16354, adis16350 or adis16355.")
+@option.with_default("--seed", type=int, default=1, help="Seed of the search.")
+@option.output("Plan file to write, for calibrate --plan FILE.")
+@option.flag("--force", help="Replace an existing plan file.")
+@option.json
+def plan_command(*, output: Path | None, force: bool, as_json: bool, **options: Any) -> None:
+    """Predict the uncertainties and detectable effects of a plan of positions, or find the best plan.
+
+    Give one of --positions, --angle-error and --minutes to search for the best plan, including the order of
+    its positions and the side from which each is approached. Give --plan to evaluate a plan by its name or
+    file.
+
+    calibrate, simulate and template take the plan file of -o as --plan FILE.
+    """
+    from adis_gonio.plan.optimal_plan import prediction_lines
+    from adis_gonio.plan.plan_file import document_of, write_plan
+
+    if output is not None:
+        if not ends_in(output, ".json"):
+            raise UsageError(f"{output}: a plan is a JSON file: name it .json")
+        check_output(output, force=force)
+    bench = _bench(**options)
+    found: BestPlan | None = None
+    if options["plan_name"] is not None:
+        prediction = _predict_given(bench, **options)
+    else:
+        with report_progress("searching for the best plan"):
+            found = _search(bench, **options)
+        prediction = found.prediction
+    if output is not None:
+        write_plan(output, prediction.plan, None if found is None else found.made_for())
+    if as_json:
+        print_json({"plan": document_of(prediction.plan), **(found or prediction).as_dict()})
+        return
+    for line in prediction_lines(prediction, found):
+        click.echo(line)
+    if output is not None:
+        dwell = f" --dwell {options['dwell_s']:g}"
+        click.echo(f"next: adis-gonio calibrate URL --plan {output}{dwell} -o NAME.session")
+
+
+def _bench(*, gravity_mps2: float | None, **options: Any) -> Bench:
+    from adis_gonio.plan import Bench
+
+    bench = ("fixture_deg", "sensor", "noise_mg", "flicker_mg", "start_deg")
+    measuring = ("dwell_s", "settle_s", "rate_hz", "filter_m")
+    return Bench(
+        **{name: options[name] for name in bench},
+        gravity_mps2=STANDARD_GRAVITY_MPS2 if gravity_mps2 is None else gravity_mps2,
+        settings=option.measuring_settings(**{name: options[name] for name in measuring}),
+    )
+
+
+def _predict_given(bench: Bench, **options: Any) -> Prediction:
+    from adis_gonio.plan import find_plan, predict
+
+    search = {"--angle-error": "angle_deg", "--minutes": "minutes", "--best": "best"}
+    wrong = [flag for flag, name in search.items() if options[name] is not None]
+    if options["beware"]:
+        wrong.append("--beware")
+    if wrong:
+        raise UsageError(f"--plan evaluates a plan as it is: leave {', '.join(wrong)} out")
+    return predict(find_plan(options["plan_name"], options["positions"], options["check"]), bench)
+
+
+def _search(
+    bench: Bench,
+    *,
+    positions: int | None,
+    angle_deg: float | None,
+    minutes: float | None,
+    beware: str,
+    best: Any,
+    grid_deg: float,
+    seed: int,
+    check: int,
+    **_: Any,
+) -> BestPlan:
+    from adis_gonio.plan import best_plan, fewest_positions, positions_in
+
+    if sum(value is not None for value in (positions, angle_deg, minutes)) != 1:
+        raise UsageError("give one of --positions, --angle-error and --minutes, or --plan to evaluate one")
+    if check:
+        raise UsageError("--check goes with --plan; calibrate --plan FILE --check adds them to a plan file")
+    if seed < 0:
+        raise UsageError(f"seed is {seed}: take 0 or more")
+    names = tuple(name.strip() for name in beware.split(",") if name.strip())
+    best = best or ("tell-apart" if names else "angle")
+    if angle_deg is not None:
+        return fewest_positions(bench, angle_deg, best, names, grid_deg=grid_deg, seed=seed)
+    count = positions_in(bench, minutes) if minutes is not None else positions
+    assert count is not None  # one of the three was given
+    return best_plan(bench, count, best, names, grid_deg=grid_deg, seed=seed)
+
+
+@option.command(
+    "template",
+    "--output --plan --unit",
+    {"Plan": "--positions --check", "Keys of the file": "--gravity --fixture --sensor"},
+)
+@option.with_default(
+    "--plan", "plan_name", default="two-position",
+    help="two-position, four-position, mmpm, tumble, poses, or a plan file.",
+)  # fmt: skip
+@option.positions
+@option.check
+@option.output("CSV file to write.", required=True)
+@option.with_default(
+    "--sensor", type=click.Choice(SENSORS), default=SENSORS[0], help="Sensor of the readings."
+)
+@option.with_default(
+    "--unit", "accel_unit", type=option.parse_unit, metavar=option.UNITS, default="mg",
+    help="Unit of the accelerations.",
+)  # fmt: skip
+@option.gravity("Local gravity in m/s².", default=STANDARD_GRAVITY_MPS2, show_default=True)
+@option.fixture("fixture_sigma_deg")
+def template_command(
+    *, plan_name: str, positions: int | None, check: int, output: Path, **keys: Any
+) -> None:
+    """Write an empty samples file to fill in: keys with their meaning, one row per position of the plan.
+
+    Fill in times and readings in an editor or a spreadsheet; `adis-gonio fit` reads the saved file.
+    """
+    from adis_gonio.plan import find_plan
+    from adis_gonio.record.samples_writer import template_text, write_template
+
+    if ends_in(output, ".gz"):
+        raise UsageError(f"{output}: a template is filled in by hand: name it .csv")
+    chosen = find_plan(plan_name, positions, check)
+    write_template(output, template_text(chosen, **keys))
+    click.echo(f"{output}: {counted(len(chosen), 'position')} to fill in", err=True)
+
+
+def _list_option(name: str, rows: Callable[[], list[tuple[str, str]]], help: str) -> option.Option[Any]:
+    """Return an option that prints a list instead of running the command."""
+
+    def print_list(context: click.Context, option: click.Parameter, wanted: bool) -> None:
+        if wanted:
+            formatter = click.HelpFormatter(max_width=context.max_content_width)
+            formatter.write_dl(rows())
+            click.echo(formatter.getvalue(), nl=False)
+            context.exit()
+
+    return click.option(
+        name, is_flag=True, expose_value=False, is_eager=True, callback=print_list, help=help
+    )
+
+
+def _effect_rows() -> list[tuple[str, str]]:
+    from adis_gonio.model.effects import catalogue
+
+    return [(name, effect.cause) for name, effect in catalogue().items()]
+
+
+def _setting_rows() -> list[tuple[str, str]]:
+    from dataclasses import fields
+
+    from adis_gonio.sim.settings import WorldSettings
+
+    return [
+        (entry.name, "drawn from the seed" if entry.default is None else str(entry.default))
+        for entry in fields(WorldSettings)
+    ]
+
+
+@option.command(
+    "simulate",
+    "--output --plan --effect",
+    {
+        "Plan": "--positions --check --order",
+        "Simulated bench": "--set --seed --variant --like --list-effects --list-settings",
+    },
+)
+@option.output(
+    "File to write: .csv or .csv.gz for samples without the truth, else a session file with the truth.",
+    required=True,
+)
+@option.with_default("--plan", "plan_name", default="four-position", help="A plan by name, or a plan file.")
+@option.positions
+@option.check
+@option.with_default(
+    "--order", type=click.Choice(["plan", "reverse", "shuffled"]), default="plan",
+    help="Order of the positions.",
+)  # fmt: skip
+@option.with_default("--seed", type=int, default=0, help="Seed of all random numbers.")
+@option.variant
+@click.option(
+    "--effect", "effects", multiple=True, metavar="NAME[:PARAMETER=VALUE,…]",
+    help="An effect of the catalogue, such as quadratic:k2_x=2.5; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--set", "settings", multiple=True, metavar="NAME=VALUE",
+    help="A setting of the simulated world, such as delta_k=0.01; may be repeated.",
+)  # fmt: skip
+@option.dwell()
+@option.rate
+@option.filter
+@option.title
+@option.file(
+    "--like", metavar="SESSION",
+    help="Simulate a session's digital twin: its traced model, noise, positions and times; to .csv[.gz].",
+)  # fmt: skip
+@_list_option("--list-effects", _effect_rows, "List the effects with their causes.")
+@_list_option("--list-settings", _setting_rows, "List the settings with their defaults.")
+def simulate_command(*, output: Path, **options: Any) -> None:
+    """Record a session from the simulated sensor, with hidden parameters and effects by name.
+
+    The driver measures the session frame by frame, like a session from a real sensor.
+    """
+    from adis_gonio.bench.runner import SessionRunner
+    from adis_gonio.device.sensor import open_sensor
+    from adis_gonio.faces.cli.line_prompts import PlainBench
+    from adis_gonio.plan import find_plan
+    from adis_gonio.record.archive import ArchiveView
+    from adis_gonio.record.loading import load_session
+    from adis_gonio.record.samples_writer import export_csv
+
+    check_output(output, cure="choose another name")
+    if options["like"] is not None:
+        _simulate_twin(options["like"], output, options["seed"])
+        return
+    settings = option.measuring_settings(
+        **{name: options[name] for name in ("dwell_s", "rate_hz", "filter_m")}
+    )
+    positions = find_plan(options["plan_name"], options["positions"], options["check"])
+    positions = positions.ordered(options["order"], np.random.default_rng(options["seed"]))
+    as_csv = ends_in(output, ".csv", ".csv.gz")
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        open_sensor(_simulator_url(**options), variant=options["variant"]) as sensor,
+    ):
+        archive = Path(folder) / "simulated.session" if as_csv else output
+        world = sensor.bus.world  # type: ignore[attr-defined]  # the simulator's bus has one
+        runner = SessionRunner.begin(
+            sensor,
+            archive,
+            positions,
+            settings,
+            auto=True,
+            gravity_mps2=world.settings.gravity_mps2,
+            fixture_sigma_deg=world.settings.fixture_sigma_deg,
+            title=options["title"],
+        )
+        complete = PlainBench(runner, auto=True).run()
+        with ArchiveView(archive) as view:
+            done = len(view.dwells())
+        if as_csv and done:
+            export_csv(load_session(archive), output)
+    if not complete:  # only Ctrl-C ends a simulation early
+        click.echo(f"{output}: {done} of {counted(len(positions), 'dwell')}", err=True)
+        raise KeyboardInterrupt
+    click.echo(f"{output}: {counted(done, 'dwell')}", err=True)
+
+
+def _simulate_twin(path: Path, output: Path, seed: int) -> None:
+    """Write the digital twin of a session as a CSV."""
+    from adis_gonio.base.budget import current
+    from adis_gonio.handover.digital_twin import simulate_like
+    from adis_gonio.record.loading import explain_refusal, load_session
+    from adis_gonio.record.samples_writer import export_csv
+    from adis_gonio.tracing.trace import trace
+
+    if not ends_in(output, ".csv", ".csv.gz"):
+        raise UsageError(f"{output}: --like writes a samples CSV; name it .csv or .csv.gz")
+    with report_progress(f"reading {path.name}"):
+        try:
+            session = load_session(path)
+        except DataError as error:
+            raise DataError(explain_refusal(str(error))) from None
+    with report_progress(f"twin of {counted(len(session.dwells), 'dwell')} of {path.name}"):
+        traced = trace(session)
+        if not traced.fits:
+            raise DataError(f"{path}: one pose has no model of positions to simulate")
+        current().tell("simulating")
+        twin = simulate_like(session, traced.fits[-1], seed=seed)
+    export_csv(twin, output)
+    click.echo(f"{output}: {counted(len(session.dwells), 'dwell')}, the twin of {path}", err=True)
+
+
+def _simulator_url(
+    *, seed: int, variant: str, effects: tuple[str, ...], settings: tuple[str, ...], **_: Any
+) -> str:
+    pairs = [("seed", str(seed)), ("variant", variant)]
+    if effects:
+        pairs.append(("effects", ";".join(effects)))
+    for text in settings:
+        name, equals, value = text.partition("=")
+        if not equals or not name or not value:
+            raise UsageError(f"--set {text}: write NAME=VALUE, such as delta_k=0.01")
+        pairs.append((name, value))
+    return "sim:?" + "&".join(f"{name}={quote(value, safe=':=,;.')}" for name, value in pairs)

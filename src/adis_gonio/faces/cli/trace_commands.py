@@ -1,0 +1,315 @@
+"""`trace` and `report`: the effects behind the residual of a session, on the terminal and as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.base.numbers import counted, format_number, format_percent
+from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import WIDTH, check_page, console, print_json, report_progress, write_page
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.text import Text
+
+    from adis_gonio.model.records import Session
+    from adis_gonio.page.document import Section
+    from adis_gonio.record.loading import Overrides
+    from adis_gonio.tracing.trace_result import TraceResult
+
+
+@option.command("trace", "--max-effects --time-limit --json")
+@option.session
+@option.with_default(
+    "--max-effects",
+    type=click.IntRange(0, 12),
+    default=6,
+    metavar="N",
+    help="Most effects to add to the model.",
+)
+@option.time_limit(
+    "End after this time with the best model so far; effects without validation are not called found."
+)
+@option.part()
+@option.overrides
+@option.json
+def trace_command(
+    *,
+    session: Path,
+    max_effects: int,
+    time_limit: float | None,
+    part: str,
+    as_json: bool,
+    overrides: Overrides,
+) -> None:
+    """Trace the residual of a session to the effects that the seed paper's model lacks.
+
+    The command reports each effect found with its probability, the error before and after on data that the
+    fit did not use, the effects that this session cannot distinguish or detect, and measurements to make
+    next.
+    """
+    from adis_gonio.tracing.trace import trace
+
+    loaded = option.load(session, overrides)
+    with report_progress(f"tracing {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
+        result = trace(loaded, max_effects=max_effects, time_limit=time_limit, part=part)
+    if as_json:
+        print_json(result.as_dict())
+    else:
+        print_trace(loaded, result)
+
+
+def print_trace(session: Session, result: TraceResult) -> None:
+    """Show a trace on the terminal."""
+    from adis_gonio.tracing import trace_summary as summary
+
+    screen = console(most=WIDTH)
+    screen.print(f"{summary.title(session)}: {summary.shape(session)}\n")
+    screen.print(summary.headline(result), style="bold")
+    screen.print(summary.gains(result))
+    _print_found(screen, result)
+    _print_errors(screen, result)
+    _print_list(screen, "What this session cannot tell apart", summary.confounded(result))
+    _print_list(screen, "Without a name", [summary.unnamed(result)] if result.unnamed else [])
+    _print_list(screen, "Looked like something, but not called found", summary.open_names(result))
+    _print_list(screen, "Inside the dwells", summary.within(result))
+    seen = summary.sight(result)
+    weak = ", ".join(f"{name} from {text}" for name, text in seen.weak)
+    items = [f"only if larger than usual: {weak}"] if weak else []
+    items += [f"{', '.join(names)}: {reason}" for names, reason in seen.blind]
+    _print_list(screen, "What this session could not have seen", items)
+    visible = ", ".join(f"{name} {text}" for name, text in seen.visible)
+    heading = f"{summary.absent(result).capitalize()} (90 % power) from"
+    _print_list(screen, heading, [visible] if visible else [])
+    _print_list(screen, "What to measure next", summary.advice(result), numbered=True)
+    _print_list(screen, "Remarks", [*session.notes, *result.notes])
+
+
+def _print_heading(screen: Console, text: str) -> None:
+    screen.print()
+    screen.print(text, style="bold cyan")
+
+
+def _print_list(screen: Console, heading: str, items: Sequence[str], numbered: bool = False) -> None:
+    """Print a list with hanging indent, or nothing if it is empty."""
+    from rich.table import Table
+
+    if not items:
+        return
+    _print_heading(screen, heading)
+    table = Table.grid(padding=(0, 1, 0, 0))
+    table.add_column(justify="right", width=3)
+    table.add_column()
+    for k, item in enumerate(items, 1):
+        table.add_row(f"{k}." if numbered else "·", _plain(item))
+    screen.print(table)
+
+
+def _print_found(screen: Console, result: TraceResult) -> None:
+    from rich.table import Table
+
+    from adis_gonio.tracing import trace_summary as summary
+
+    if not result.found:
+        return
+    _print_heading(screen, "Found")
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(justify="right", width=3)
+    table.add_column(no_wrap=True)
+    table.add_column()
+    for k, finding in enumerate(summary.ordered(result), 1):
+        explained = "inside the dwells; explains nothing of the residual of the means"
+        if finding.explains or finding not in summary.inside_only(result):
+            explained = f"explains {format_percent(finding.explains)} of the excess residual"
+        first, *more = summary.parameters(finding) or ["–"]
+        table.add_row(f"{k}.", _plain(summary.with_axes(finding), "bold"), _plain(first))
+        for line in (*more, explained, summary.how_sure(finding)):
+            table.add_row("", "", _plain(line))
+        table.add_row("", "", _plain(finding.cause, "dim"))
+    screen.print(table)
+
+
+def _print_errors(screen: Console, result: TraceResult) -> None:
+    from rich.padding import Padding
+    from rich.table import Table
+
+    from adis_gonio.tracing import trace_summary as summary
+
+    _print_heading(screen, "Error before and after")
+    head, rows = summary.error_rows(result)
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
+    table.add_column(f"   {head[0]}")
+    for name in head[1:]:
+        short = name.replace("error of the angle", "angle")
+        table.add_column(short if name.endswith("dof") else short.replace(" / ", "\n"), justify="right")
+    for k, (name, *cells) in enumerate(rows):
+        last = 0 < k == len(rows) - 1
+        table.add_row(_plain(f"   {name}"), *cells, style="bold" if last else None)
+    screen.print(table)
+    if result.heldout_design:
+        screen.print(Padding(_plain(f"left out: {result.heldout_design}", "dim"), (0, 0, 0, 3)))
+
+
+def _plain(text: str, style: str = "") -> Text:
+    from rich.text import Text
+
+    return Text(text, style=style)
+
+
+# -- the closed loop of `calibrate --trace` ----------------------------------------------------------
+
+_MOST_GROUPS = 3
+_ERRORS = {
+    "residual_rms_mg": "residual / mg",
+    "heldout_rms_mg": "left out / mg",
+    "angle_rms_deg": "error of the angle / °",
+    "chi2_per_dof": "χ² / dof",
+}
+
+
+def loop_lines(summary: Mapping[str, Any]) -> list[str]:
+    """State of the model during the closed loop, in at most two lines.
+
+    Parameters
+    ----------
+    summary : mapping
+        Summary of a trace by `bench.advisor.summarise_trace`; empty if no trace was possible.
+    """
+    if not summary:
+        return []
+    state = f"the model is {_adequacy(summary)}"
+    if not summary["tested"]:
+        state = "no readings remain to test the model"
+    lines = [f"With {counted(summary['dwells'], 'dwell')}: {state}; found: {_join(summary['found'])}"]
+    if summary["uncertain"]:
+        lines.append(f"Not certain: {_join(summary['uncertain'])}")
+    return lines
+
+
+def print_loop(session: Session, result: TraceResult) -> None:
+    """Show the changes by the further positions, and why the loop ended; nothing if it had no round."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from adis_gonio.bench.advisor import summarise_trace
+
+    rounds = session.facts.get("advised", [])
+    if not rounds or not rounds[0]["summary"]:
+        return
+    screen = console(most=WIDTH)
+    planned = len(session.facts["plan"]["positions"])
+    extra = planned - rounds[0]["planned"]
+    before, after = rounds[0]["summary"], summarise_trace(result, len(session.dwells))
+    _print_heading(screen, "Closing the loop")
+    if extra:
+        table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
+        for name in ("", "after the plan", f"with {extra} more" if extra > 1 else "with one more"):
+            table.add_column(name)
+        rows = [
+            ("model", _adequacy(before), _adequacy(after)),
+            ("found", _join(before["found"]), _join(after["found"])),
+            ("not certain", _join(before["uncertain"]), _join(after["uncertain"])),
+            ("not told apart", _confounded_groups(before), _confounded_groups(after)),
+        ]
+        for key, name in _ERRORS.items():
+            rows.append((name, format_number(before["error"][key]), format_number(after["error"][key])))
+        for name, first, second in rows:
+            table.add_row(f"   {name}", Text(first), Text(second))
+        screen.print(table)
+    ended = rounds[-1]["ended"]
+    if not ended:
+        declined = planned == rounds[-1]["planned"]
+        ended = "further positions were declined" if declined else "not ended: go on with --resume --trace"
+    screen.print(f"   {ended}")
+
+
+def _adequacy(summary: Mapping[str, Any]) -> str:
+    if not summary["tested"]:
+        return "cannot be tested: no readings to spare"
+    return "adequate" if summary["adequate"] else "not adequate"
+
+
+def _join(names: list[str]) -> str:
+    return ", ".join(names) or "–"
+
+
+def _confounded_groups(summary: Mapping[str, Any]) -> str:
+    """The first groups of effects that cannot be distinguished, one per line."""
+    from adis_gonio.model.effects import catalogue
+
+    known = catalogue()
+    seen: dict[str, list[str]] = {}
+    for names in summary["confounded"]:
+        others = seen.setdefault(names[0], [])
+        others += [name for name in names[1:] if name not in others and name in known]
+    lines = [f"{first} or {', '.join(others[:_MOST_GROUPS])}" for first, others in seen.items() if others]
+    more = [f"and {len(lines) - _MOST_GROUPS} more"] if len(lines) > _MOST_GROUPS else []
+    return "\n".join([*lines[:_MOST_GROUPS], *more]) or "–"
+
+
+@option.command("report", "--output --time-limit")
+@option.session
+@option.output("Page to write; an existing page is replaced.", required=True)
+@option.time_limit("End the trace after this time with the best model so far.")
+@option.overrides
+def report_command(*, session: Path, output: Path, time_limit: float | None, overrides: Overrides) -> None:
+    """Write the calibration report: one self-contained HTML page.
+
+    The page shows the results of every method that the session supports, the trace with a figure for each
+    step, the effects that could not be seen, measurements to make next, and the data. It depends only on
+    the session's file, so an older page of the same name is replaced.
+    """
+    if output.exists() and session.exists() and output.samefile(session):
+        raise UsageError(f"{output}: is the session itself; name another file for the page")
+    check_page(output)
+    loaded = option.load(session, overrides)
+    what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
+    with report_progress(f"report of {what} of {session.name}"):
+        page = _report_page(loaded, time_limit)
+    write_page(output, page)
+
+
+def _report_page(session: Session, time_limit: float | None) -> str:
+    """Build the page from the fits by every method, the trace and the twin."""
+    from adis_gonio.base.budget import current, with_progress
+    from adis_gonio.fitting import applicable_methods, fit
+    from adis_gonio.handover.calibration_report import build_page, views
+    from adis_gonio.handover.gyro_report import gyro_section, noise_section
+    from adis_gonio.tracing.trace import trace
+
+    tell = current().tell
+    tell("every method")
+    fits, failures = [], {}
+    for method in with_progress(applicable_methods(session)):
+        try:
+            fits.append(fit(session, method=method))
+        except AdisGonioError as error:
+            failures[method] = str(error)
+    made = (gyro_section(session), noise_section(session))
+    gyros = [section for section in made if section is not None]
+    try:
+        traced = trace(session, time_limit=time_limit)
+        drawn = views(session, traced)
+    except AdisGonioError as error:
+        return build_page(session, fits, str(error), sections=gyros, failures=failures)
+    tell("its digital twin")
+    twin = _twin_sections(session, traced)
+    tell("its figures")
+    return build_page(session, fits, traced, drawn, sections=[*gyros, *twin], failures=failures)
+
+
+def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:
+    """Section of the digital twin, or none if the session supports no twin."""
+    from adis_gonio.handover.twin_comparison import twin_section
+    from adis_gonio.page.document import Section
+
+    try:
+        section = twin_section(session, traced)
+    except AdisGonioError as error:
+        return [Section("The digital twin against the measured data", words=(f"There is none: {error}.",))]
+    return [] if section is None else [section]

@@ -1,0 +1,351 @@
+"""The sensor as an IIO device: its channels, their attributes, the XML, and scans as bytes.
+
+Units as in Linux' IIO ABI: m/s², rad/s, milli-degree Celsius, millivolt; value = (raw + offset) *
+scale. Axes and signs are the part's own: level with Z up, Z reads -9.8 m/s². Nothing here accesses a
+sensor; `SensorState` contains the values of the attributes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.device.sensor.decoding import scales
+from adis_gonio.device.sensor.registers import (
+    ACCEL_OFF,
+    ACCEL_OUT,
+    GYRO_OFF,
+    GYRO_OUT,
+    Kind,
+    Register,
+    registers,
+)
+from adis_gonio.device.sensor.settings import Configuration, low_pass_3db_hz, sample_period_s
+from adis_gonio.device.sensor.variants import Variant
+from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+
+DEVICE_ID = "iio:device0"
+
+OFFSET_OF: dict[str, str] = dict(zip((*ACCEL_OUT, *GYRO_OUT), (*ACCEL_OFF, *GYRO_OFF), strict=True))
+"""Offset register for the calibbias of an output register."""
+
+_IDS = {
+    **{f"{axis}ACCL_OUT": f"accel_{axis.lower()}" for axis in "XYZ"},
+    **{f"{axis}GYRO_OUT": f"anglvel_{axis.lower()}" for axis in "XYZ"},
+    **{f"{axis}TEMP_OUT": f"temp_{axis.lower()}" for axis in "XYZ"},
+    "SUPPLY_OUT": "voltage0",
+    "AUX_ADC": "voltage1",
+}
+_LABELS = {"SUPPLY_OUT": "supply"}
+
+_SI: dict[Kind, float] = {
+    Kind.ACCEL: STANDARD_GRAVITY_MPS2 / 1000.0,
+    Kind.GYRO: math.pi / 180.0,
+    Kind.TEMPERATURE: 1000.0,
+    Kind.SUPPLY: 1000.0,
+    Kind.AUX_ADC: 1000.0,
+}
+"""IIO's unit per unit of this program: mg → m/s², °/s → rad/s, °C → m°C, V → mV."""
+
+_RATES_OF = (1, 2, 3, 4, 5, 7, 9, 0x0A, 0x0F, 0x13, 0x1F, 0x3F, 0x7F, 0x80, 0x81, 0x83, 0x87, 0x8F, 0xFF)
+"""SMPL_PRD of the offered rates; a client's rate is rounded to the nearest rate of the part."""
+
+FILTERS = range(7)
+"""M of the filter."""
+
+
+@dataclass(frozen=True)
+class SensorState:
+    """Values of the attributes, except the readings.
+
+    Attributes
+    ----------
+    configuration : Configuration
+    offsets : mapping of str to int
+        Content of each of the six offset registers.
+    """
+
+    configuration: Configuration
+    offsets: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel of the device: an output register, or the time of a scan.
+
+    Attributes
+    ----------
+    index : int
+        Index in a scan, and bit of the mask.
+    register : Register or None
+        None for the time.
+    """
+
+    index: int
+    register: Register | None
+
+    @property
+    def id(self) -> str:
+        """Name in requests."""
+        return "timestamp" if self.register is None else _IDS[self.register.name]
+
+    @property
+    def label(self) -> str:
+        """Suffix of the file name in the kernel."""
+        return _LABELS.get(self.register.name, "") if self.register else ""
+
+    @property
+    def format(self) -> str:
+        """IIO format of a sample; the sign is already extended to 16 bits."""
+        if self.register is None:
+            return "le:S64/64>>0"
+        return f"le:{'s' if self.register.signed else 'u'}{self.register.bits}/16>>0"
+
+    @property
+    def dtype(self) -> str:
+        """Numpy type of a sample."""
+        if self.register is None:
+            return "<i8"
+        return "<i2" if self.register.signed else "<u2"
+
+    @property
+    def attributes(self) -> tuple[str, ...]:
+        """Names of the attributes."""
+        if self.register is None:
+            return ()
+        names = ["raw", "scale"]
+        if self.register.kind is Kind.TEMPERATURE:
+            names.append("offset")
+        if self.register.kind in (Kind.ACCEL, Kind.GYRO):
+            names += ["calibbias", "filter_low_pass_3db_frequency"]
+            names.append("filter_low_pass_3db_frequency_available")
+        return tuple(names)
+
+    def filename(self, attribute: str) -> str:
+        """File name of an attribute in the kernel; all axes of a kind share the filter."""
+        stem = self.id + (f"_{self.label}" if self.label else "")
+        if attribute.startswith("filter"):
+            stem = self.id.partition("_")[0]
+        return f"in_{stem}_{attribute}"
+
+
+DEVICE_ATTRIBUTES = ("sampling_frequency", "sampling_frequency_available", "current_timestamp_clock")
+DEBUG_ATTRIBUTES = ("clients", "scans_lost_by_sensor", "scans_lost_by_clients")
+WRITABLE = ("calibbias", "filter_low_pass_3db_frequency", "sampling_frequency")
+"""Attributes that a client may write if writes are allowed."""
+
+
+class ServedDevice:
+    """Channels, attributes and XML of a sensor.
+
+    Parameters
+    ----------
+    part : Variant
+    names : sequence of str
+        Output registers in the order of the scan.
+    description : str
+        Description of the context.
+
+    Raises
+    ------
+    UsageError
+        A register that is no output, or a duplicate.
+    """
+
+    def __init__(self, part: Variant, names: Sequence[str], description: str) -> None:
+        self.part = part
+        self.table = registers(names)
+        self.description = description
+        for row in self.table:
+            if row.name not in _IDS:
+                raise UsageError(f"{row.name} is no output that IIO has a channel for: {', '.join(_IDS)}")
+        if not self.table or len({row.name for row in self.table}) != len(self.table):
+            raise UsageError("the served registers are one or more, each once")
+        self.channels = (
+            *(Channel(k, row) for k, row in enumerate(self.table)),
+            Channel(len(self.table), None),
+        )
+
+    @property
+    def mask_digits(self) -> int:
+        """Length of a mask: 8 digits for each 32 channels."""
+        return 8 * math.ceil(len(self.channels) / 32)
+
+    def knows(self, device: str) -> bool:
+        """True if `device` is the id or name of this device."""
+        return device in (DEVICE_ID, self.part.name)
+
+    def channel(self, name: str) -> Channel:
+        """Return the channel with this id; `Refused` if there is none."""
+        for channel in self.channels:
+            if name == channel.id:
+                return channel
+        raise Refused(Errno.ENXIO, f"no channel {name}")
+
+    # -- values of attributes ---------------------------------------------------------------------
+
+    def scale_and_offset(self, row: Register, state: SensorState) -> tuple[float, float]:
+        """Scale in IIO's unit per LSB, and the offset that is added to the raw number before scaling."""
+        lsb, zero, _ = scales([row], self.part, state.configuration.gyro_range_dps or 300)
+        return float(lsb[0]) * _SI[row.kind], float(zero[0] / lsb[0])
+
+    def channel_value(self, channel: Channel, name: str, state: SensorState) -> str:
+        """Text of an attribute other than `raw`; `Refused` if there is none."""
+        row = channel.register
+        if row is None or name not in channel.attributes:
+            raise Refused(Errno.ENOENT, f"{channel.id} has no attribute {name}")
+        scale, offset = self.scale_and_offset(row, state)
+        match name:
+            case "scale":
+                return _text(scale)
+            case "offset":
+                return _text(offset)
+            case "calibbias":
+                return str(state.offsets[OFFSET_OF[row.name]])
+            case "filter_low_pass_3db_frequency":
+                return _text(_filter_hz(state.configuration.filter_m, state))
+            case "filter_low_pass_3db_frequency_available":
+                return " ".join(_text(_filter_hz(m, state)) for m in FILTERS)
+            case _:
+                raise Refused(Errno.ENOENT, f"{name} is a reading")
+
+    def device_value(self, name: str, state: SensorState) -> str:
+        """Text of an attribute of the device; `Refused` if there is none."""
+        match name:
+            case "sampling_frequency":
+                return _text(state.configuration.sample_rate_hz)
+            case "sampling_frequency_available":
+                return " ".join(_text(1.0 / sample_period_s(n)) for n in _RATES_OF)
+            case "current_timestamp_clock":
+                return "realtime"
+            case _:
+                raise Refused(Errno.ENOENT, f"the device has no attribute {name}")
+
+    # -- the context ------------------------------------------------------------------------------
+
+    def xml(self, state: SensorState) -> str:
+        """The context in libiio's format."""
+        lines = [
+            '<?xml version="1.0" encoding="utf-8"?>',
+            _DTD,
+            f'<context name="network" description={quoteattr(self.description)} >',
+            f'<device id="{DEVICE_ID}" name="{self.part.name}" >',
+        ]
+        for channel in self.channels:
+            named = f' name="{channel.label}"' if channel.label else ""
+            scale = ""
+            if channel.register is not None:
+                scale = f' scale="{_text(self.scale_and_offset(channel.register, state)[0])}"'
+            element = f'<scan-element index="{channel.index}" format={quoteattr(channel.format)}{scale} />'
+            attributes = "".join(
+                f'<attribute name="{name}" filename="{channel.filename(name)}" />'
+                for name in channel.attributes
+            )
+            lines.append(f'<channel id="{channel.id}"{named} type="input" >{element}{attributes}</channel>')
+        lines += [f'<attribute name="{name}" />' for name in DEVICE_ATTRIBUTES]
+        lines += [f'<debug-attribute name="{name}" />' for name in DEBUG_ATTRIBUTES]
+        lines.append("</device></context>")
+        return "".join(lines)
+
+
+def filter_for(frequency_hz: float, state: SensorState) -> int:
+    """M of the filter with the nearest -3 dB frequency on a logarithmic scale.
+
+    Raises
+    ------
+    Refused
+        The frequency is not above zero.
+    """
+    if not (math.isfinite(frequency_hz) and frequency_hz > 0):
+        raise Refused(Errno.EINVAL, f"{frequency_hz:g} Hz is no frequency")
+    return min(FILTERS, key=lambda m: abs(math.log(_filter_hz(m, state) / frequency_hz)))
+
+
+def _filter_hz(filter_m: int, state: SensorState) -> float:
+    return low_pass_3db_hz(filter_m, state.configuration.sample_rate_hz)
+
+
+def _text(value: float) -> str:
+    return f"{value:.10g}"
+
+
+@dataclass(frozen=True)
+class ScanFormat:
+    """Channels and layout of a client's scans, in the device's order.
+
+    As in the kernel and libiio, each sample is aligned to its own size, and the size of a scan is a
+    multiple of its largest sample.
+
+    Attributes
+    ----------
+    mask : str
+        Mask as the client wrote it.
+    """
+
+    channels: tuple[Channel, ...]
+    mask: str
+
+    @classmethod
+    def of_mask(cls, device: ServedDevice, mask: str) -> ScanFormat:
+        """Return the format for a mask; `Refused` for a wrong length, no channel or an unknown channel."""
+        if len(mask) != device.mask_digits:
+            raise Refused(Errno.EINVAL, f"a mask has {device.mask_digits} digits here")
+        bits = int(mask, 16)
+        if not bits or bits >> len(device.channels):
+            raise Refused(Errno.EINVAL, "the mask names no channel, or one that does not exist")
+        return cls(tuple(c for c in device.channels if bits >> c.index & 1), mask)
+
+    @cached_property
+    def dtype(self) -> np.dtype[np.void]:
+        """Numpy type of one scan."""
+        offsets, at, largest = [], 0, 1
+        for channel in self.channels:
+            size = np.dtype(channel.dtype).itemsize
+            at += -at % size  # align to the size of the sample
+            offsets.append(at)
+            at, largest = at + size, max(largest, size)
+        return np.dtype(
+            {
+                "names": [channel.id for channel in self.channels],
+                "formats": [channel.dtype for channel in self.channels],
+                "offsets": offsets,
+                "itemsize": at + -at % largest,
+            }
+        )
+
+    def pack(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> NDArray[np.void]:
+        """Pack numbers (n, channels of the device without the time) and times (n,) into scans (n,)."""
+        scans = np.zeros(len(numbers), self.dtype)
+        for channel in self.channels:
+            scans[channel.id] = time_ns if channel.register is None else numbers[:, channel.index]
+        return scans
+
+
+_DTD = (
+    "<!DOCTYPE context ["
+    "<!ELEMENT context (device | context-attribute)*>"
+    "<!ELEMENT context-attribute EMPTY>"
+    "<!ELEMENT device (channel | attribute | debug-attribute | buffer-attribute)*>"
+    "<!ELEMENT channel (scan-element?, attribute*)>"
+    "<!ELEMENT attribute EMPTY>"
+    "<!ELEMENT scan-element EMPTY>"
+    "<!ELEMENT debug-attribute EMPTY>"
+    "<!ELEMENT buffer-attribute EMPTY>"
+    "<!ATTLIST context name CDATA #REQUIRED description CDATA #IMPLIED>"
+    "<!ATTLIST context-attribute name CDATA #REQUIRED value CDATA #REQUIRED>"
+    "<!ATTLIST device id CDATA #REQUIRED name CDATA #IMPLIED label CDATA #IMPLIED>"
+    "<!ATTLIST channel id CDATA #REQUIRED type (input|output) #REQUIRED name CDATA #IMPLIED>"
+    "<!ATTLIST scan-element index CDATA #REQUIRED format CDATA #REQUIRED scale CDATA #IMPLIED>"
+    "<!ATTLIST attribute name CDATA #REQUIRED filename CDATA #IMPLIED>"
+    "<!ATTLIST debug-attribute name CDATA #REQUIRED>"
+    "<!ATTLIST buffer-attribute name CDATA #REQUIRED>"
+    "]>"
+)

@@ -1,0 +1,530 @@
+"""The server of iiod's protocol: many clients over TCP, one sensor."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from adis_gonio.base import __version__
+from adis_gonio.base.errors import AdisGonioError, CannotOpenError, UsageError
+from adis_gonio.base.numbers import counted
+from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354
+from adis_gonio.faces.serve import iiod_protocol
+from adis_gonio.faces.serve.iio_device import (
+    DEBUG_ATTRIBUTES,
+    DEVICE_ATTRIBUTES,
+    OFFSET_OF,
+    WRITABLE,
+    ScanFormat,
+    ServedDevice,
+    filter_for,
+)
+from adis_gonio.faces.serve.iiod_protocol import Errno, Parser, Refused, Request, Target
+from adis_gonio.faces.serve.scan_sampler import QUEUE_S, Buffer, FreshScans, Hub, Sampler
+
+T = TypeVar("T")
+
+PORT = 30431
+"""Port of iiod."""
+
+MOST_CLIENTS = 64
+"""Most connections; a context of libiio has one, and one more for each open buffer."""
+
+SEND_BUFFER = 1 << 15
+"""Bytes in the system's send buffer: more than a second of all channels at full rate."""
+
+
+@dataclass(frozen=True)
+class AttributePort:
+    """Reads and writes the attributes of the served device, without disturbing the stream if possible.
+
+    Attributes
+    ----------
+    allow_writes : bool
+        False: every write is refused with EPERM.
+    debug : callable
+        Returns the values of the debug attributes.
+    """
+
+    device: ServedDevice
+    sampler: Sampler
+    allow_writes: bool
+    debug: Callable[[], Mapping[str, int]]
+
+    def names(self, target: Target) -> tuple[str, ...]:
+        """Names of a target's attributes; `Refused` if there is no such target."""
+        if not self.device.knows(target.device):
+            raise Refused(Errno.ENODEV, f"no device {target.device}")
+        match target.kind:
+            case "device":
+                return DEVICE_ATTRIBUTES
+            case "debug":
+                return DEBUG_ATTRIBUTES
+            case "buffer":
+                return ()
+            case "input":
+                return self.device.channel(target.channel).attributes
+            case "output":
+                raise Refused(Errno.ENXIO, "a sensor has no outputs")
+
+    async def read(self, target: Target, name: str) -> str:
+        """Read an attribute as text; `Refused` if there is none, or the sensor fails."""
+        if name not in self.names(target):
+            raise Refused(Errno.ENOENT, f"no attribute {name}")
+        if target.kind == "debug":
+            return str(self.debug()[name])
+        if target.kind == "device":
+            return self.device.device_value(name, self.sampler.state)
+        channel = self.device.channel(target.channel)
+        row = channel.register
+        if name == "raw" and row is not None:
+            newest = self.sampler.newest
+            if newest is not None:  # the sensor streams
+                return str(newest[row.name])
+            return str(await self._do(self.sampler.submit(lambda s: s.read(row))))
+        return self.device.channel_value(channel, name, self.sampler.state)
+
+    async def write(self, target: Target, name: str, value: bytes) -> None:
+        """Write an attribute; `Refused` if that is not allowed, or the value is not possible."""
+        if name not in self.names(target):
+            raise Refused(Errno.ENOENT, f"no attribute {name}")
+        if name not in WRITABLE:
+            raise Refused(Errno.EACCES, f"{name} cannot be written")
+        if not self.allow_writes:
+            raise Refused(Errno.EPERM, f"{name}: this server is read-only")
+        number = _number(value)
+        match name:
+            case "calibbias":
+                register = self.device.channel(target.channel).register
+                if register is None or not number.is_integer():
+                    raise Refused(Errno.EINVAL, f"calibbias is a whole number, not {number:g}")
+                offset = OFFSET_OF[register.name]
+                await self._change(lambda s: s.write(offset, int(number)))
+            case "sampling_frequency":
+                await self._change(lambda s: s.configure(sample_rate_hz=number))
+            case _:
+                taps = filter_for(number, self.sampler.state)
+                await self._change(lambda s: s.configure(filter_m=taps))
+
+    async def _change(self, job: Callable[[Adis16354], object]) -> None:
+        await self._do(self.sampler.submit(job, changes=True))
+
+    async def _do(self, future: Future[T]) -> T:
+        try:
+            return await asyncio.wrap_future(future)
+        except UsageError as error:
+            raise Refused(Errno.EINVAL, str(error)) from error
+        except AdisGonioError as error:
+            raise Refused(Errno.EIO, str(error)) from error
+
+
+def _number(value: bytes) -> float:
+    """Number in an attribute's text, which libiio sends with its terminating zero."""
+    text = value.split(b"\0", 1)[0].strip()
+    try:
+        number = math.nan if b"_" in text else float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise Refused(Errno.EINVAL, "the value is no number")
+    return number
+
+
+MOST_PENDING = 32
+"""Requests that a client may send ahead; further bytes wait in the network."""
+
+MOST_SENT = 1024
+"""Scans in one piece of an answer."""
+
+VERSION = (0, 24, "gonio-1")
+"""Version of libiio with this protocol, and a tag of seven letters."""
+
+_READ = 1 << 16
+
+
+class ClientSession:
+    """Answers one client until it leaves.
+
+    One task reads the network and another one answers, so that a client that leaves is noticed while an
+    answer waits for scans. A client that does not read its answers holds up nothing but itself.
+
+    Attributes
+    ----------
+    sent, lost : int
+        Scans that were sent, and scans that were lost because the client was too slow.
+    """
+
+    def __init__(
+        self,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        device: ServedDevice,
+        port: AttributePort,
+        hub: Hub,
+    ) -> None:
+        self.sent = 0
+        self._reader = reader
+        self._writer = writer
+        self._device = device
+        self._port = port
+        self._hub = hub
+        self._buffer: Buffer | None = None
+        self._lost_before = 0
+        self._timeout_s: float | None = None
+        self._gone = False
+        self._pending: asyncio.Queue[Request] = asyncio.Queue(MOST_PENDING)
+
+    @property
+    def lost(self) -> int:
+        """Scans that were lost because this client was too slow."""
+        return self._lost_before + (self._buffer.queue.lost if self._buffer else 0)
+
+    async def run(self) -> None:
+        """Serve until the client leaves, sends EXIT, or sends a fatal malformed request."""
+        tasks = [asyncio.create_task(self._listen()), asyncio.create_task(self._answer_all())]
+        try:
+            await tasks[1]
+        except (ConnectionError, TimeoutError):
+            pass  # the client is gone
+        finally:
+            for task in tasks:
+                task.cancel()
+            self._close()
+            self._writer.close()
+            try:
+                await asyncio.gather(*tasks, return_exceptions=True)
+                with contextlib.suppress(ConnectionError, TimeoutError):
+                    await self._writer.wait_closed()
+            finally:
+                # The end of the server may also cancel here, while the client has not read all answers.
+                self._writer.transport.abort()
+
+    async def _listen(self) -> None:
+        """Put requests into the queue until the connection ends."""
+        parser = Parser()
+        with contextlib.suppress(ConnectionError, TimeoutError):
+            while data := await self._reader.read(_READ):
+                for request in parser.feed(data):
+                    await self._pending.put(request)
+        self._gone = True
+        if self._buffer is not None:
+            self._buffer.news.set()
+        await self._pending.put(iiod_protocol.Exit())
+
+    async def _answer_all(self) -> None:
+        while not isinstance(request := await self._pending.get(), iiod_protocol.Exit):
+            try:
+                answer = await self._answer(request)
+            except Refused as refused:
+                answer = iiod_protocol.error(refused.errno)
+            self._writer.write(answer)
+            await self._writer.drain()
+            if isinstance(request, iiod_protocol.Malformed) and request.fatal:
+                return
+
+    async def _answer(self, request: Request) -> bytes:
+        """Answer a request; an exception `Refused` is an answer too."""
+        match request:
+            case iiod_protocol.Version():
+                return iiod_protocol.version(*VERSION)
+            case iiod_protocol.Help():
+                return iiod_protocol.HELP
+            case iiod_protocol.Print():
+                return iiod_protocol.counted(self._device.xml(self._port.sampler.state).encode())
+            case iiod_protocol.Timeout():
+                self._timeout_s = request.milliseconds / 1000.0 or None
+                return iiod_protocol.integer(0)
+            case iiod_protocol.Malformed():
+                raise Refused(request.errno, request.why)
+            case iiod_protocol.ReadAttribute() | iiod_protocol.WriteAttribute():
+                return await self._answer_attribute(request)
+            case (
+                iiod_protocol.Open()
+                | iiod_protocol.Close()
+                | iiod_protocol.ReadBuffer()
+                | iiod_protocol.WriteBuffer()
+                | iiod_protocol.GetTrigger()
+                | iiod_protocol.SetTrigger()
+                | iiod_protocol.SetBuffers()
+            ):
+                self._require_device(request.device)
+                return await self._answer_buffer(request)
+            case _:
+                raise Refused(Errno.EINVAL)
+
+    async def _answer_attribute(self, request: Request) -> bytes:
+        match request:
+            case iiod_protocol.ReadAttribute(target, ""):
+                values = [await self._port.read(target, name) for name in self._port.names(target)]
+                return iiod_protocol.all_values([value.encode() for value in values])
+            case iiod_protocol.ReadAttribute(target, name):
+                return iiod_protocol.counted((await self._port.read(target, name)).encode() + b"\0")
+            case iiod_protocol.WriteAttribute(target, name, value) if name:
+                await self._port.write(target, name, value)
+                return iiod_protocol.integer(len(value))
+            case _:
+                raise Refused(Errno.ENOSYS, "attributes are written one at a time")
+
+    async def _answer_buffer(self, request: Request) -> bytes:
+        match request:
+            case iiod_protocol.Open():
+                self._open(request)
+                return iiod_protocol.integer(0)
+            case iiod_protocol.Close():
+                self._require_buffer()
+                self._close()
+                return iiod_protocol.integer(0)
+            case iiod_protocol.ReadBuffer():
+                return await self._send_scans(self._require_buffer(), request.size)
+            case iiod_protocol.WriteBuffer():
+                raise Refused(Errno.EPERM, "a sensor has no outputs")
+            case iiod_protocol.SetBuffers():
+                return iiod_protocol.integer(0) if request.count else iiod_protocol.error(Errno.EINVAL)
+            case _:
+                raise Refused(Errno.ENOENT, "there are no triggers: the sensor's own updates drive it")
+
+    def _require_device(self, device: str) -> None:
+        if not self._device.knows(device):
+            raise Refused(Errno.ENODEV, f"no device {device}")
+
+    def _require_buffer(self) -> Buffer:
+        if self._buffer is None:
+            raise Refused(Errno.EBADF, "no buffer is open")
+        return self._buffer
+
+    def _open(self, request: iiod_protocol.Open) -> None:
+        if self._buffer is not None:
+            raise Refused(Errno.EBUSY, "a buffer is open")
+        if request.cyclic or not request.samples:
+            raise Refused(Errno.EINVAL, "a buffer has samples, and a sensor's is not cyclic")
+        if self._hub.failure is not None:
+            raise Refused(Errno.EIO, str(self._hub.failure))
+        scan_format = ScanFormat.of_mask(self._device, request.mask)
+        rate_hz = self._port.sampler.state.configuration.sample_rate_hz
+        self._buffer = self._hub.open(scan_format, request.samples, rate_hz)
+
+    def _close(self) -> None:
+        if self._buffer is not None:
+            self._lost_before = self.lost
+            self._hub.close(self._buffer)
+            self._buffer = None
+
+    async def _send_scans(self, buffer: Buffer, size: int) -> bytes:
+        """Send scans in pieces as they come; return the end of the answer."""
+        scan_size = buffer.format.dtype.itemsize
+        wanted, first = size // scan_size, True
+        while wanted:
+            if not len(buffer.queue):
+                await self._news(buffer)
+                continue
+            scans = buffer.queue.take(min(wanted, MOST_SENT))
+            count = len(scans) // scan_size
+            mask = f"{buffer.format.mask}\n".encode() if first else b""
+            self._writer.write(iiod_protocol.integer(len(scans)) + mask + scans)
+            await self._writer.drain()
+            wanted, first = wanted - count, False
+            self.sent += count
+        # A zero ends the answer if the remaining size is less than a scan.
+        return iiod_protocol.integer(0) if size % scan_size or not size else b""
+
+    async def _news(self, buffer: Buffer) -> None:
+        """Wait for scans; `Refused` if none will come."""
+        if self._hub.failure is not None:
+            raise Refused(Errno.EIO, str(self._hub.failure))
+        if self._gone:
+            raise ConnectionResetError
+        buffer.news.clear()
+        try:
+            await asyncio.wait_for(buffer.news.wait(), self._timeout_s)
+        except TimeoutError:
+            raise Refused(Errno.ETIMEDOUT, "no scan came in time") from None
+
+
+@dataclass(frozen=True)
+class ServeSettings:
+    """Settings of a server.
+
+    Attributes
+    ----------
+    host, port
+        Address to listen on; port 0 takes a free one.
+    allow_writes : bool
+        Let clients write attributes.
+    registers : tuple of str
+        Output registers that become channels, in order.
+    queue_s : float
+        Time without a read after which a client begins to lose its oldest scans.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = PORT
+    allow_writes: bool = False
+    registers: tuple[str, ...] = DEFAULT_SCAN
+    queue_s: float = QUEUE_S
+
+
+class IioServer:
+    """Serves a sensor until it is stopped, or the sensor fails.
+
+    Parameters
+    ----------
+    sensor : Adis16354
+        Open; stays open afterwards. The server must be its only user.
+    tell : callable
+        Called with one-line messages.
+    ready : callable
+        Called with host and port once clients can connect.
+
+    Raises
+    ------
+    UsageError
+        A register that IIO has no channel for.
+    """
+
+    def __init__(
+        self,
+        sensor: Adis16354,
+        settings: ServeSettings,
+        *,
+        tell: Callable[[str], object] = lambda line: None,
+        ready: Callable[[str, int], object] = lambda host, port: None,
+    ) -> None:
+        self._settings = settings
+        self._tell = tell
+        self._ready = ready
+        description = f"{sensor.variant.name.upper()} at {sensor.bus.url}, adis-gonio {__version__}"
+        self._device = ServedDevice(sensor.variant, settings.registers, description)
+        names = [row.name for row in self._device.table]
+        self._sampler = Sampler(sensor, names, self._scans_came, self._sensor_failed)
+        self._hub = Hub(self._sampler.want, settings.queue_s)
+        self._port = AttributePort(self._device, self._sampler, settings.allow_writes, self._hub.counts)
+        self._clients: set[asyncio.Task[None]] = set()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._end = asyncio.Event()
+
+    def run(self) -> None:
+        """Serve until SIGINT, SIGTERM or `stop`; the sensor is then as after a stream.
+
+        Raises
+        ------
+        CannotOpenError
+            The server cannot listen on the address.
+        BusError, ChipError
+            The sensor failed; waiting clients got an error.
+        """
+        asyncio.run(self._serve())
+
+    def stop(self) -> None:
+        """End `run`; may be called from any thread."""
+        self._call(self._end.set)
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._loop.set_exception_handler(_report)
+        host, port = self._settings.host, self._settings.port
+        try:
+            server = await asyncio.start_server(self._connected, host, port)
+        except OSError as error:
+            raise CannotOpenError(
+                f"cannot listen on {host}, port {port} ({error.strerror or error}):"
+                " give another --iio PORT or --listen ADDRESS"
+            ) from error
+        self._sampler.start()
+        try:
+            with self._ended_by_signals():
+                place = server.sockets[0].getsockname()
+                self._ready(place[0], place[1])
+                await self._end.wait()
+        finally:
+            server.close()
+            for task in self._clients:
+                task.cancel()
+            await asyncio.gather(*self._clients, return_exceptions=True)
+            await asyncio.to_thread(self._sampler.stop)
+        if self._hub.failure is not None:
+            raise self._hub.failure
+
+    @contextlib.contextmanager
+    def _ended_by_signals(self) -> Iterator[None]:
+        if threading.current_thread() is not threading.main_thread():
+            yield  # only the main thread handles signals
+            return
+        numbers = (signal.SIGINT, signal.SIGTERM)
+        before = [signal.signal(number, lambda *_: self.stop()) for number in numbers]
+        try:
+            yield
+        finally:
+            for number, handler in zip(numbers, before, strict=True):
+                signal.signal(number, handler)
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        name = _name_of(writer)
+        if self._hub.clients >= MOST_CLIENTS:
+            self._tell(f"{name}: refused, {MOST_CLIENTS} connections are open")
+            writer.close()
+            return
+        if (task := asyncio.current_task()) is None:
+            return  # asyncio runs this in a task
+        self._clients.add(task)
+        self._hub.clients += 1
+        _prepare(writer)
+        client = ClientSession(reader, writer, self._device, self._port, self._hub)
+        begin_s = time.monotonic()
+        try:
+            # The end of the server cancels the task; asyncio would log a cancelled connection as an error.
+            with contextlib.suppress(asyncio.CancelledError):
+                await client.run()
+        finally:
+            self._hub.clients -= 1
+            self._clients.discard(task)
+            if client.sent or client.lost:
+                self._tell(
+                    f"{name}: left after {time.monotonic() - begin_s:.1f} s,"
+                    f" {counted(client.sent, 'scan')} sent, {client.lost} lost because it was slow"
+                )
+
+    # -- from the sampler's thread ------------------------------------------------------------------
+
+    def _scans_came(self, scans: FreshScans) -> None:
+        self._call(lambda: self._hub.publish(scans))
+
+    def _sensor_failed(self, error: Exception) -> None:
+        def fail() -> None:
+            self._hub.fail(error)
+            # A little later, so that waiting clients get their answer first.
+            asyncio.get_running_loop().call_later(0.2, self._end.set)
+
+        self._call(fail)
+
+    def _call(self, action: Callable[[], object]) -> None:
+        """Run an action in the thread of the event loop, if the loop still runs."""
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                self._loop.call_soon_threadsafe(action)
+
+
+def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Report an error, unless it is a broken connection, which has simply ended."""
+    if not isinstance(context.get("exception"), ConnectionError):
+        loop.default_exception_handler(context)
+
+
+def _prepare(writer: asyncio.StreamWriter) -> None:
+    """Detect a vanished client, and limit the data that pile up for a client that does not read."""
+    endpoint = writer.get_extra_info("socket")
+    endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+
+
+def _name_of(writer: asyncio.StreamWriter) -> str:
+    peer = writer.get_extra_info("peername")
+    return f"{peer[0]}:{peer[1]}" if peer else "a client"

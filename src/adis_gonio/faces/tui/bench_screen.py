@@ -1,0 +1,475 @@
+"""The bench screen: shows a `BenchState`, and passes the operator's keys to the runner in its thread."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from rich.table import Table
+from rich.text import Text
+from textual import events as ui
+from textual.app import App, ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical
+from textual.geometry import Size
+from textual.screen import Screen
+from textual.widgets import Static
+
+from adis_gonio.base.errors import SessionError, UsageError
+from adis_gonio.bench import events
+from adis_gonio.bench.guidance import drawing
+from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.faces.tui import dialogs, screen_text
+from adis_gonio.faces.tui.bench_state import LEAST_SIZE, BenchState
+from adis_gonio.record.archive import ArchiveView
+
+LARGE_SIZE = (120, 40)
+"""Columns and rows from which the angle is twice as large."""
+
+LOOK_S = 0.05
+"""Shortest time between two readings during a question; a simulated sensor itself does not wait."""
+TICK_S = 0.1
+
+_STYLES = {
+    "open": "",
+    "now": "bold reverse",
+    "done": "green",
+    "skipped": "dim",
+    "faulty": "bold red",
+    "withdrawn": "yellow",
+}
+
+
+class BenchApp(App[None]):
+    """The application that shows a session.
+
+    Parameters
+    ----------
+    runner : SessionRunner
+        Not run yet.
+    resume_by : str
+        Command that resumes the session.
+    remember : callable
+        Called with the state once a resumed session is open; adds the positions of earlier runs.
+
+    Attributes
+    ----------
+    state : BenchState
+    error : BaseException or None
+        Exception that ended the runner.
+    crash : Exception or None
+        Exception of the screen itself.
+    abandoned : bool
+        True if the operator did not wait for the runner's end.
+    killed : bool
+        True if a signal (SIGTERM, SIGINT, SIGHUP) ended the session in order.
+    """
+
+    ENABLE_COMMAND_PALETTE = False
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("enter", "answer_position('confirm')", show=False),
+        Binding("t", "answer_position('repeat')", show=False),
+        Binding("s", "answer_position('skip')", show=False),
+        Binding("u", "answer_position('undo')", show=False),
+        Binding("p", "pause", show=False),
+        Binding("n", "note", show=False),
+        Binding("q", "ask_to_quit", show=False),
+        Binding("d", "draw", show=False),
+        Binding("question_mark,f1,h", "explain", show=False),
+        Binding("ctrl+c,ctrl+q", "stop_now", show=False, priority=True),
+    ]
+    CSS = """
+    Screen { layout: vertical; overflow: hidden; }
+    #title { height: 1; background: $primary; color: $text; text-style: bold; padding: 0 1; }
+    #body { height: 1fr; }
+    #side { width: 30; height: 100%; border-right: solid $secondary; }
+    #plan { height: 1fr; padding: 0 1; }
+    #link { height: auto; max-height: 7; padding: 0 1; border-top: solid $secondary; }
+    #right { width: 1fr; padding: 0 1; }
+    #task { height: auto; max-height: 3; text-style: bold; color: $warning; }
+    #angle { height: auto; margin: 1 0 0 0; }
+    #target { height: 1; text-style: bold; margin: 0 0 1 0; }
+    #still { height: 1; }
+    #waits, #progress { height: auto; max-height: 2; }
+    #facts { height: auto; margin: 1 0 0 0; }
+    #messages { height: 1fr; border-top: solid $secondary; }
+    #keys { height: 1; background: $panel; padding: 0 1; }
+    #small { display: none; padding: 1; }
+    .small #small { display: block; }
+    .small #body { display: none; }
+    .large #side { width: 40; }
+    ModalScreen { align: center middle; }
+    #box { width: 78; height: auto; max-height: 24; border: thick $warning; background: $surface;
+           padding: 0 2; }
+    #box > Static { height: auto; margin: 0 0 1 0; }
+    #box > Static:last-of-type { margin: 0; }
+    """
+
+    def __init__(
+        self,
+        runner: SessionRunner,
+        resume_by: str,
+        remember: Callable[[BenchState], None] = lambda state: None,
+    ) -> None:
+        super().__init__()
+        self.state = BenchState()
+        self.error: BaseException | None = None
+        self.crash: Exception | None = None
+        self.abandoned = self.killed = False
+        self._runner = runner
+        self._resume_by = resume_by
+        self._remember = remember
+        self._events: queue.SimpleQueue[events.Event] = queue.SimpleQueue()
+        self._worker = threading.Thread(target=self._work, name="session", daemon=True)
+        self._ended = threading.Event()
+        self._stopping = self._drawn = False
+        self._news_s = time.monotonic()
+        self._asked: events.Event | None = None
+        self._open_question: dialogs.Dialog | None = None
+
+    # -- the runner, in its thread ------------------------------------------------------------------
+
+    def _work(self) -> None:
+        looked_s = 0.0
+        try:
+            for event in self._runner.run():
+                self._events.put(event)
+                if isinstance(event, events.Watching) and event.state == "idle":
+                    time.sleep(max(0.0, looked_s + LOOK_S - time.monotonic()))
+                    looked_s = time.monotonic()
+        except BaseException as error:
+            self.error = error
+        finally:
+            self._ended.set()
+
+    def wait(self) -> None:
+        """Wait for the end of the runner, after the end of the screen."""
+        if self._worker.is_alive():
+            self._worker.join()
+
+    # -- showing ------------------------------------------------------------------------------------
+
+    def compose(self) -> ComposeResult:
+        """Build the widgets."""
+        yield Static(id="title")
+        yield Static(id="small")
+        with Horizontal(id="body"):
+            with Vertical(id="side"):
+                yield Static(id="plan")
+                yield Static(id="link")
+            with Vertical(id="right"):
+                for name in ("task", "angle", "target", "still", "waits", "progress", "facts", "messages"):
+                    yield Static(id=name)
+        yield Static(id="keys")
+
+    def on_mount(self) -> None:
+        """Start the session."""
+        self._heed_signals()
+        self._worker.start()
+        self.set_interval(TICK_S, self.tick)
+
+    def _heed_signals(self) -> None:
+        """Let a signal end the session as Ctrl-C does, so that the terminal is restored."""
+        loop = asyncio.get_running_loop()
+        for name in ("SIGTERM", "SIGINT", "SIGHUP"):
+            with contextlib.suppress(AttributeError, NotImplementedError, RuntimeError, ValueError):
+                loop.add_signal_handler(getattr(signal, name), self._kill)
+
+    def _kill(self) -> None:
+        self.killed = True
+        self._stop()
+
+    def on_resize(self, event: ui.Resize) -> None:
+        """Choose the layout for the new size."""
+        width, height = event.size
+        base = self.screen_stack[0]
+        base.set_class(width < LEAST_SIZE[0] or height < LEAST_SIZE[1], "small")
+        base.set_class(width >= LARGE_SIZE[0] and height >= LARGE_SIZE[1], "large")
+        self.call_after_refresh(self.show)
+
+    def terminal_size(self) -> Size:
+        """Current size of the terminal itself, independent of signals and of COLUMNS and LINES."""
+        if self.is_headless or sys.__stderr__ is None:
+            return self.size
+        try:
+            return Size(*os.get_terminal_size(sys.__stderr__.fileno()))
+        except (OSError, ValueError):  # no terminal
+            return self.size
+
+    def tick(self) -> None:
+        """Take the runner's new events, and show the state."""
+        if (size := self.terminal_size()) != self.size:
+            self.post_message(ui.Resize(size, size))
+        ended = self._ended.is_set()  # read before the queue is emptied, because no event follows the end
+        while not self._events.empty():
+            event = self._events.get_nowait()
+            self._news_s = time.monotonic()
+            self.state.take(event)
+            if isinstance(event, events.Started) and event.resumed:
+                self._remember(self.state)
+        self.state.reversed = self._runner.reversed
+        self.show()
+        if ended:
+            self.exit()
+            return
+        self._ask()
+
+    def show(self) -> None:
+        """Show the state."""
+        if not self.is_running:
+            return
+        base, state = self.screen_stack[0], self.state
+        room = base.query_one("#right").content_size.width
+        large = base.has_class("large")
+        rows, side = base.query_one("#plan").content_size.height, base.query_one("#link").content_size.width
+        silence_s = time.monotonic() - self._news_s
+        plan = Text(no_wrap=True, overflow="ellipsis")
+        for line, style in screen_text.plan_rows(state, rows):
+            plan.append(f"{line}\n", style=_STYLES[style])
+        size = f"{LEAST_SIZE[0]} × {LEAST_SIZE[1]}"
+        small = f"This screen needs {size}, the terminal has {self.size.width} × {self.size.height}."
+        texts: dict[str, Text] = {
+            "title": Text(screen_text.title(state), no_wrap=True, overflow="ellipsis"),
+            "small": Text(f"{small} The session goes on: make it larger, or press q to quit."),
+            "plan": plan,
+            "link": Text("\n".join(screen_text.surroundings(state, side, silence_s))),
+            "task": Text(screen_text.task(state)),
+            "angle": Text("\n".join(screen_text.large_angle(state.angle_deg, 2 if large else 1))),
+            "target": Text(screen_text.target(state), no_wrap=True),
+            "still": Text(screen_text.stillness(state, room), no_wrap=True, style=_still_style(state)),
+            "waits": Text(screen_text.waiting(state, silence_s)),
+            "progress": Text(screen_text.progress(state, room), no_wrap=True),
+            "messages": _messages(state),
+            "keys": _keys(state),
+        }
+        for name, text in texts.items():
+            base.query_one(f"#{name}", Static).update(text)
+        facts = Table.grid(padding=(0, 2, 0, 0))
+        for name, value in screen_text.facts(state):
+            facts.add_row(Text(name, style="dim"), Text(value))
+        base.query_one("#facts", Static).update(facts)
+
+    # -- asking -------------------------------------------------------------------------------------
+
+    def _ask(self) -> None:
+        """Open the dialog of a new question; close the dialog of a withdrawn question."""
+        question = self.state.question
+        if self._open_question is not None and question is not self._asked:
+            gone, self._open_question = self._open_question, None
+            if gone in self.screen_stack:
+                gone.finish("")
+            return
+        if question is self._asked or len(self.screen_stack) > 1:
+            return
+        dialog: dialogs.Dialog | None = None
+        match question:
+            case events.GuardRaised():
+                dialog = dialogs.guard_dialog(question)
+            case events.RepetitionOffered():
+                dialog = dialogs.repetition_dialog(question)
+            case events.ExtensionOffered():
+                planned = 0 if self.state.plan is None else len(self.state.plan)
+                dialog = dialogs.extension_dialog(question, planned)
+            case events.PositionAsked() if not (self.state.zero_known or self._drawn):
+                self.action_draw()
+            case _:
+                pass
+        self._asked = question
+        if dialog is not None:
+            self._open_question = dialog
+            self.push_screen(dialog, self._give)
+
+    def _give(self, answer: str | None) -> None:
+        """Pass an answer to the runner; a message reports an answer that comes too late."""
+        self._open_question = None
+        if not answer or answer == "stay":
+            return
+        if answer == "stop":
+            self._stop()
+            return
+        try:
+            self._runner.answer(answer)
+        except UsageError:
+            self.state.say("that question has gone: nothing was answered")
+            return
+        if answer == "accept" and isinstance(self.state.question, events.ExtensionOffered):
+            self.state.plan = self.state.question.plan
+        self.state.answered()
+        self.show()
+
+    # -- keys ---------------------------------------------------------------------------------------
+
+    def action_answer_position(self, answer: str) -> None:
+        """Answer the question for a position, or report why that is not possible."""
+        question = self.state.question
+        impossible = ""
+        if not isinstance(question, events.PositionAsked):
+            impossible = "no position is asked for now"
+        elif answer == "repeat" and not question.can_repeat:
+            impossible = "there is no dwell before this one to take again"
+        elif answer == "undo" and not question.can_undo:
+            impossible = "there is no dwell before this one to withdraw"
+        if impossible:
+            self.state.say(impossible)
+        else:
+            self._give(answer)
+        self.show()
+
+    def action_pause(self) -> None:
+        """Pause, or go on."""
+        if self.state.paused:
+            self._runner.unpause()
+        else:
+            self._runner.pause()
+            self.state.doing = "pausing"
+        self.show()
+
+    def action_note(self) -> None:
+        """Ask for a note."""
+
+        def keep(text: str | None) -> None:
+            if text:
+                self._runner.note(text)
+
+        self._open(dialogs.NoteDialog(), keep)
+
+    def action_explain(self) -> None:
+        """Show the help."""
+        self._open(dialogs.HelpDialog("Keys and signs", screen_text.help_text(self.state)), lambda _: None)
+
+    def action_draw(self) -> None:
+        """Show how to hold the part."""
+        if self.state.plan is not None:
+            self._drawn = True
+            text = "\n".join(drawing(self.state.plan))
+            self._open(dialogs.HelpDialog("How the part is held", text), lambda _: None)
+
+    def action_ask_to_quit(self) -> None:
+        """Ask whether to end the session."""
+        self._open(dialogs.quit_dialog(self._resume_by), self._give_end)
+
+    def _open(self, screen: Screen[Any], then: Callable[..., None]) -> None:
+        if len(self.screen_stack) == 1:
+            self.push_screen(screen, then)
+
+    def _give_end(self, answer: str | None) -> None:
+        if answer == "stop":
+            self._stop()
+
+    def action_stop_now(self) -> None:
+        """End the session in order; the second time, leave at once."""
+        if self._stopping:
+            self.abandoned = True
+            self.exit()
+        self._stop()
+
+    def _stop(self) -> None:
+        self._stopping = True
+        self._runner.stop()
+        self.state.answered()
+        self.state.doing = "ending the session"
+        self.show()
+
+    def _handle_exception(self, error: Exception) -> None:
+        """End the screen without a traceback; `ScreenFace` reports the error."""
+        self.crash = self.crash or error
+        self._runner.stop()
+        super()._handle_exception(error)
+        self._exit_renderables.clear()
+
+
+def _still_style(state: BenchState) -> str:
+    if state.whole is not None:
+        return "bold red" if screen_text.too_fast(state) else "green"
+    if state.spread_mg is None or state.limit_mg is None:
+        return "dim"
+    return "green" if state.spread_mg <= state.limit_mg else "bold red"
+
+
+def _messages(state: BenchState) -> Text:
+    """Messages, the newest first, so that the oldest ones are cut off."""
+    text = Text()
+    for message in reversed(state.messages):
+        text.append(f"{message.text}\n", style="yellow" if message.level == "warned" else "")
+    return text
+
+
+def _keys(state: BenchState) -> Text:
+    text = Text(no_wrap=True)
+    for key, word in screen_text.keys(state):
+        text.append(key, style="bold reverse")
+        text.append(f" {word}  ")
+    return text
+
+
+class ScreenFace:
+    """Runs a session on the screen.
+
+    Parameters
+    ----------
+    runner : SessionRunner
+        Not run yet.
+    resume_by : str
+        Command that resumes the session.
+    """
+
+    def __init__(self, runner: SessionRunner, resume_by: str) -> None:
+        self._runner = runner
+        self._resume_by = resume_by
+
+    def run(self) -> bool:
+        """Run the session; return True if it is complete.
+
+        Raises
+        ------
+        SessionError
+            The screen itself failed; the recorded data are kept.
+        Exception
+            Any error of the runner; a message on standard error then explains how to resume.
+        KeyboardInterrupt
+            The operator did not wait for the session's end, or a signal ended it.
+        """
+        app = BenchApp(self._runner, self._resume_by, remember)
+        try:
+            app.run(mouse=False)
+        finally:
+            self._runner.stop()
+            if not app.abandoned:
+                app.wait()
+        for message in app.state.messages:
+            _print(f"  {message.text}")
+        if app.abandoned or app.killed:
+            raise KeyboardInterrupt
+        if app.crash is not None:
+            name = type(app.crash).__name__
+            raise SessionError(
+                f"the screen failed ({name}: {app.crash}); go on with {self._resume_by} --plain"
+            ) from app.crash
+        if app.error is not None:
+            _print(f"what was recorded is kept; go on with {self._resume_by}")
+            raise app.error
+        finished = app.state.finished
+        if finished is None or finished.complete:
+            return finished is not None
+        _print(f"  not complete: {finished.done} of {finished.total}; go on with {self._resume_by}")
+        return False
+
+
+def remember(state: BenchState) -> None:
+    """Mark the positions that earlier runs of a session have done, skipped or found faulty."""
+    with ArchiveView(state.path) as view:
+        done = [attempt.place for attempt in view.dwells()]
+        faulty = [attempt.place for attempt in view.faulty()]
+        state.remember(done, view.skipped(), faulty)
+
+
+def _print(text: str) -> None:
+    print(text, file=sys.stderr)  # noqa: T201

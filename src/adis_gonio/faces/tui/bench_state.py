@@ -1,0 +1,402 @@
+"""The state of a session on the bench screen, collected from the runner's events."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from enum import Enum
+from functools import singledispatchmethod
+from typing import Literal
+
+from adis_gonio.base.arrays import wrap_degrees
+from adis_gonio.base.numbers import counted, format_fixed
+from adis_gonio.bench import events
+from adis_gonio.bench.guidance import face
+from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
+
+MOST_MESSAGES = 100
+LEAST_SIZE = (80, 24)
+"""Smallest columns and rows of the screen."""
+
+Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered | events.ExtensionOffered
+
+
+class Mark(Enum):
+    """State of a position, with a sign and a word, so that it can be read without colours."""
+
+    OPEN = "·", "to do"
+    NOW = "▶", "now"
+    DONE = "✓", "done"
+    SKIPPED = "–", "skipped"
+    FAULTY = "!", "fault"
+    WITHDRAWN = "↶", "again"
+
+    @property
+    def sign(self) -> str:
+        """One character."""
+        return self.value[0]
+
+    @property
+    def word(self) -> str:
+        """One word of at most seven letters."""
+        return self.value[1]
+
+
+@dataclass(frozen=True)
+class Message:
+    """A line in the list of messages."""
+
+    text: str
+    level: Literal["said", "warned"] = "said"
+
+
+@dataclass(frozen=True)
+class Span:
+    """Progress of an activity with a known length."""
+
+    what: str
+    elapsed_s: float
+    length_s: float
+
+
+class BenchState:
+    """Takes events in order; its attributes describe the session now.
+
+    Attributes
+    ----------
+    path, url, variant : str
+        File, sensor and its variant; empty until the session is open.
+    resumed : bool
+        True if the session continues an earlier run.
+    plan : Plan or None
+    marks : dict of int to Mark
+        Marks of the places that are not open.
+    place : int or None
+        Place that is asked for or measured.
+    question : Event or None
+        The question that waits for an answer.
+    doing : str
+        Current activity.
+    span : Span or None
+        Progress of a dwell or wait.
+    angle_deg, target_deg : float or None
+        Live angle, counted along the stage's turn since `here` (if the turn was not watched, see
+        `lost_way`, within half a turn of the target), and the angle asked for.
+    tolerance_deg : float or None
+        Distance from the target within which the part has arrived, estimated from the dwells so far; None
+        during a dwell and before the first.
+    spread_mg, limit_mg : float or None
+        Spread and limit of stillness, of the axis with the largest ratio of both.
+    waits_for : str
+    turn : TurnMeasured or None
+        The last turn between positions.
+    whole, turned : TurnProgress or None, TurnDone or None
+        Whole turns on a table: the current and the last ones.
+    range_dps : float
+        Range of the gyros.
+    running : Running or None
+        Parameters from the dwells so far.
+    temperature_c, began_c : float or None
+        Temperature now, and the first one measured.
+    lost : int
+        Scans lost so far.
+    rate_hz : float or None
+    link : str
+        How scans are started.
+    time_left_s : float or None
+        Remaining time when the last position was asked for.
+    paused : bool
+    quiet : bool
+        True if no news of the sensor is expected: in a pause, during a trace, after the end.
+    zero_known : bool
+        True once a dwell has determined the stage's zero.
+    here : Position or None
+        Position of the last dwell; None after an interrupted dwell, because the part may have moved.
+    reversed : bool
+        True if the session counts turns the other way.
+    messages : list of Message
+        The newest last.
+    finished : Finished or None
+    """
+
+    def __init__(self) -> None:
+        self.path = self.url = self.variant = ""
+        self.resumed = False
+        self.plan: Plan | None = None
+        self.marks: dict[int, Mark] = {}
+        self.place: int | None = None
+        self.question: Question | None = None
+        self.doing = "opening the sensor"
+        self.span: Span | None = None
+        self.angle_deg: float | None = None
+        self.target_deg: float | None = None
+        self.tolerance_deg: float | None = None
+        self.spread_mg: float | None = None
+        self.limit_mg: float | None = None
+        self.waits_for = ""
+        self.turn: events.TurnMeasured | None = None
+        self.whole: events.TurnProgress | None = None
+        self.turned: events.TurnDone | None = None
+        self.range_dps = 300.0
+        self.running: events.Running | None = None
+        self.temperature_c: float | None = None
+        self.began_c: float | None = None
+        self.lost = 0
+        self.rate_hz: float | None = None
+        self.link = ""
+        self.time_left_s: float | None = None
+        self.paused = False
+        self.quiet = False
+        self.zero_known = False
+        self.here: Position | None = None
+        self._turned_deg: float | None = None
+        self.reversed = False
+        self.messages: list[Message] = []
+        self.finished: events.Finished | None = None
+
+    @property
+    def on_table(self) -> bool:
+        """True in a session of whole turns on a table."""
+        return self.plan is not None and self.plan.name == GYRO_TURNS
+
+    @property
+    def position(self) -> Position | None:
+        """Position that is asked for or measured."""
+        return None if self.plan is None or self.place is None else self.plan.positions[self.place]
+
+    @property
+    def more_deg(self) -> float | None:
+        """Remaining turn to the target, positive in the stage's direction; None if unknown."""
+        if self.angle_deg is None or self.target_deg is None:
+            return None
+        return self.target_deg - self.angle_deg
+
+    @property
+    def lost_way(self) -> bool:
+        """True if the part may have turned unwatched since `here`, for example in a pause."""
+        here = self.here
+        return here is not None and here.angle_deg is not None and self._turned_deg is None
+
+    @property
+    def passes(self) -> bool:
+        """True if the part is at the angle asked for and has to approach it from the other side."""
+        asked, here = self.position, self.here
+        if asked is None or here is None or not isinstance(self.question, events.PositionAsked):
+            return False
+        return asked.angle_deg == here.angle_deg and asked.approach != here.approach
+
+    def mark(self, place: int) -> Mark:
+        """State of a position."""
+        return Mark.NOW if place == self.place else self.marks.get(place, Mark.OPEN)
+
+    def remember(self, done: Collection[int], skipped: Collection[int], faulty: Collection[int]) -> None:
+        """Mark the places that earlier runs have settled."""
+        self.zero_known = bool(done)
+        self.marks |= dict.fromkeys(done, Mark.DONE)
+        self.marks |= dict.fromkeys(skipped, Mark.SKIPPED)
+        self.marks |= dict.fromkeys(faulty, Mark.FAULTY)
+
+    def answered(self) -> None:
+        """Close the question after its answer; the next event sets the new state."""
+        if isinstance(self.question, events.PositionAsked):
+            self.doing = "going on"
+        self.question = None
+
+    def say(self, text: str, level: Literal["said", "warned"] = "said") -> None:
+        """Add a message."""
+        self.messages = [*self.messages, Message(text, level)][-MOST_MESSAGES:]
+
+    @singledispatchmethod
+    def take(self, event: events.Event) -> None:
+        """Take the next event; events without a method below change nothing."""
+
+    @take.register
+    def _(self, event: events.Started) -> None:
+        self.path, self.url, self.variant = event.path, event.url, event.variant
+        self.plan, self.resumed = event.plan, event.resumed
+        self.doing = "setting up the sensor"
+
+    @take.register
+    def _(self, event: events.Configured) -> None:
+        self.rate_hz = float(event.configuration["sample_rate_hz"])
+        self.range_dps = float(event.configuration.get("gyro_range_dps") or self.range_dps)
+        self.link = event.why_polled and f"polled: {event.why_polled}"
+        self.link = self.link or "at the data-ready edges"
+        for name, (before, after) in event.changed.items():
+            self.say(f"register {name} {before} → {after}")
+
+    @take.register
+    def _(self, event: events.NoiseMeasured) -> None:
+        noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
+        self.say(f"noise at rest {noise} mg (x, y, z)")
+
+    @take.register
+    def _(self, event: events.PositionAsked) -> None:
+        self._ask(event, event.place)
+        self.time_left_s = event.time_left_s
+        self.target_deg = event.position.angle_deg
+
+    @take.register
+    def _(self, event: events.GuardRaised) -> None:
+        self._ask(event, event.place)
+        self.say(event.message, "warned")
+
+    @take.register
+    def _(self, event: events.RepetitionOffered | events.ExtensionOffered) -> None:
+        self._ask(event, None)
+
+    def _ask(self, question: Question, place: int | None) -> None:
+        self._go_on()
+        self.question, self.place = question, place
+        self.doing, self.waits_for = "waiting for you", "your answer"
+
+    @take.register
+    def _(self, event: events.StageMoved) -> None:
+        self.doing = f"the stage has gone to {event.position}"
+
+    @take.register
+    def _(self, event: events.Watching) -> None:
+        self._look(event)
+        self.lost = event.lost
+        if event.state == "idle":
+            return
+        self._go_on()
+        activities = {"measuring": "measuring the noise at rest", "moving": "waiting for rest"}
+        self.doing = activities.get(event.state, "still; settling")
+
+    @take.register
+    def _(self, event: events.DwellProgress) -> None:
+        self._look(event)
+        self._go_on()
+        self.place = event.place
+        self.doing = "recording"
+        self.span = Span("dwell", event.elapsed_s, event.length_s)
+
+    def _look(self, event: events.Watching | events.DwellProgress) -> None:
+        self.angle_deg = self._along(event.angle_deg)
+        self.tolerance_deg = event.tolerance_deg if isinstance(event, events.Watching) else None
+        self.target_deg = event.target_deg if event.target_deg is not None else self.target_deg
+        self.waits_for = event.waits_for
+        if event.temperature_c is not None:
+            self.temperature_c = event.temperature_c
+            self.began_c = event.temperature_c if self.began_c is None else self.began_c
+        spread = event.spread_mg
+        if spread is None:
+            return
+        if event.limit_mg is None:
+            self.spread_mg, self.limit_mg = max(spread), None
+            return
+        pairs = zip(spread, event.limit_mg, strict=True)
+        self.spread_mg, self.limit_mg = max(pairs, key=lambda pair: pair[0] / pair[1])
+
+    def _along(self, angle_deg: float | None) -> float | None:
+        """Angle counted along the turn since the last dwell; unchanged if the turn was not watched."""
+        if angle_deg is None or self._turned_deg is None:
+            return angle_deg
+        self._turned_deg += wrap_degrees(angle_deg - self._turned_deg)
+        return self._turned_deg
+
+    def _go_on(self) -> None:
+        self.question, self.span, self.paused, self.quiet = None, None, False, False
+        self.whole = None
+
+    @take.register
+    def _(self, event: events.TurnProgress) -> None:
+        self._go_on()
+        self.whole, self.angle_deg, self.lost = event, event.turned_deg, event.lost
+        self.spread_mg = None
+        self.doing = "turning"
+
+    @take.register
+    def _(self, event: events.TurnDone) -> None:
+        self._go_on()
+        self.turned = event
+        lost = f", {event.lost} scans lost" if event.lost else ""
+        turned = format_fixed(event.turned_deg, 1, sign=True)
+        self.say(f"turned {turned}° by the gyro in {event.length_s:.0f} s{lost}")
+
+    @take.register
+    def _(self, event: events.Waiting) -> None:
+        self._go_on()
+        self.place = event.place
+        self.doing = "waiting, as the plan asks"
+        self.span = Span("wait", event.elapsed_s, event.length_s)
+
+    @take.register
+    def _(self, event: events.Advising) -> None:
+        self._go_on()
+        self.place = None
+        self.quiet = True
+        self.waits_for = ""
+        self.doing = f"tracing {counted(event.dwells, 'dwell')}"
+
+    @take.register
+    def _(self, event: events.Advised) -> None:
+        if event.ended:
+            self.say(event.ended)
+
+    @take.register
+    def _(self, event: events.DwellDone) -> None:
+        self._go_on()
+        self.marks[event.place] = Mark.FAULTY if event.alarms else Mark.DONE
+        self.here = event.position
+        self._turned_deg = event.position.angle_deg
+        self.zero_known |= event.position.angle_deg is not None
+        self.place = None
+        self.doing = f"{event.position} is done"
+        lost = f", {event.lost} lost" if event.lost else ""
+        lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
+        each = zip("xyz", event.accel_mg, strict=True)
+        mean = ", ".join(f"{axis} {format_fixed(mg, 2, sign=True)}" for axis, mg in each) + " mg"
+        place = (face(event.position) if self.on_table else "") or str(event.position)
+        self.say(f"✓ {place}: {mean}{lost}")
+
+    @take.register
+    def _(self, event: events.DwellInterrupted) -> None:
+        self._go_on()
+        self.here = self._turned_deg = None
+        self.say(f"{event.position} interrupted: {event.reason} (samples kept)", "warned")
+
+    @take.register
+    def _(self, event: events.Problem) -> None:
+        if event.kind in ("status", "alarm"):
+            self.marks[event.place] = Mark.FAULTY
+        self.say(event.message, "warned")
+
+    @take.register
+    def _(self, event: events.TurnMeasured) -> None:
+        self.turn = event
+
+    @take.register
+    def _(self, event: events.Running) -> None:
+        self.running = event
+
+    @take.register
+    def _(self, event: events.Paused) -> None:
+        self._go_on()
+        self.paused = self.quiet = True
+        # Turns during the pause are not counted.
+        self.angle_deg = self.spread_mg = self._turned_deg = None
+        self.doing = "paused"
+
+    @take.register
+    def _(self, event: events.Unpaused) -> None:
+        self.paused = False
+        self.doing = "going on"
+
+    @take.register
+    def _(self, event: events.Noted) -> None:
+        self.say(f"noted: {event.text}")
+
+    @take.register
+    def _(self, event: events.Withdrawn) -> None:
+        self.marks[event.place] = Mark.WITHDRAWN
+        self.say(f"{event.position} withdrawn; it stays in the file, marked")
+
+    @take.register
+    def _(self, event: events.Finished) -> None:
+        self._go_on()
+        self.place = None
+        self.quiet = True
+        self.finished = event
+        self.doing = "complete" if event.complete else "not complete"

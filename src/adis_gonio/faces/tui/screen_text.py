@@ -1,0 +1,356 @@
+"""The text of the bench screen for a `BenchState`; nothing in here draws on a screen.
+
+In a session of whole turns on a table (plan `gyro-turns`) gravity does not show the turn. There the angle
+is the integral of the gyro, and the screen shows the rate against the gyros' range instead of the
+stillness.
+"""
+
+from __future__ import annotations
+
+from adis_gonio.base.numbers import (
+    DASH,
+    counted,
+    format_duration,
+    format_fixed,
+    format_uncertain,
+    use_minus,
+)
+from adis_gonio.bench import events
+from adis_gonio.bench.guidance import face, to_do
+from adis_gonio.bench.runner import SHARE_OF_RANGE
+from adis_gonio.faces.tui.bench_state import BenchState, Mark
+from adis_gonio.record.plans import Position, attitude
+
+SILENT_S = 5.0
+"""Time without news of the sensor after which the screen reports the silence."""
+_SETTLED = (Mark.DONE, Mark.FAULTY, Mark.SKIPPED)
+_SYMBOLS = {"delta_k": "ΔK", "delta_phi": "Δφ"}
+_UNITS = {
+    "deg": "°", "mg": " mg", "c": " °C", "v": " V", "s": " s", "dps": " °/s", "k": " K", "percent": " %",
+}  # fmt: skip
+_BY_GRAVITY = """\
+The angle comes from gravity, with an error of a degree or two until
+biases and gains are known: set each position by the stage's scale."""
+_BY_GYROS = """\
+The angle is the integral of the gyro since the last rest, positive
+counter-clockwise seen from above; it has the error of the gyro's gain."""
+HELP = f"""\
+Enter  take: the part is at the position
+t      take the last dwell again; the old one stays in the file
+s      skip this position
+u      undo: withdraw the last dwell, and ask for its position again
+p      pause or go on; nothing is measured during a pause
+n      add a note to the session
+d      draw how to hold the part, and the positive direction
+q      quit; the recorded data stay, --resume continues the session
+Ctrl-C quit at once
+
+▶ now   ✓ done   – skipped   ! fault   ↶ again   · to do
+{_BY_GRAVITY}
+No question has a time limit."""
+_DIGITS = {
+    "0": ("████", "█  █", "█  █", "█  █", "████"),
+    "1": ("  █ ", " ██ ", "  █ ", "  █ ", " ███"),
+    "2": ("████", "   █", "████", "█   ", "████"),
+    "3": ("████", "   █", " ███", "   █", "████"),
+    "4": ("█  █", "█  █", "████", "   █", "   █"),
+    "5": ("████", "█   ", "████", "   █", "████"),
+    "6": ("████", "█   ", "████", "█  █", "████"),
+    "7": ("████", "   █", "  █ ", "  █ ", "  █ "),
+    "8": ("████", "█  █", "████", "█  █", "████"),
+    "9": ("████", "█  █", "████", "   █", "████"),
+    "+": ("   ", " █ ", "███", " █ ", "   "),
+    "−": ("   ", "   ", "███", "   ", "   "),
+    ".": (" ", " ", " ", " ", "█"),
+    "°": ("███", "█ █", "███", "   ", "   "),
+    "–": ("    ", "    ", "████", "    ", "    "),
+    " ": ("  ", "  ", "  ", "  ", "  "),
+}
+"""Each character of a number as five rows of blocks."""
+
+
+def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
+    """Rows of blocks that show an angle to a hundredth, or a dash for None.
+
+    Parameters
+    ----------
+    scale : int
+        2 doubles width and height.
+    """
+    text = DASH if value_deg is None else f"{format_fixed(value_deg, 2, sign=True)}°"
+    rows = []
+    for row in range(5):
+        thin = " ".join(_DIGITS[character][row] for character in text)
+        rows += ["".join(character * scale for character in thin)] * scale
+    return rows
+
+
+def title(state: BenchState) -> str:
+    """First line: plan, positions done, remaining time, sensor and file."""
+    if state.plan is None:
+        return "adis-gonio"
+    total = len(state.plan)
+    settled = sum(state.mark(place) in _SETTLED for place in range(total))
+    remaining = "" if state.time_left_s is None else f", about {format_duration(state.time_left_s)} left"
+    return f"{state.plan.name}: {settled} of {total} done{remaining} · {state.variant} · {state.path}"
+
+
+def _place_name(position: Position, *, on_table: bool) -> str:
+    """Short name of a position in a list, with its side of approach and its use."""
+    if on_table:
+        if position.turned_deg is None:
+            return face(position)
+        turns = counted(round(abs(position.turned_deg) / 360), "turn")
+        return f"{format_fixed(position.turned_deg, 0, sign=True)}°, {turns}"
+    if position.angle_deg is not None:
+        where = f"{position.angle_deg:g}°"
+    elif position.direction is None:
+        where = "attitude"
+    else:
+        where = attitude(position.direction).removeprefix("one that ")
+    side = " from above" if position.approach == -1 else ""
+    return where + side + (" check" if position.use == "check" else "")
+
+
+def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
+    """Lines of the plan with the name of their mark; at most `height`, around the current position."""
+    if state.plan is None:
+        return []
+    rows = []
+    for place, position in enumerate(state.plan.positions):
+        mark = state.mark(place)
+        name = _place_name(position, on_table=state.on_table)
+        rows.append((f"{mark.sign} {mark.word:<7} {name}", mark.name.lower()))
+    if len(rows) <= height:
+        return rows
+    room = max(1, height - 2)
+    centre = state.place if state.place is not None else len(rows) - 1
+    first = min(max(0, centre - room // 2), len(rows) - room)
+    last = first + room
+    above = (f"  ↑ {first} more" if first else "", "open")
+    below = (f"  ↓ {len(rows) - last} more" if last < len(rows) else "", "open")
+    return [above, *rows[first:last], below]
+
+
+def task(state: BenchState) -> str:
+    """The operator's task, in one sentence or two."""
+    if state.paused:
+        return "PAUSED. Nothing is measured; p goes on."
+    question = state.question
+    if isinstance(question, events.PositionAsked):
+        count = f"{question.number} of {question.total}"
+        if state.on_table:
+            return f"{count}: {_table_task(question.position)}"
+        return f"{count}: {to_do(question.position, state.here, reverse=state.reversed)}, then press Enter"
+    if isinstance(question, events.GuardRaised):
+        return question.message
+    if state.whole is not None:
+        turning = f"turn {state.whole.turn} of {state.whole.turns}"
+        resting = {"rest": "leave it at the mark", "after": "back at the mark? let it rest"}
+        return f"{state.position}: {resting.get(state.whole.state, turning)}"
+    if state.span is not None and state.span.what == "dwell":
+        return f"{state.position}: hands off, recording" if state.position else "recording"
+    if state.position is not None:
+        return f"{state.position}: {state.doing}"
+    return state.doing[:1].upper() + state.doing[1:]
+
+
+def _table_task(position: Position) -> str:
+    if position.turned_deg is None:
+        return f"lay the part flat on the table against the mark, {face(position)}, then press Enter"
+    turns = round(abs(position.turned_deg) / 360)
+    way = "counter-clockwise" if position.turned_deg > 0 else "clockwise"
+    times = "once" if turns == 1 else f"{turns} times"
+    return f"press Enter, 1 s later turn it {times} {way}, seen from above, back to the mark"
+
+
+def target(state: BenchState) -> str:
+    """The angle asked for, and the remaining turn."""
+    if state.on_table:
+        return _table_target(state)
+    if state.target_deg is None:
+        free = state.position is not None and state.position.angle_deg is None
+        return "free attitude: no angle to reach" if free else ""
+    more, tolerance = state.more_deg, state.tolerance_deg
+    goal = f"target {use_minus(f'{state.target_deg:g}')}°"
+    if not state.zero_known:
+        return f"{goal}   this position sets the zero"
+    if more is None or tolerance is None or state.passes:
+        return goal
+    if abs(more) <= tolerance:
+        return f"{goal}   ● there, to ±{tolerance:.1f}°"
+    if state.lost_way:
+        return goal
+    arrow, way = ("▶▶", "more") if more > 0 else ("◀◀", "back")
+    return f"{goal}   {arrow} turn {format_fixed(more, 1, sign=True)}° {way}"
+
+
+def _table_target(state: BenchState) -> str:
+    position = state.position
+    if position is None:
+        return ""
+    if position.turned_deg is None:
+        return face(position)
+    goal = f"asked {format_fixed(position.turned_deg, 0, sign=True)}°"
+    if state.whole is None:
+        fastest = SHARE_OF_RANGE * state.range_dps
+        return f"{goal} at {fastest:.0f} °/s at most ({360 / fastest:.0f} s a turn)"
+    turns = format_fixed(state.whole.turned_deg / 360.0, 2, sign=True)
+    more = format_fixed(position.turned_deg - state.whole.turned_deg, 0, sign=True)
+    return f"{goal}   {turns} turns so far   {more}° to go"
+
+
+def stillness(state: BenchState, width: int) -> str:
+    """State, spread, limit and a bar; during a turn on a table the rate against the range instead."""
+    if state.whole is not None:
+        beyond = "TOO FAST  " if too_fast(state) else ""
+        now = format_fixed(state.whole.rate_dps, 0, sign=True)
+        peak = state.whole.peak_dps
+        text = f"{beyond}{now} °/s, largest {peak:.0f} of {state.range_dps:.0f} "
+        return text + _bar(peak / state.range_dps, width - len(text))
+    if state.spread_mg is None:
+        return "no samples yet"
+    if state.limit_mg is None:
+        return f"varies by {state.spread_mg:.2f} mg (limit not known yet)"
+    still = state.spread_mg <= state.limit_mg
+    text = f"{'still' if still else 'MOVING'}  {state.spread_mg:.2f} of at most {state.limit_mg:.2f} mg "
+    return text + _bar(state.spread_mg / state.limit_mg, width - len(text))
+
+
+def too_fast(state: BenchState) -> bool:
+    """True if the current turn has exceeded the range of the gyros."""
+    return state.whole is not None and state.whole.peak_dps >= state.range_dps
+
+
+def waiting(state: BenchState, silence_s: float = 0.0) -> str:
+    """The event for which the session waits.
+
+    Parameters
+    ----------
+    silence_s : float
+        Time since the last event, which is the time that a running trace has taken.
+    """
+    if state.paused:
+        return "paused"
+    if state.whole is not None:
+        if state.whole.state == "after" or state.whole.rest_s > 0.5:
+            return f"waits for rest: {state.whole.rest_s:.1f} s so far"
+        ends = {"rest": "for your turn to begin", "turn": "for the turns to end at the mark"}
+        return f"waits {ends[state.whole.state]}"
+    if state.quiet and silence_s >= 1:
+        return f"for {format_duration(silence_s)} so far"
+    return f"waits for {state.waits_for}" if state.waits_for else state.doing
+
+
+def progress(state: BenchState, width: int) -> str:
+    """Elapsed time and length of a dwell or wait, with a bar."""
+    if state.span is None:
+        return ""
+    span = state.span
+    text = f"{span.what}  {span.elapsed_s:.0f} of {span.length_s:.0f} s "
+    return text + _bar(span.elapsed_s / span.length_s if span.length_s else 1.0, width - len(text))
+
+
+def _bar(share: float, width: int) -> str:
+    """A bar of at most 20 characters; full from 1 on."""
+    width = min(20, width)
+    if width < 4:
+        return ""
+    filled = round(min(max(share, 0.0), 1.0) * width)
+    return "█" * filled + "░" * (width - filled)
+
+
+def facts(state: BenchState) -> list[tuple[str, str]]:
+    """Rows of name and value below the angle."""
+    if not state.on_table:
+        return [("last turn", _turn(state.turn)), ("result", _running(state.running))]
+    faces = []
+    if state.plan is not None and state.place is not None:
+        # The face up at the current place, or at the nearest place before it that states one.
+        faces = [face(position) for position in reversed(state.plan.positions[: state.place + 1])]
+    return [("face", next(filter(None, faces), DASH)), ("last turn", _whole_turn(state.turned))]
+
+
+def _turn(turn: events.TurnMeasured | None) -> str:
+    if turn is None:
+        return DASH
+    parts = []
+    if turn.asked_deg is not None:
+        parts.append(f"asked {format_fixed(turn.asked_deg, 1, sign=True)}°")
+    if turn.gyro_deg is not None:
+        u = "" if turn.gyro_u_deg is None else f" ± {turn.gyro_u_deg:.1f}"
+        parts.append(f"gyro {format_fixed(turn.gyro_deg, 1, sign=True)}{u}°")
+    if turn.gravity_deg is not None:
+        parts.append(f"gravity {format_fixed(turn.gravity_deg, 1, sign=True)}°")
+    return ", ".join(parts) or "not watched"
+
+
+def _whole_turn(turn: events.TurnDone | None) -> str:
+    if turn is None:
+        return DASH
+    off = turn.turned_deg - 360.0 * round(turn.turned_deg / 360.0)
+    lost = f", {turn.lost} scans lost" if turn.lost else ""
+    return (
+        f"gyro {format_fixed(turn.turned_deg, 1, sign=True)}° in {turn.length_s:.0f} s,\n"
+        f"{format_fixed(off, 1, sign=True)}° off {counted(turn.turns, 'whole turn')}{lost}"
+    )
+
+
+def _running(running: events.Running | None) -> str:
+    """Parameters from the dwells so far."""
+    if running is None:
+        return "– (after the second position)"
+    known = {symbol: running.parameters.get(name) for name, symbol in _SYMBOLS.items()}
+    values = [
+        f"{symbol} {format_uncertain(entry['value'], entry['u'], entry['unit'])}"
+        for symbol, entry in known.items()
+        if entry is not None
+    ]
+    dwells = counted(running.dwells, "dwell")
+    if not values:
+        return f"{dwells}, by {running.method}"
+    return "\n".join(values) + f"   ({running.method}, {dwells})"
+
+
+def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[str]:
+    """Lines about temperature, link and URL.
+
+    Parameters
+    ----------
+    silence_s : float
+        Time since the last event.
+    """
+    if state.temperature_c is None or state.began_c is None:
+        lines = ["temperature not measured"]
+    else:
+        drift = format_fixed(state.temperature_c - state.began_c, 1, sign=True)
+        lines = [f"{state.temperature_c:.1f} °C, {drift} K since begin"]
+    if silence_s >= SILENT_S and not state.quiet:
+        lines.append(f"NO NEWS for {format_duration(silence_s)}")
+    if state.rate_hz is not None:
+        lines += [f"{state.lost} scans lost, {state.rate_hz:.4g}/s", state.link]
+    url = state.url
+    return [*lines, url if len(url) <= width else f"{url[: max(0, width - 1)]}…"]
+
+
+def format_measured(name: str, value: float) -> tuple[str, str]:
+    """Name and value, as text, of a number with its unit at the end of the name, such as `gyro_deg`."""
+    stem, _, unit = name.rpartition("_")
+    if not stem or unit not in _UNITS:
+        return name.replace("_", " "), use_minus(f"{value:.4g}")
+    return stem.replace("_", " "), use_minus(f"{value:.4g}") + _UNITS[unit]
+
+
+def keys(state: BenchState) -> list[tuple[str, str]]:
+    """Keys that act now, with their meaning."""
+    asked = state.question if isinstance(state.question, events.PositionAsked) else None
+    answers = [] if asked is None else [("Enter", "take", True), ("t", "retake", asked.can_repeat)]
+    answers += [] if asked is None else [("s", "skip", True), ("u", "undo", asked.can_undo)]
+    shown = [(key, meaning) for key, meaning, works in answers if works]
+    pause = ("p", "go on" if state.paused else "pause")
+    return [*shown, pause, ("n", "note"), ("q", "quit"), ("?", "help")]
+
+
+def help_text(state: BenchState) -> str:
+    """Keys, signs and the origin of the angle."""
+    return HELP.replace(_BY_GRAVITY, _BY_GYROS) if state.on_table else HELP

@@ -1,0 +1,487 @@
+"""Result of a fit: parameters with names, units and covariance, and everything derived from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats, mean_direction, unsolvable, wrap_radians
+from adis_gonio.base.errors import FitError, SessionError, UsageError
+from adis_gonio.base.jsonable import json_object
+from adis_gonio.base.numbers import counted, format_uncertain
+from adis_gonio.base.tables import Entries, ParameterTable
+from adis_gonio.base.uncertainty import Value, factor_over
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.coefficients import Coefficient
+from adis_gonio.fitting.determination import LIMIT, Determination, is_determined, names_of
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.linked import LinkReport
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions
+from adis_gonio.fitting.slips import PositionFinding
+from adis_gonio.fitting.slips.position_diagnosis import listed
+from adis_gonio.fitting.uncertainty import BudgetRow, ShownAngle, Sources, budget_of
+from adis_gonio.model.effects import AXES
+from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
+from adis_gonio.model.records import MG_PER_MPS2
+from adis_gonio.record.provenance import Provenance
+from adis_gonio.record.write_journal import INTERRUPTED
+
+if TYPE_CHECKING:
+    from adis_gonio.fitting.method_comparison import MethodComparison
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter: value, standard uncertainty (None if the noise is unknown), unit, degrees of freedom.
+
+    `u` is the GUM's standard uncertainty, `dof` its effective degrees of freedom (inf if unlimited). The
+    expanded uncertainty for 95 % is `U` = `k`·`u` with Student's quantile k.
+    """
+
+    name: str
+    value: float
+    u: float | None
+    unit: str
+    dof: float = math.inf
+
+    @property
+    def stated(self) -> Value:
+        """Value without the name."""
+        return Value(self.value, self.u, self.unit, self.dof)
+
+    @property
+    def k(self) -> float | None:
+        """Coverage factor of 95 % at `dof`; None without an uncertainty."""
+        return self.stated.k
+
+    @property
+    def U(self) -> float | None:  # noqa: N802 (GUM)
+        """Expanded uncertainty, 95 %."""
+        return self.stated.U
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Inputs of a fit, for quantities that are derived from it.
+
+    Attributes
+    ----------
+    readings : Readings
+        Fitted readings, before `noise` was estimated.
+    fit : Fit
+        Model at the parameters of the method, on the readings with that noise.
+    outputs : tuple of Output
+        Parameters with their gradients, in the order of the result.
+    sources : Sources or None
+        None if the noise of a reading is unknown.
+    determination : Determination or None
+        Free and held parameters of `ml`; None for other methods.
+    """
+
+    readings: Readings
+    noise: NoiseAssumptions
+    fit: Fit
+    outputs: tuple[Output, ...]
+    sources: Sources | None
+    determination: Determination | None = None
+
+
+MISFIT = (
+    "The model does not describe this session: the residual is larger than the noise."
+    " Run adis-gonio trace to find the missing effect."
+)
+
+
+@dataclass(frozen=True)
+class FitResult(ParameterTable):
+    """Parameters of a session with covariance.
+
+    Attributes
+    ----------
+    method : str
+        One of `METHODS`.
+    parameters : tuple of Estimate
+        Parameters that the session determines; the others are named in `undetermined`.
+    covariance : (p, p) float or None
+        In the order and units of `parameters`; None if the noise is unknown.
+    chi2, dof : float, int
+        χ² of the residual, by the noise measured in the dwells and the stated fixture uncertainty.
+    residual_mg : (n, axes) or (n, 1) float
+        Reading minus model of each dwell used, in mg; in space the residual of the norm.
+    positions : tuple of int
+        Numbers of the dwells used.
+    angle_error_rad : (m,) float or None
+        Angle by the calibrated goniometer minus the declared angle.
+    undetermined : tuple of str
+        Parameters, or combinations, that the session cannot determine.
+    extra_mg : float
+        Standard deviation per reading and axis, beyond the measured noise, that explains the residual.
+    fixture_sigma_deg : float or None
+        Standard uncertainty of a declared angle in the fit; inf for free attitudes; None in space.
+    provenance : Provenance or None
+        Origin of the readings; None if no session was given.
+    overrides : mapping
+        Overrides of values in the session's file, old and new (`session.overrides`).
+    origin : Origin or None
+        Inputs of the fit; not part of the JSON document or of a comparison.
+    session : Readings or None
+        All readings of the session, on which methods are compared.
+    session_notes : tuple of str
+        Notes from the reader of the file and on wrong positions; they are the first `warnings` after
+        `doubts`.
+    position_findings : tuple of PositionFinding
+        Positions that differ from the declared angle (`adis_gonio.fitting.slips`).
+    links : LinkReport or None
+        Report on turns between poses in space; None without such turns.
+    """
+
+    method: str
+    parameters: tuple[Estimate, ...]
+    covariance: Floats | None
+    chi2: float
+    dof: int
+    residual_mg: Floats
+    positions: tuple[int, ...]
+    angle_error_rad: Floats | None = None
+    warnings: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
+    extra_mg: float = 0.0
+    fixture_sigma_deg: float | None = None
+    provenance: Provenance | None = field(default=None, compare=False)
+    overrides: dict[str, Any] = field(default_factory=dict)
+    origin: Origin | None = field(default=None, compare=False)
+    session: Readings | None = field(default=None, compare=False)
+    session_notes: tuple[str, ...] = ()
+    position_findings: tuple[PositionFinding, ...] = ()
+    links: LinkReport | None = None
+
+    def __getitem__(self, name: str) -> Estimate:
+        """Estimate by name; `KeyError` if the session does not determine it."""
+        for estimate in self.parameters:
+            if estimate.name == name:
+                return estimate
+        raise KeyError(name)
+
+    def __contains__(self, name: object) -> bool:
+        return any(estimate.name == name for estimate in self.parameters)
+
+    @property
+    def residual_rms_mg(self) -> float:
+        """Root mean square of the residuals in mg."""
+        return float(np.sqrt(np.mean(self.residual_mg**2)))
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentence for the head of a report if the model does not describe the session; else empty."""
+        return (MISFIT,) if self.extra_mg else ()
+
+    def __repr__(self) -> str:
+        lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
+            :2
+        ]
+        values = ", ".join(f"{one.name} {format_uncertain(one.value, one.u, one.unit)}" for one in lead)
+        return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
+
+    def calibration(self) -> Calibration:
+        """Calibration from readings to angles by these parameters.
+
+        Raises
+        ------
+        UsageError
+            The result was made from readings, not from a session.
+        FitError
+            The session does not determine a parameter that an angle needs.
+        """
+        return as_written(calibration_as_recorded(self))
+
+    @property
+    def reference_temperature_c(self) -> float | None:
+        """Mean temperature of the fitted dwells, at which the parameters are valid; None if unknown."""
+        if self.origin is None or self.origin.readings.conditions.temperature_c is None:
+            return None
+        return float(self.origin.readings.conditions.temperature_c.mean())
+
+    @cached_property
+    def comparison(self) -> MethodComparison | None:
+        """Scores of all methods on the readings of the session, and the recommended method."""
+        from adis_gonio.fitting.method_comparison import compare_methods
+
+        if self.session is None:
+            return None
+        try:
+            return self.session.once(compare_methods)
+        except np.linalg.LinAlgError as error:
+            source = "" if self.provenance is None else self.provenance.source
+            raise unsolvable(source or "session", error) from error
+
+    @cached_property
+    def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
+        """Uncertainty budget of `delta_k`, `delta_phi` and `angle`; empty in space or without a noise."""
+        made = self.origin
+        if made is None or made.sources is None or not made.readings.planar:
+            return {}
+        found = {
+            output.name: budget_of(made.sources, output.gradient[None])
+            for output in made.outputs
+            if output.name in ("delta_k", "delta_phi")
+        }
+        shown = self._around
+        if shown is None:
+            return found
+        return {**found, "angle": budget_of(made.sources, shown.gradient, shown.reading)}
+
+    @cached_property
+    def _around(self) -> ShownAngle | None:
+        """Slopes of the angle after calibration; None if the session leaves part of it undetermined."""
+        assert self.origin is not None
+        shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
+        sure = found is None or all(is_determined(slope, found.null) for slope in shown.gradient)
+        return shown if sure else None
+
+    @cached_property
+    def shown_angle(self) -> Value | None:
+        """Uncertainty of an angle after calibration, with a value of NaN; None in space.
+
+        It is the root mean square over a turn, for a reading with the length of the session's dwells. There
+        is no uncertainty if the session leaves a parameter that an angle needs undetermined.
+        """
+        made = self.origin
+        if made is None or not made.readings.planar:
+            return None
+        shown = self._around
+        if made.sources is None or shown is None:
+            return Value(math.nan, None, "deg")
+        u, dof = made.sources.uncertainty(shown.gradient, shown.reading)
+        variances = made.sources.by_place(shown.gradient, shown.reading)
+        return Value(math.nan, u, "deg", dof, factor_over(variances, dof))
+
+    @cached_property
+    def angle(self) -> Value | None:
+        """Error of the angle after calibration (rms, deg) with the uncertainty of `shown_angle`.
+
+        The value is the root mean square over the dwells of the session, each left out of the fit; NaN if
+        no angle is declared or no dwell can be left out.
+        """
+        score = None if self.comparison is None else self.comparison.scores.get(self.method)
+        if self.shown_angle is None or score is None or score.angle_rms_deg is None:
+            return self.shown_angle
+        return replace(self.shown_angle, value=score.angle_rms_deg)
+
+    def summary(self) -> str:
+        """The headline in a few lines of plain text, as the command `fit` shows it."""
+        from adis_gonio.fitting.answer import Answer
+
+        return Answer.of(self).text()
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def caption_and_parameters(self) -> tuple[str, Entries]:
+        """Method, and the parameters by name."""
+        return f"fit by method {self.method}", self.as_dict()["parameters"].items()
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON document of `fit`."""
+        names = [e.name for e in self.parameters] if self.covariance is not None else []
+        matrix = [] if self.covariance is None else self.covariance.tolist()
+        errors = None
+        if self.angle_error_rad is not None and self.angle_error_rad.size:
+            degrees = np.degrees(self.angle_error_rad)
+            errors = {"rms": np.sqrt(np.mean(degrees**2)), "max": np.abs(degrees).max()}
+        sigma = self.fixture_sigma_deg
+        comparison = self.comparison
+        return json_object(
+            method=self.method,
+            recommended=None if comparison is None else comparison.recommended,
+            parameters={estimate.name: estimate.stated for estimate in self.parameters},
+            angle=self.angle,
+            covariance={"names": names, "matrix": matrix},
+            budget=self.budget,
+            scores={} if comparison is None else comparison.scores,
+            chi2=self.chi2,
+            dof=self.dof,
+            residual_rms_mg=self.residual_rms_mg,
+            angle_error_deg=errors,
+            warnings=self.warnings,
+            undetermined=self.undetermined,
+            extra_reading_u_mg=self.extra_mg,
+            fixture_sigma_deg="free" if sigma is not None and math.isinf(sigma) else sigma,
+            reference_temperature_c=self.reference_temperature_c,
+            positions_used=len(self.positions),
+            overrides=self.overrides,
+            **listed(self.position_findings),
+            **{} if self.links is None else {"links": self.links},
+        )
+
+
+@dataclass(frozen=True)
+class Output:
+    """A reported quantity: value and gradient (p,) by the parameters in natural units."""
+
+    name: str
+    value: float
+    unit: str
+    gradient: Floats
+
+
+def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
+    """All reported quantities, from base parameters and biases (p,) in mg.
+
+    In the plane delta_k and delta_phi come first. For readings in counts, gains and biases are in counts.
+    """
+    names = names_of(data)
+    eye = np.eye(len(names))
+    at = {name: k for k, name in enumerate(names)}
+    axes = AXES[: data.axes]
+    outputs = []
+    for base in data.model.parameters:
+        k = at[base.name]
+        factor, unit = base.per_natural, base.unit
+        if base.name.startswith("scale") and not data.unit.known:
+            factor, unit = float(data.unit.per_mg[AXES.index(base.name[-1])]) * MG_PER_MPS2, "counts/(m/s²)"
+        value = float(parameters[k]) * factor if unit != "deg" else base.stated(float(parameters[k]))
+        outputs.append(Output(base.name, value, unit, eye[k] * factor))
+    for axis, letter in enumerate(axes):
+        k = at[f"bias_{letter}"]
+        factor = float(data.unit.per_mg[axis])
+        value = float(data.unit.zero[axis]) + float(parameters[k]) * factor
+        outputs.append(Output(names[k], value, data.unit.name, eye[k] * factor * data.gravity_mg))
+    if data.planar:
+        x, y = at["scale_x"], at["scale_y"]
+        ratio = float(data.unit.per_mg[0] / data.unit.per_mg[1])
+        k_x, k_y = float(parameters[x]), float(parameters[y])
+        outputs.append(
+            Output("delta_k", ratio * k_x / k_y - 1, "1", ratio * (eye[x] / k_y - eye[y] * k_x / k_y**2))
+        )
+    return tuple(sorted(outputs, key=lambda output: _RANK.get(output.name, len(_RANK))))
+
+
+def stage_warnings(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
+    """Warning if only the stage determines the angle between the axes, and its uncertainty is large."""
+    u_deg = next((one.u for one in found if one.name == "delta_phi"), None)
+    if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:
+        return []
+    return [
+        f"u of delta_phi is {u_deg:.2g}°: only the stage determines it in these positions "
+        f"({math.degrees(sigma_rad):.3g}°), and the uncertainties of gains and biases, "
+        "which are linear in it, are rough; five or more positions all around the turn need no stage for it"
+    ]
+
+
+_FIRST: Sequence[str] = ("delta_k", "delta_phi", "alpha", "scale_x", "scale_y", "scale_z")
+_RANK = {name: rank for rank, name in enumerate(_FIRST)}
+
+
+def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
+    """Covariance (m, m) of outputs from the covariance (p, p) of the parameters in natural units."""
+    gradients = np.stack([output.gradient for output in outputs])
+    return np.asarray(gradients @ natural @ gradients.T)
+
+
+def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estimate, ...]:
+    """Outputs with their uncertainty, which is None without sources."""
+    found = []
+    for output in outputs:
+        u, dof = (None, math.inf) if sources is None else sources.uncertainty(output.gradient[None])
+        found.append(Estimate(output.name, output.value, u, output.unit, dof))
+    return tuple(found)
+
+
+def angle_errors(fit: Fit) -> Floats | None:
+    """Angle by the calibrated goniometer minus declared angle (m,) in rad; None without declared angles.
+
+    With free attitudes α is unknown, and the mean difference is used instead.
+    """
+    data = fit.data
+    declared = np.isfinite(data.angle_rad)
+    if not isinstance(data.model, PlanarTurn) or not declared.any():
+        return None
+    gravity = fit.gravity[declared]
+    shown = np.arctan2(gravity[:, 1], gravity[:, 0]) + data.angle_rad[declared]
+    zero = mean_direction(shown) if data.free else float(fit.values.base[0])
+    # Positive for a stage at a larger angle than declared: ψ = α − θ.
+    return -wrap_radians(shown - zero)
+
+
+def calibration_as_recorded(result: FitResult) -> Calibration:
+    """Return the calibration by a fit, for the offsets in force while its session was recorded.
+
+    Use only this calibration for the session's own readings: a later write changes the sensor and the
+    coefficients, but not the recorded readings.
+
+    Raises
+    ------
+    UsageError
+        The result was not made from a session (`fit_readings`).
+    FitError
+        The session does not determine a parameter that an angle needs.
+    """
+    where = known_provenance(result.provenance)
+    gravity_mg = where.gravity_mps2 * MG_PER_MPS2
+    model = PlanarTurn(gravity_mg) if where.plane == "xy" else FreeAttitude(gravity_mg)
+    estimates = {one.name: one for one in result.parameters}
+    if where.plane == "xy" and "scale_x" not in estimates and "delta_k" in estimates:
+        # Only the ratio of the gains is known, which is enough for an angle: the gain of Y is set to 1.
+        ratio = estimates["delta_k"]
+        estimates["scale_x"] = Estimate("scale_x", 1 + ratio.value, ratio.u, "1")
+    names = [name for name in _names(model) if name in estimates]
+    given = [one.name for one in result.parameters]
+    rows = [given.index("delta_k" if name not in given else name) for name in names]
+    matrix = None if result.covariance is None else result.covariance[np.ix_(rows, rows)]
+    parameters = tuple(Coefficient.of(name, estimates[name]) for name in names)
+    assumed = assumed_parameters(model, names)
+    scales = [estimates[f"scale_{axis}"].value for axis in AXES[: model.axes]] if where.counts else []
+    counts = tuple(scale / MG_PER_MPS2 for scale in scales) or None
+    return Calibration(result.method, where, parameters, matrix, assumed=assumed, counts_per_mg=counts)
+
+
+def as_written(calibration: Calibration) -> Calibration:
+    """Return the calibration for the offsets that the sensor holds now.
+
+    Raises
+    ------
+    SessionError
+        A write of offsets was interrupted.
+    """
+    where = calibration.provenance
+    if where.write_open:
+        raise SessionError(f"{where.source}: {INTERRUPTED}")
+    return calibration if where.written_lsb is None else calibration.with_offsets(where.written_lsb)
+
+
+def known_provenance(where: Provenance | None) -> Provenance:
+    """Return the provenance of a result that was made from a session.
+
+    Raises
+    ------
+    UsageError
+        The result was made from readings.
+    """
+    if where is None:
+        raise UsageError("this result was made from readings: fit or trace a session to get a calibration")
+    return where
+
+
+def _names(model: Measurement) -> list[str]:
+    return [*model.names, *(f"bias_{axis}" for axis in AXES[: model.axes])]
+
+
+def assumed_parameters(model: Measurement, names: Sequence[str]) -> tuple[str, ...]:
+    """Parameters that keep their nominal values.
+
+    Raises
+    ------
+    FitError
+        One of them is needed for an angle.
+    """
+    missing = [name for name in _names(model) if name not in names]
+    needed = [name for name in missing if not name.startswith(("bias", "alpha", "scale_y"))]
+    if needed:
+        raise FitError(f"the session does not determine {', '.join(needed)}: it gives no calibration")
+    return tuple(missing)

@@ -1,0 +1,146 @@
+"""Method `ml`: maximum likelihood of the base model and a bias, in the plane and in space."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from adis_gonio.base.errors import SingularError
+from adis_gonio.base.numbers import counted, use_minus, with_unit
+from adis_gonio.fitting.determination import (
+    Determination,
+    covariance,
+    format_directions,
+    is_determined,
+    natural_units,
+    shift_by_held,
+)
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.fit_result import (
+    FitResult,
+    Origin,
+    Output,
+    angle_errors,
+    estimates,
+    outputs_of,
+    stage_warnings,
+    variances,
+)
+from adis_gonio.fitting.noise_estimation import Settled, settle
+from adis_gonio.fitting.uncertainty import Sources, Unseen, by_rotation_of, response_of, sources_of
+
+if TYPE_CHECKING:
+    pass
+
+
+def fit_ml(readings: Readings) -> FitResult:
+    """Maximum likelihood of the base model and a bias.
+
+    Raises
+    ------
+    SingularError
+        The session determines neither delta_k nor delta_phi, or in space none of the parameters.
+    """
+    settled = settle(readings)
+    determination, noise = settled.determination, settled.noise
+    fit = determination.fit
+    names, null = determination.names, determination.null
+    held = [names[k] for k in determination.held]
+    unseen = ["alpha"] if readings.planar and not fit.data.visible[0] else []
+    outputs = [o for o in outputs_of(fit.data, fit.values.parameters) if o.name not in (*held, *unseen)]
+    reported = [o for o in outputs if is_determined(o.gradient, null)]
+    lost = [o.name for o in outputs if not is_determined(o.gradient, null)]
+    wanted = ("delta_k", "delta_phi") if readings.planar else names
+    if not any(o.name in wanted for o in reported):
+        directions = "; ".join(format_directions(null, names))
+        raise SingularError(
+            f"{counted(len(readings), 'position')} cannot determine {' or '.join(wanted[:2])}: without "
+            f"information is {directions}; {_advice(lost)}"
+        )
+    warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
+    sources = _sources(readings, settled)
+    found = estimates(reported, sources)
+    warnings += stage_warnings(found, noise.sigma_rad)
+    norm = np.linalg.norm(fit.gravity, axis=1)[:, None] - 1
+    return FitResult(
+        method="ml",
+        parameters=found,
+        covariance=None if sources is None else variances(reported, sources.covariance),
+        chi2=settled.chi2,
+        dof=settled.dof,
+        residual_mg=fit.misfit if readings.planar else norm * readings.gravity_mg,
+        positions=tuple(readings.position.tolist()),
+        angle_error_rad=angle_errors(fit),
+        warnings=tuple(warnings),
+        undetermined=(*unseen, *held, *lost),
+        extra_mg=noise.extra_mg,
+        fixture_sigma_deg=math.degrees(noise.sigma_rad) if readings.planar else None,
+        origin=Origin(readings, noise, fit, tuple(reported), sources, determination),
+    )
+
+
+def _sources(readings: Readings, settled: Settled) -> Sources | None:
+    """Sources of the uncertainty; None if the noise of a reading is unknown."""
+    if not settled.noise.known:
+        return None
+    found = settled.determination
+    inverse = covariance(found.fisher, found.free, found.null)
+    natural = natural_units(found.fit.data)
+    response = response_of(found.fit, inverse, natural)
+    first = len(found.fit.data.model.parameters)
+    rotation = by_rotation_of(found.fit, inverse, natural)
+    unseen = Unseen(
+        tuple(k - first for k in found.held if k >= first), tuple(k for k in found.held if k < first)
+    )
+    return sources_of(readings, settled.noise, found.fit, response, unseen, rotation)
+
+
+def _warnings(
+    determination: Determination, held: list[str], lost: list[str], reported: list[Output]
+) -> list[str]:
+    warnings = []
+    names = determination.names
+    for name, k in zip(held, determination.held, strict=True):
+        shift = shift_by_held(determination, k)
+        # Effect of 1 mg of bias, or of a tenth of a degree of skew.
+        one = 1 / determination.fit.data.gravity_mg if name.startswith("bias") else math.radians(0.1)
+        moves = [
+            f"{o.name} by {with_unit(use_minus(f'{float(o.gradient @ shift) * one:+.2g}'), o.unit)}"
+            for o in reported
+            if o.name in ("delta_k", "delta_phi") or o.name.startswith("bias")
+        ]
+        step = "1 mg" if name.startswith("bias") else "0.1°"
+        moved = f": {step} of it moves {', '.join(moves)}" if moves else ""
+        warnings.append(
+            f"{name} cannot be seen in these positions and was taken as zero{moved}; {_advice([name])}"
+        )
+    if determination.null.shape[1]:
+        for direction in format_directions(determination.null, names):
+            warnings.append(f"not determined by these positions: {direction}")
+        warnings.append(f"left out because not determined: {', '.join(lost)}; {_advice(lost)}")
+    return warnings
+
+
+def _advice(names: list[str]) -> str:
+    if any(name.startswith("skew") for name in names) and not any(n.startswith("scale") for n in names):
+        return "measure positions that share gravity between the two axes"
+    axes = sorted({name[-1] for name in names if name.startswith(("bias", "scale"))})
+    if any(name.endswith("_z") for name in names):
+        return f"measure positions with axis {', '.join(axes) or 'z'} up and down"
+    if any(name.startswith("bias") for name in names) and not any(n.startswith("scale") for n in names):
+        return "measure the opposite positions too (180° and 270°)"
+    return "measure positions all around the turn (0°, 90°, 180°, 270°)"
+
+
+def refit_ml(readings: Readings, made: Origin) -> Fit:
+    """Model of an `ml` fit on other readings of the same dwells, or of some of them, from its values."""
+    assert made.determination is not None
+    row = {position: k for k, position in enumerate(made.fit.data.position.tolist())}
+    attitude = made.fit.values.attitude[[row[position] for position in readings.position.tolist()]]
+    start = replace(made.fit, values=replace(made.fit.values, attitude=attitude))
+    readings = replace(readings, fitted=made.fit.data.fitted)
+    return replace(made.determination, fit=start).refitted(readings)

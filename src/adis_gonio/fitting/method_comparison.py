@@ -1,0 +1,335 @@
+"""Comparison of the methods on all dwells of a session, and the recommended method.
+
+Each method predicts every dwell without having seen it: dwells that were fitted are left out of a new fit.
+A method that saw two readings of twenty-four has small residuals at those two; here it has to predict all
+of them. If a closed form needs a dwell that is left out, it runs at the next quarter of the turn: 90° and
+180° instead of 0° and 90° are the same method with another start angle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats, mean_direction, wrap_radians
+from adis_gonio.base.errors import FitError
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.numbers import counted
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.fit_result import FitResult
+from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_method, fit_of
+
+BEYOND = 3.0
+"""Standard errors of the paired difference of squared errors above which one method predicts better."""
+ALIKE = 0.01
+"""Relative difference below which two uncertainties count as equal."""
+
+
+@dataclass(frozen=True)
+class Recommendation(JsonRecord):
+    """The recommended method, and the reason in one sentence.
+
+    The JSON document is the value of `recommended`.
+    """
+
+    document_keys = ("method", "effects", "why")
+
+    method: str
+    why: str
+    effects: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class MethodComparison:
+    """All methods of a session, compared.
+
+    Attributes
+    ----------
+    results : tuple of FitResult
+        In the order of `METHODS`.
+    failures : mapping of str to str
+        Reasons why other methods give no result.
+    predictions : mapping of str to DwellPrediction
+        Prediction of every dwell by each method without this dwell in the fit.
+    scores : mapping of str to Score
+    recommended : Recommendation
+    """
+
+    results: tuple[FitResult, ...]
+    failures: dict[str, str]
+    predictions: dict[str, DwellPrediction]
+    scores: dict[str, Score]
+    recommended: Recommendation
+
+    @property
+    def best(self) -> FitResult:
+        """Result of the recommended method."""
+        return next(result for result in self.results if result.method == self.recommended.method)
+
+
+def compare_methods(session: Readings) -> MethodComparison:
+    """Fit, score and compare all methods that a session supports.
+
+    Raises
+    ------
+    FitError
+        If no method gives a result.
+    """
+    training = session.training
+    results: list[FitResult] = []
+    failures: dict[str, str] = {}
+    for method in applicable_to(training):
+        try:
+            results.append(fit_of(session, method))
+        except FitError as error:
+            failures[method] = str(error)
+    if not results:
+        results.append(fit_of(session))
+    found = predictions(session, results)
+    scores = scores_of(found)
+    return MethodComparison(
+        tuple(results), failures, found, scores, recommend(results, found, scores, default_method(training))
+    )
+
+
+def recommend(
+    results: Sequence[FitResult],
+    found: Mapping[str, DwellPrediction],
+    scores: Mapping[str, Score],
+    preferred: str,
+) -> Recommendation:
+    """Choose a method.
+
+    1. If a method determines the biases, methods that take them as zero are excluded. `paper` is excluded
+    if
+       another method remains, because its u leaves out the error of its equation 5.
+    2. Of the remaining methods, keep those that predict the session's dwells as well as the best one.
+    3. Of these, take the one with the smallest uncertainty of ΔK and Δφ; among equals `preferred`.
+    """
+    sighted = [result for result in results if "bias_x" in result]
+    able = sighted or list(results)
+    able = [result for result in able if result.method != "paper"] or able
+    scored = bool(scores) and all(scores[result.method].dwells for result in able)
+    good = able
+    if scored:
+        first = min(able, key=lambda r: _rms(scores[r.method]))
+        good = [r for r in able if not predicts_worse(found[r.method], found[first.method])]
+    least = min(_doubt(result) for result in good)
+    equal = [result for result in good if _doubt(result) <= least * (1 + ALIKE)]
+    names = [result.method for result in equal]
+    chosen = preferred if preferred in names else names[-1]
+    result = next(result for result in equal if result.method == chosen)
+    return Recommendation(chosen, _why(result, results, good, scores, scored))
+
+
+def _squares(prediction: DwellPrediction) -> Floats:
+    """Squared error of each dwell: of the angle if angles are declared, otherwise of the readings."""
+    if np.isfinite(prediction.angle_rad).any():
+        return np.asarray(prediction.angle_rad**2)
+    return np.asarray((prediction.residual_mg**2).mean(axis=1))
+
+
+def _rms(score: Score) -> float:
+    return float(score.residual_rms_mg or 0.0) if score.angle_rms_deg is None else score.angle_rms_deg
+
+
+def predicts_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
+    """True if the squared errors of `one` are larger by more than `BEYOND` standard errors."""
+    base = _squares(best)
+    # Paired differences: both methods predict the same dwells.
+    difference = _squares(one) - base
+    difference = difference[np.isfinite(difference)]
+    if len(difference) < 3:
+        return False
+    scatter = float(difference.std(ddof=1)) / math.sqrt(len(difference))
+    mean = float(difference.mean())
+    return mean > BEYOND * scatter and mean > 1e-3 * float(np.nanmean(base))
+
+
+def _doubt(result: FitResult) -> float:
+    """Geometric mean of the uncertainties of the wanted parameters; inf if one is unknown."""
+    wanted = ("delta_k", "delta_phi") if "delta_k" in result or "delta_phi" in result else ()
+    us = [e.u for e in result.parameters if not wanted or e.name in wanted]
+    if any(u is None or not math.isfinite(u) for u in us):
+        return math.inf
+    return math.exp(sum(math.log(max(u or 0.0, 1e-300)) for u in us) / max(len(us), 1))
+
+
+def _why(
+    result: FitResult,
+    results: Sequence[FitResult],
+    good: Sequence[FitResult],
+    scores: Mapping[str, Score],
+    scored: bool,
+) -> str:
+    if len(results) == 1:
+        return "the only method that this session supports"
+    reasons = []
+    if "bias_x" in result and any("bias_x" not in other for other in results):
+        reasons.append("it determines the biases")
+    elif "bias_x" not in result:
+        reasons.append("no method sees the biases in these positions, which are taken as zero")
+    if scored:
+        own = scores[result.method]
+        error = (
+            f"{own.angle_rms_deg:.2g}° rms"
+            if own.angle_rms_deg is not None
+            else f"{own.residual_rms_mg:.2g} mg rms"
+        )
+        how = "as well as any" if len(good) > 1 else "best"
+        reasons.append(
+            f"it predicts the {counted(own.dwells, 'dwell')} {how}, each left out of its fit ({error})"
+        )
+    else:
+        reasons.append("no dwell can be left out to compare the methods by")
+    if len(good) > 1 and _doubt(result) < math.inf:
+        reasons.append("no other is surer of ΔK and Δφ")
+    return "; ".join(reasons)
+
+
+MOST_FOLDS = 40
+"""Largest number of folds: up to so many dwells are left out one by one, more dwells in groups."""
+
+
+@dataclass(frozen=True)
+class DwellPrediction:
+    """Prediction of dwells: errors of the angle (n,) in rad, residuals (n, r) in mg; NaN if unknown."""
+
+    angle_rad: Floats
+    residual_mg: Floats
+
+
+@dataclass(frozen=True)
+class Score(JsonRecord):
+    """Errors of a method on the dwells on which all methods are compared.
+
+    The JSON document is one entry of `scores`.
+
+    Attributes
+    ----------
+    angle_rms_deg, angle_max_deg : float or None
+        Angle computed by the calibrated goniometer minus declared angle; None without declared angles.
+    residual_rms_mg, residual_max_mg : float or None
+        Reading minus model at the attitude that fits the dwell best within the tolerance of the fixture; in
+        space the residual of the norm.
+    dwells : int
+        Number of these dwells; if it is 0, the other figures are None.
+    """
+
+    angle_rms_deg: float | None
+    angle_max_deg: float | None
+    residual_rms_mg: float | None
+    residual_max_mg: float | None
+    dwells: int
+
+
+def predictions(session: Readings, results: Sequence[FitResult]) -> dict[str, DwellPrediction]:
+    """Prediction of every dwell of a session by each method, without this dwell in the fit."""
+    return {result.method: _of_method(session, result) for result in results}
+
+
+def scores_of(found: Mapping[str, DwellPrediction]) -> dict[str, Score]:
+    """Scores of the models on the dwells that all of them predict."""
+    if not found:
+        return {}
+    # Compare all methods on the dwells that each of them can predict.
+    common = np.all([np.isfinite(p.residual_mg).all(axis=1) for p in found.values()], axis=0)
+    return {name: _score(prediction, common) for name, prediction in found.items()}
+
+
+def _score(prediction: DwellPrediction, rows: NDArray[np.bool_]) -> Score:
+    count = int(rows.sum())
+    if not count:
+        return Score(None, None, None, None, 0)
+    residual = prediction.residual_mg[rows]
+    angle = np.degrees(prediction.angle_rad[rows])
+    angle = angle[np.isfinite(angle)]
+    return Score(
+        float(np.sqrt((angle**2).mean())) if angle.size else None,
+        float(np.abs(angle).max()) if angle.size else None,
+        float(np.sqrt((residual**2).mean())),
+        float(np.abs(residual).max()),
+        count,
+    )
+
+
+def _of_method(session: Readings, result: FitResult) -> DwellPrediction:
+    made = result.origin
+    assert made is not None
+    used = np.isin(session.position, result.positions) & ~session.check
+
+    def again(left_out: NDArray[np.bool_]) -> Fit:
+        rest = session.rows(~session.check & ~left_out)
+        fit = METHOD_TABLE[result.method].refit(made.noise.applied(rest), made)
+        if made.determination is not None and not made.determination.determined_by(fit):
+            raise FitError("the other dwells do not determine the parameters")
+        return fit
+
+    return predicted(made.noise.applied(session), used, made.fit, again)
+
+
+def predicted(
+    data: Readings,
+    used: NDArray[np.bool_],
+    fit: Fit,
+    again: Callable[[NDArray[np.bool_]], Fit],
+) -> DwellPrediction:
+    """Predictions of unused dwells by `fit`, and of the used ones by refits without them.
+
+    Parameters
+    ----------
+    data : Readings
+        All dwells of the session, with the estimated noise.
+    again : callable
+        Fit without the rows (n,) bool; its `FitError` gives NaN for these rows.
+    """
+    n = len(data)
+    columns = 2 if data.planar else 1
+    angle, residual = np.full(n, np.nan), np.full((n, columns), np.nan)
+    for left_out in _folds(used):
+        if used[left_out].any():
+            try:
+                model = again(np.isin(np.arange(n), left_out))
+            except FitError:
+                continue
+        else:
+            model = fit
+        angle[left_out], residual[left_out] = errors_of(model, data.rows(left_out))
+    return DwellPrediction(angle, residual)
+
+
+def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
+    """Errors of the angle (n,) in rad and residuals (n, r) in mg of dwells that were not fitted."""
+    there = model.on(replace(rows, fitted=model.data.fitted))
+    if not rows.planar:
+        # In space only the length of gravity is known for each dwell.
+        norm = np.linalg.norm(there.gravity, axis=1, keepdims=True) - 1
+        return np.full(len(rows), np.nan), norm * rows.gravity_mg
+    shown = _shown(there)
+    zero = float(model.values.base[0])
+    if not model.data.visible[0]:
+        own = _shown(model)
+        own = own[np.isfinite(own)]
+        zero = mean_direction(own) if own.size else math.nan
+    return -wrap_radians(shown - zero), there.misfit
+
+
+def _shown(fit: Fit) -> Floats:
+    """Start angle (n,) in rad by each reading alone; NaN without a declared angle."""
+    shown = np.arctan2(fit.gravity[:, 1], fit.gravity[:, 0]) - fit.turn_rad
+    return np.where(np.isfinite(fit.data.angle_rad), shown, np.nan)
+
+
+def _folds(used: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
+    """Groups of dwells that are left out together; unused dwells are one group."""
+    inside, outside = np.flatnonzero(used), np.flatnonzero(~used)
+    if len(outside):
+        yield outside
+    folds = min(MOST_FOLDS, len(inside))
+    for first in range(folds):
+        yield inside[first::folds]

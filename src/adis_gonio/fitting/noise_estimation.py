@@ -1,0 +1,303 @@
+"""Noise of readings and declared angles that is not stated and has to be estimated from the session.
+
+* A reading without a stated uncertainty: one common standard deviation, such that χ² equals its degrees of
+  freedom. If the noise of other readings is known, these are fitted first, by themselves, and they test the
+  model. The unknown noise is then chosen so that the remaining readings scatter about the prediction of
+  that fit as expected. It is never smaller than the noise of the known readings, so that a reading that
+  agrees by chance cannot dominate the fit.
+* A fixture without a stated uncertainty: the σ_f of greatest restricted likelihood, if there is redundancy.
+* A residual that the noise within the dwells does not explain (χ² above its 99.9 % quantile): the model
+lacks
+  an effect. An extra standard deviation is added to every reading, again such that χ² equals its degrees of
+  freedom (Mandel and Paule 1970). It keeps the intervals valid and limits the weight of the quietest dwell.
+  The reported χ² is computed with the measured noise, so that the misfit remains visible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from adis_gonio.base.errors import FitError
+from adis_gonio.base.numbers import counted
+from adis_gonio.fitting.determination import Determination, determine, information
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+
+_EXCESS = 1e-3
+_LEAST_SCALE = 1e-5
+"""Residual in mg below which averaged readings show only rounding errors."""
+_LARGEST_SCALE = 1e4
+_LARGEST_SIGMA_RAD = 0.2
+
+
+@dataclass(frozen=True)
+class NoiseAssumptions:
+    """Assumed noise of readings and angles.
+
+    Attributes
+    ----------
+    scale : float
+        Factor on the placeholder (1 mg) of readings without a stated uncertainty.
+    extra_mg : float
+        Standard deviation added to every reading.
+    sigma_rad : float
+        Standard uncertainty of a declared angle; inf for free attitudes.
+    dof, sigma_dof, scale_dof : float
+        Degrees of freedom of `extra_mg`, `sigma_rad` and `scale`; inf if not estimated.
+    known : bool
+        False if the noise of a reading is neither stated nor estimable.
+    notes : tuple of str
+        Remarks for the result.
+    """
+
+    scale: float = 1.0
+    extra_mg: float = 0.0
+    sigma_rad: float = math.inf
+    dof: float = math.inf
+    sigma_dof: float = math.inf
+    scale_dof: float = math.inf
+    known: bool = True
+    notes: tuple[str, ...] = ()
+
+    def applied(self, readings: Readings) -> Readings:
+        """Readings with the assumed noise."""
+        # Readings without a stated noise have a placeholder of 1 mg, scaled here.
+        factor = np.where(readings.known, 1.0, self.scale**2)[:, None, None]
+        covariance = readings.own_covariance * factor + self.extra_mg**2 * np.eye(readings.axes)
+        return replace(readings, own_covariance=covariance, fixture_rad=self.sigma_rad)
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A fit with its estimated noise.
+
+    `chi2` and `dof` are computed with the measured noise: from the readings with a known noise, if there
+    are enough of them to test the model.
+    """
+
+    determination: Determination
+    noise: NoiseAssumptions
+    chi2: float
+    dof: int
+
+
+def settle(readings: Readings) -> Settled:
+    """Fit base model and bias, and estimate the noise that the session does not state."""
+    if readings.known.any() and not readings.noise_known:
+        first = _settle_known(readings)
+        return _without_noise(readings) if first is None else _settle_unknown(readings, first)
+    open_sigma = not readings.fixture_stated and readings.planar and not readings.free
+    noise = NoiseAssumptions(sigma_rad=readings.fixture_rad)
+    determination = determine(readings)
+    dof = determination.dof
+    follow = _Follow(readings, determination)
+
+    if not readings.noise_known:
+        noise = _unknown_readings(follow, noise, dof, open_sigma)
+        determination = follow.determination(noise)
+        return Settled(determination, noise, determination.fit.chi2, dof)
+    if open_sigma:
+        noise = _unknown_fixture(follow, noise, dof)
+        determination = follow.determination(noise)
+    chi2 = determination.fit.chi2
+    if dof > 0 and chi2 > chi2_quantile(dof, _EXCESS):
+        low, high = 1e-7 * readings.gravity_mg, readings.gravity_mg
+        # Solve χ²(extra) = dof for the additional standard deviation.
+        extra = _equal_to_dof(lambda s: follow(replace(noise, extra_mg=s)).chi2, dof, low, high)
+        ratio = math.sqrt(chi2 / dof)
+        note = (
+            f"the residual is {ratio:.3g} times what the noise within the dwells explains (chi2 "
+            f"{chi2:.4g}, dof {dof}): the model does not describe this session; each u includes "
+            f"{extra:.3g} mg of scatter on every reading and the catalogue's effects that the data allow"
+        )
+        noise = replace(noise, extra_mg=extra, dof=float(dof), notes=(*noise.notes, note))
+        determination = follow.determination(noise)
+    return Settled(determination, noise, chi2, dof)
+
+
+def _settle_known(readings: Readings) -> Settled | None:
+    """Settle the readings of known noise by themselves; None if they cannot test the model."""
+    try:
+        first = settle(replace(readings.rows(readings.known), fitted=readings.visible))
+    except (FitError, np.linalg.LinAlgError):
+        return None
+    return first if first.dof > 0 else None
+
+
+def _without_noise(readings: Readings) -> Settled:
+    """Fit base model and bias, and give no uncertainty."""
+    determination = determine(readings)
+    note = (
+        "the readings with a known noise cannot be fitted by themselves: no uncertainty can be given; "
+        "state reading_u_mg, or keep the samples of each dwell"
+    )
+    noise = NoiseAssumptions(sigma_rad=readings.fixture_rad, known=False, notes=(note,))
+    return Settled(determination, noise, determination.fit.chi2, determination.dof)
+
+
+def _settle_unknown(readings: Readings, first: Settled) -> Settled:
+    """Estimate the noise of readings without a stated noise from their scatter about the fit of the others.
+
+    χ² of all readings less χ² of the known ones is (y − ŷ)ᵀ(S + P)⁻¹(y − ŷ) with the noise S of the others
+    and the covariance P of their prediction ŷ. Its mean is the number of equations that they add.
+    """
+    determination = determine(first.noise.applied(readings))
+    added = determination.dof - first.dof
+    # A reading of unknown noise is at best as good as the readings with a known noise.
+    own = np.einsum("naa->na", readings.own_covariance[readings.known])
+    least = scale = max(math.sqrt(float(own.mean())), _LEAST_SCALE)
+    if added > 0:
+        follow, tested = _Follow(readings, determination), first.determination.fit.chi2
+        scale = _equal_to_dof(
+            lambda s: follow(replace(first.noise, scale=s)).chi2 - tested, added, least, _LARGEST_SCALE
+        )
+    given = (
+        f"estimated from the residual ({counted(added, 'degree')} of freedom)"
+        if scale > least
+        else "the noise of the other readings, since the residual shows no more"
+    )
+    note = (
+        f"{_unstated(readings)} were given {scale:.3g} mg, {given}; chi2 and dof are computed from the "
+        f"other {counted(len(own), 'reading')}"
+    )
+    noise = replace(
+        first.noise, scale=scale, scale_dof=float(max(added, 1)), notes=(*first.noise.notes, note)
+    )
+    return Settled(determine(noise.applied(readings)), noise, first.chi2, first.dof)
+
+
+def state_noise(readings: Readings) -> Readings:
+    """Return readings with an estimated noise for readings without one, if the noise of others is known.
+
+    `settle` estimates the noise from the dwells that may be fitted. If no reading states its noise, or too
+    few for a test of the model, the readings are returned unchanged.
+    """
+    training = readings.training
+    if training.noise_known or not training.known.any():
+        return readings
+    noise = settle(training).noise
+    if not noise.known:
+        return readings
+    # The scatter of a model that lacks an effect hides a smaller noise.
+    scale = math.hypot(noise.scale, noise.extra_mg)
+    own = NoiseAssumptions(scale=scale, sigma_rad=readings.fixture_rad)
+    return replace(
+        own.applied(readings),
+        known=np.ones(len(readings), dtype=bool),
+        dof=np.where(readings.known, readings.dof, noise.scale_dof),
+        notes=(*readings.notes, f"{_unstated(readings)} were given {scale:.3g} mg by the base model"),
+    )
+
+
+def _unstated(readings: Readings) -> str:
+    count = int((~readings.known).sum())
+    return f"{counted(count, 'reading')} of one sample without a stated noise (reading_u_mg)"
+
+
+class _Follow:
+    """Refits that start from the last values and hold the same parameters."""
+
+    def __init__(self, readings: Readings, first: Determination) -> None:
+        self.readings = readings
+        self.first = first
+        self.last = first
+
+    def __call__(self, noise: NoiseAssumptions) -> Fit:
+        fit = self.last.refitted(noise.applied(self.readings))
+        self.last = replace(self.last, fit=fit)
+        return fit
+
+    def determination(self, noise: NoiseAssumptions) -> Determination:
+        """Fit with `noise`, and find the determined parameters again."""
+        return determine(noise.applied(self.readings), self.first.held)
+
+
+def _unknown_readings(
+    follow: _Follow, noise: NoiseAssumptions, dof: int, open_sigma: bool
+) -> NoiseAssumptions:
+    notes = ["fixture_sigma_deg is not stated: declared angles were taken as exact"] if open_sigma else []
+    if dof <= 0:
+        notes.append(
+            "the noise of a reading is unknown and there are too few positions to estimate it: no "
+            "uncertainty can be given; state reading_u_mg, keep the samples of each dwell, or measure "
+            "more positions"
+        )
+        return replace(noise, known=False, notes=tuple(notes))
+    scale = _equal_to_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, _LEAST_SCALE, _LARGEST_SCALE)
+    if scale <= _LEAST_SCALE:
+        notes.append(
+            "the noise of a reading is unknown and the model fits all readings exactly: no "
+            "uncertainty can be given; state reading_u_mg, or keep the samples of each dwell"
+        )
+        return replace(noise, known=False, notes=tuple(notes))
+    notes.append(
+        f"reading_u_mg is not stated: all readings were given {scale:.3g} mg, estimated from the residual "
+        f"({dof} degrees of freedom); chi2 says nothing about the model then"
+    )
+    return replace(noise, scale=scale, scale_dof=float(dof), notes=tuple(notes))
+
+
+def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> NoiseAssumptions:
+    """Restricted maximum likelihood for σ_f."""
+    if dof < 2:
+        note = (
+            "fixture_sigma_deg is not stated and too few positions show it: declared angles were taken as "
+            "exact, uncertainties leave the fixture out"
+        )
+        return replace(noise, notes=(note,))
+    from scipy.optimize import minimize_scalar
+
+    def deviance(log_sigma: float) -> float:
+        sigma = math.exp(log_sigma)
+        fit = follow(replace(noise, sigma_rad=sigma))
+        free = follow.first.free
+        # Whitened tangent: σ² times its square is the variance of a dwell from its angle.
+        along = fit.data.root @ fit.tangent
+        carried = np.where(np.isfinite(fit.data.fixture), (along**2).sum(axis=(1, 2)), 0.0)
+        # Log determinants of the covariance and of the information: restricted likelihood.
+        spread = np.log1p(sigma**2 * carried).sum()
+        return fit.chi2 + float(spread + np.linalg.slogdet(information(fit)[np.ix_(free, free)])[1])
+
+    low, high = math.log(1e-6), math.log(_LARGEST_SIGMA_RAD)
+    found = minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 0.02})
+    # No clear gain over an exact fixture.
+    if float(found.fun) > deviance(low) - 0.1:
+        return replace(
+            noise,
+            notes=(
+                "fixture_sigma_deg is not stated; the residual shows none, declared angles count as exact",
+            ),
+        )
+    sigma = math.exp(float(found.x))
+    note = f"fixture_sigma_deg is not stated: {math.degrees(sigma):.3g}° was estimated from the residual"
+    declared = int(np.isfinite(follow.readings.angle_rad).sum())
+    return replace(noise, sigma_rad=sigma, sigma_dof=float(max(declared - 3, 1)), notes=(note,))
+
+
+def chi2_quantile(dof: int, level: float) -> float:
+    """Value that χ² exceeds with a probability of `level`."""
+    from scipy.special import chdtri
+
+    return float(chdtri(dof, level))
+
+
+def _equal_to_dof(cost: Callable[[float], float], dof: int, low: float, high: float) -> float:
+    """Standard deviation at which a decreasing χ² equals its degrees of freedom, or an end of the range."""
+    from scipy.optimize import brentq
+
+    @cache  # a refit starts at the last values, so a second call could give another result
+    def gap(log_s: float) -> float:
+        return math.log(max(cost(math.exp(log_s)), 1e-300) / dof)
+
+    # χ² decreases with s, so that a sign change brackets the solution.
+    a, b = math.log(low), math.log(high)
+    if gap(a) <= 0:
+        return low
+    if gap(b) >= 0:
+        return high
+    return math.exp(float(brentq(gap, a, b, xtol=1e-4, rtol=1e-8)))

@@ -1,0 +1,760 @@
+"""Uncertainty of fitted parameters: its sources, the budget, and the angle that a goniometer shows.
+
+**Sources.** A fit responds to a small change of its readings by R = ∂parameter/∂reading. A source of
+independent parts moves the readings by these parts, and so moves the parameters by the columns of
+F_s = R·parts; the covariance is Σ F_s F_sᵀ (JCGM 100:2008, 5.1.2 and 5.2). Each column carries the degrees
+of freedom of the estimate that it rests on, and columns of one estimate count as one (G.4.1).
+
+**Missing effects.** If the residual is larger than the noise, some effect is missing, and it also moves the
+fitted parameters. Each amplitude θ of the catalogue gets a normal prior about zero. Its standard deviation
+is the typical size in the catalogue times one common factor s ≥ 1, which maximizes the likelihood of the
+residual r:
+
+    r ~ N(0, 1 + s² W Wᵀ),  W = whitened columns of typical size, without the part that the fit describes
+
+The posterior of θ then has the second moment M + μ μᵀ with M = (s⁻² + Wᵀ W)⁻¹ and μ = M Wᵀ r. The fit
+leaves the effects out, so the error that they cause has this second moment, and not the variance M alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import JsonRecord, key
+from adis_gonio.base.uncertainty import effective_dof
+from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions
+from adis_gonio.model.effects import AXES, Enters, catalogue
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+
+Kind = Literal["A", "B"]
+
+REPEATABILITY, FLICKER, FIXTURE = "repeatability", "1/f noise", "fixture"
+GRAVITY, QUANTIZATION, TEMPERATURE, MODEL = "gravity", "quantization", "temperature", "model choice"
+LINKS = "gyro links"
+"""Additional source of a fit in space with turns between its poses."""
+SOURCES = (REPEATABILITY, FLICKER, FIXTURE, GRAVITY, QUANTIZATION, TEMPERATURE, MODEL)
+
+GRAVITY_HALF_MPS2 = 0.027
+"""Half the range of gravity on the surface of the Earth (9.780 to 9.834 m/s²), a rectangular
+distribution."""
+_POOLED, _RESIDUAL, _FIXTURE, _UNSTATED, _EACH = 0, 3, 4, 5, 6
+"""Numbers of the estimates behind parts: samples of all dwells together (+ axis), the residual, the scatter
+of the angles, the scatter of readings without a stated noise, the samples of one dwell (+ 3 n + axis)."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """One source of uncertainty.
+
+    Attributes
+    ----------
+    name : str
+        One of `SOURCES`.
+    kind : {"A", "B"}
+        Evaluated by statistics of this session, or by other knowledge (GUM 3.3.4).
+    distribution : str
+        `normal`, `Student` or `rectangular`.
+    u : float or None
+        Standard uncertainty of the source itself, rms over dwells and axes; None if unknown.
+    unit : str
+    moves : (p, k) float
+        Change of the parameters by each independent part at one standard uncertainty, natural units.
+    dof : (k,) float
+        Degrees of freedom of the estimate behind each part; inf without an estimate.
+    estimate : (k,) int
+        Number of that estimate: parts of one estimate have a common error.
+    reading_mg2 : (axes, axes) float
+        Contribution to the covariance of a further reading with the length of a dwell of the session.
+    note : str
+        Remark on the source.
+    by_definition : bool
+        True if the parameters are stated relative to it: it moves them but is not part of their u.
+    acts_mg : (n, axes, k) float or None
+        Change of the readings by inputs that act on all dwells, at one standard uncertainty.
+    further_mg : (axes, k) float or None
+        Direct effect of the parts on a further reading, in addition to the effect on the parameters.
+    """
+
+    name: str
+    kind: Kind
+    distribution: str
+    u: float | None
+    unit: str
+    moves: Floats
+    dof: Floats
+    estimate: NDArray[np.intp]
+    reading_mg2: Floats
+    note: str = ""
+    by_definition: bool = False
+    acts_mg: Floats | None = None
+    further_mg: Floats | None = None
+
+    def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
+        """(estimate, degrees of freedom, variance) of each part of a quantity.
+
+        Parameters
+        ----------
+        gradient : (m, p) float
+            Derivative by the parameters; the quantity is the root mean square of m values.
+        reading : (m, axes) float, optional
+            Derivative by one further reading, per mg.
+        """
+        m = len(gradient)
+        # Parts are independent: their mean squares over the m values add up.
+        variance = (self._moved(gradient, reading) ** 2).sum(axis=0) / m
+        found = list(zip(self.estimate.tolist(), self.dof.tolist(), variance.tolist(), strict=True))
+        if reading is not None and self.reading_mg2.any():
+            # A further reading brings its own noise, with the degrees of freedom of the largest part.
+            own = float(np.einsum("ma,ab,mb->", reading, self.reading_mg2, reading)) / m
+            where = max(found, key=lambda part: part[2], default=(_POOLED, math.inf, 0.0))
+            found.append((where[0], where[1], own))
+        return found
+
+    def _moved(self, gradient: Floats, reading: Floats | None) -> Floats:
+        """Change (m, k) of the m values by each part."""
+        moved = gradient @ self.moves
+        if reading is not None and self.further_mg is not None:
+            moved = moved + reading @ self.further_mg
+        return np.asarray(moved)
+
+    def by_place(self, gradient: Floats, reading: Floats) -> Floats:
+        """Variance of each of the m values, (m,)."""
+        own = np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading)
+        return np.asarray((self._moved(gradient, reading) ** 2).sum(axis=1) + own)
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Parameters that a session does not determine and that were taken as zero.
+
+    Attributes
+    ----------
+    biases : tuple of int
+        Axes of the biases.
+    skews : tuple of int
+        Numbers of the skews among the base parameters.
+    """
+
+    biases: tuple[int, ...] = ()
+    skews: tuple[int, ...] = ()
+
+
+NOTHING_UNSEEN = Unseen()
+
+
+@dataclass(frozen=True)
+class Sources:
+    """All sources of a fit's uncertainty."""
+
+    each: tuple[Source, ...]
+
+    @property
+    def _counted(self) -> list[Source]:
+        return [source for source in self.each if not source.by_definition]
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (p, p) of the parameters in natural units."""
+        moves = np.concatenate([source.moves for source in self._counted], axis=1)
+        return np.asarray(moves @ moves.T)
+
+    def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
+        """Parts of the variance of a quantity; see `Source.parts`."""
+        return [part for source in self._counted for part in source.parts(gradient, reading)]
+
+    def by_place(self, gradient: Floats, reading: Floats) -> Floats:
+        """Variance (m,) of each of m values; see `Source.parts`."""
+        return np.asarray(sum(source.by_place(gradient, reading) for source in self._counted))
+
+    def uncertainty(self, gradient: Floats, reading: Floats | None = None) -> tuple[float, float]:
+        """Standard uncertainty and effective degrees of freedom of a quantity; see `Source.parts`."""
+        parts = self.parts(gradient, reading)
+        return math.sqrt(sum(part[2] for part in parts)), dof_of(parts)
+
+
+def dof_of(parts: Sequence[tuple[int, float, float]]) -> float:
+    """Effective degrees of freedom; parts of one estimate are added first."""
+    by_estimate: dict[int, tuple[float, float]] = {}
+    surely = sum(variance for _, dof, variance in parts if math.isinf(dof))
+    for estimate, dof, variance in parts:
+        if math.isfinite(dof):
+            before, least = by_estimate.get(estimate, (0.0, math.inf))
+            by_estimate[estimate] = before + variance, min(least, dof)
+    return effective_dof([(surely, math.inf), *by_estimate.values()])
+
+
+def response_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats:
+    """∂parameter/∂reading (p, n, axes) in natural units per mg, of weighted least squares.
+
+    Parameters
+    ----------
+    covariance : (p, p) float
+        Inverse information in natural units.
+    natural : (p,) float
+        Size of the natural units in units of the fit.
+    """
+    return fit.by_reading((fit.jacobian * natural) @ covariance)
+
+
+def by_rotation_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats | None:
+    """∂parameter/∂rotation (p, m, 3) of each link in natural units per rad; None without links."""
+    if fit.data.links is None:
+        return None
+    return np.asarray(fit.by_rotation((fit.jacobian * natural) @ covariance).transpose(2, 0, 1))
+
+
+def sources_of(
+    data: Readings,
+    noise: NoiseAssumptions,
+    fit: Fit,
+    response: Floats,
+    unseen: Unseen = NOTHING_UNSEEN,
+    rotation: Floats | None = None,
+) -> Sources:
+    """Sources of the uncertainty of fitted parameters.
+
+    Parameters
+    ----------
+    data : Readings
+        The fitted readings, before `noise` was estimated.
+    fit : Fit
+        Fit of the readings with that noise.
+    response : (p, n, axes) float
+        ∂parameter/∂reading in natural units per mg.
+    unseen : Unseen
+        Parameters that were taken as zero.
+    rotation : (p, m, 3) float, optional
+        ∂parameter/∂rotation of each link, natural units per rad.
+    """
+    links = () if rotation is None else (_links(fit, rotation),)
+    return Sources(
+        (
+            _repeatability(data, noise, response),
+            _flicker(data, response),
+            _fixture(data, noise, fit, response),
+            _gravity(data, fit, len(response)),
+            _quantization(data, response),
+            _temperature(data, fit, response),
+            _model(data, noise, fit, response, unseen),
+            *links,
+        )
+    )
+
+
+def _links(fit: Fit, rotation: Floats) -> Source:
+    """Noise of the rotations between poses, and the uncertainty of the gyros."""
+    links = fit.data.links
+    assert links is not None
+    # Covariance of the parameters from the own errors of all links.
+    own = np.einsum("pma,maq->pq", rotation, links.own_product(rotation.transpose(1, 2, 0)))
+    size, axes = np.linalg.eigh((own + own.T) / 2)
+    # Parts of one source are independent: any root of their covariance is one.
+    moves = np.concatenate(
+        [axes * np.sqrt(np.maximum(size, 0.0)), np.einsum("pma,maq->pq", rotation, links.modes_rad)], axis=1
+    )
+    spread = links.own_rad2 + links.modes_rad @ links.modes_rad.transpose(0, 2, 1)
+    return Source(
+        LINKS,
+        "B",
+        "normal",
+        math.degrees(math.sqrt(float(np.trace(spread.mean(axis=0))) / 3)),
+        "deg",
+        moves,
+        *_unlimited(moves.shape[1]),
+        np.zeros((fit.data.axes, fit.data.axes)),
+        "turns between the poses: noise of the gyros and uncertainty of their parameters",
+    )
+
+
+def _each(response: Floats, roots: Floats) -> Floats:
+    """Moves (p, n·axes) of parts that act on one dwell each: columns of `roots` (n, axes, axes)."""
+    return np.asarray(np.einsum("pna,nab->pnb", response, roots).reshape(len(response), -1))
+
+
+def _root(covariance: Floats) -> Floats:
+    """Roots (n, axes, axes) of covariances, one column for each axis."""
+    axes = covariance.shape[1]
+    diagonal = np.sqrt(np.maximum(np.einsum("naa->na", covariance), 0.0))
+    if not covariance[:, ~np.eye(axes, dtype=bool)].any():
+        return np.asarray(diagonal[:, :, None] * np.eye(axes))
+    # A difference of covariances has eigenvalues of zero, or below by rounding: it has no Cholesky factor.
+    size, axis = np.linalg.eigh(covariance)
+    least = 1e-12 * np.maximum(np.abs(size).max(axis=1, keepdims=True), 1e-300)
+    # Rebuild the covariance with positive eigenvalues.
+    whole = np.einsum("nij,nj,nkj->nik", axis, np.maximum(size, least), axis)
+    return np.asarray(np.linalg.cholesky(whole))
+
+
+def _diagonal(variance: Floats) -> Floats:
+    return np.asarray(variance[:, :, None] * np.eye(variance.shape[1]))
+
+
+def _unlimited(k: int) -> tuple[Floats, NDArray[np.intp]]:
+    return np.full(k, np.inf), np.zeros(k, dtype=np.intp)
+
+
+def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
+    """Covariance (n, axes, axes) of the means from noise that averaging lowers."""
+    factor = np.where(data.known, 1.0, noise.scale**2)[:, None, None]
+    own = data.own_covariance * factor
+    for part in (data.quantization, data.flicker):
+        own = own if part is None else own - _diagonal(part)
+    return np.asarray(own)
+
+
+def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, Floats, NDArray[np.intp]]:
+    """Roots (n, axes, axes) of this noise; degrees of freedom and numbers (n, axes) of its estimates."""
+    n, axes = data.mean.shape
+    first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
+    dof = np.where(data.known, data.dof, noise.scale_dof)
+    estimate = np.where(data.known[:, None], first[:, None] + np.arange(axes), _UNSTATED)
+    return _root(_own(data, noise)), np.repeat(dof[:, None], axes, axis=1), estimate.astype(np.intp)
+
+
+def _repeatability(data: Readings, noise: NoiseAssumptions, response: Floats) -> Source:
+    roots, dof, estimate = repeatability_of(data, noise)
+    stated = bool((data.known & np.isinf(data.dof)).all())
+    mean = _own(data, noise).mean(axis=0)
+    return Source(
+        REPEATABILITY,
+        "B" if stated else "A",
+        "normal" if stated else "Student",
+        float(np.sqrt(np.trace(mean) / data.axes)),
+        "mg",
+        _each(response, roots),
+        dof.ravel(),
+        estimate.ravel(),
+        mean,
+        "stated (reading_u_mg)" if stated else "",
+    )
+
+
+def _flicker(data: Readings, response: Floats) -> Source:
+    axes = data.axes
+    moves, variance = [np.zeros((len(response), 0))], np.zeros(axes)
+    if data.flicker is not None and data.flicker.any():
+        moves.append(_each(response, _diagonal(np.sqrt(data.flicker))))
+        variance = variance + data.flicker.mean(axis=0)
+    if data.slow is not None:
+        moves.append(np.einsum("pna,nak->pk", response, data.slow))
+        variance = variance + (data.slow**2).sum(axis=2).mean(axis=0)
+    joined = np.concatenate(moves, axis=1)
+    shown = "shown by the dwells" if data.flicker_shown else "figure of the part"
+    return Source(
+        FLICKER,
+        "A" if data.flicker_shown else "B",
+        "normal",
+        float(np.sqrt(variance.mean())),
+        "mg",
+        joined,
+        *_unlimited(joined.shape[1]),
+        np.diag(variance),
+        shown if variance.any() else "none shown, no figure of the part",
+    )
+
+
+def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats) -> Source:
+    sigma = np.where(np.isfinite(fit.data.fixture), fit.data.fixture, 0.0)
+    if data.planar:
+        moves = np.einsum("pna,na,n->pn", response, fit.tangent[:, :, 0], sigma)
+    else:
+        moves = np.zeros((len(response), 0))
+    k = moves.shape[1]
+    free = not data.planar or data.free
+    estimated = math.isfinite(noise.sigma_dof)
+    note = "attitudes are free: none enters" if free else ""
+    if not free and not data.fixture_stated:
+        note = "estimated from the residual" if estimated else "not stated: angles count as exact"
+    return Source(
+        FIXTURE,
+        "A" if estimated else "B",
+        "Student" if estimated else "normal",
+        None if free else math.degrees(noise.sigma_rad),
+        "deg",
+        moves,
+        np.full(k, noise.sigma_dof),
+        np.full(k, _FIXTURE, dtype=np.intp),
+        np.zeros((data.axes, data.axes)),
+        note,
+    )
+
+
+def _gravity(data: Readings, fit: Fit, parameters: int) -> Source:
+    """All gains change as 1/g, and nothing else does."""
+    base = fit.values.base
+    u = GRAVITY_HALF_MPS2 / math.sqrt(3)
+    moves = np.zeros((parameters, 1))
+    for k, name in enumerate(fit.data.model.names):
+        if name.startswith("scale"):
+            moves[k] = -float(base[k]) * u * 1000 / (data.gravity_mg * STANDARD_GRAVITY_MPS2)
+    return Source(
+        GRAVITY,
+        "B",
+        "rectangular",
+        u,
+        "m/s²",
+        moves,
+        *_unlimited(1),
+        np.zeros((data.axes, data.axes)),
+        "all gains move alike: ratios and angles do not depend on it",
+        by_definition=True,
+    )
+
+
+def _quantization(data: Readings, response: Floats) -> Source:
+    variance = data.quantization
+    if variance is None:
+        variance = np.zeros(data.mean.shape)
+    moves = _each(response, _diagonal(np.sqrt(variance)))
+    return Source(
+        QUANTIZATION,
+        "B",
+        "rectangular",
+        float(np.sqrt(variance.mean())),
+        "mg",
+        moves,
+        *_unlimited(moves.shape[1]),
+        np.diag(variance.mean(axis=0)),
+        "" if variance.any() else "the noise dithers it, or readings are averages",
+    )
+
+
+def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
+    """Unknown temperature coefficient of each bias, within the data sheet and the residual."""
+    axes = data.axes
+    figure = VARIANTS[data.sensor].performance.bias_tempco_mg_per_c if data.sensor in VARIANTS else 0.0
+    temperature = data.conditions.temperature_c
+    moves, acts = np.zeros((len(response), axes)), None
+    u, note = figure if figure else None, ""
+    if temperature is None:
+        note = "temperature not recorded"
+    elif not figure:
+        note = "no figure of the part: a coefficient is for trace to find"
+    else:
+        away = temperature - temperature.mean()
+        columns = away[:, None, None] * np.eye(axes)
+        # Part of the columns that the parameters do not explain, which the residual can show.
+        left = _without(fit.white(columns), fit.jacobian)
+        # Combine the prior of the data sheet with the information in the residual of this session.
+        spread = 1 / np.sqrt(1 / figure**2 + (left**2).sum(axis=0))
+        acts = columns * spread
+        moves = np.einsum("pna,nab->pb", response, acts)
+        u = float(np.sqrt((spread**2).mean()))
+        note = f"dwells from {temperature.min():.1f} to {temperature.max():.1f} °C"
+    return Source(
+        TEMPERATURE,
+        "B",
+        "normal",
+        u,
+        "mg/°C",
+        moves,
+        *_unlimited(axes),
+        np.zeros((axes, axes)),
+        note,
+        acts_mg=acts,
+    )
+
+
+def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, unseen: Unseen) -> Source:
+    """Residual beyond the noise, and biases and skews that had to be taken as zero."""
+    axes = data.axes
+    extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
+    figures = VARIANTS[data.sensor].performance if data.sensor in VARIANTS else None
+    figure = 0.0 if figures is None else figures.initial_bias_mg
+    skew_u_rad = 0.0 if figures is None else figures.skew_u_rad
+    held = list(unseen.biases)
+    biases = np.tile(figure * np.eye(axes)[:, held], (len(data), 1, 1))
+    skews = skew_u_rad * fit.base_columns[:, :, list(unseen.skews)]
+    missing = np.zeros((len(data), axes, 0))
+    if noise.extra_mg > 0:
+        missing = missing_effects(fit)
+    acts = np.concatenate([biases, skews, missing], axis=2)
+    # Change of the parameters by unseen biases, skews and missing effects.
+    blind = np.einsum("pna,nak->pk", response, acts)
+    notes, u = [], noise.extra_mg
+    if noise.extra_mg > 0:
+        notes.append("scatter beyond the noise within the dwells, and effects of the catalogue")
+    if held:
+        letters = ", ".join("xyz"[axis] for axis in held)
+        size = (
+            f"{figure:g} mg, figure of the part"
+            if figure
+            else "of a size that nothing states: not included"
+        )
+        notes.append(f"bias {letters} taken as zero ({size})")
+    if unseen.skews:
+        names = ", ".join(data.model.names[k].removeprefix("skew_") for k in unseen.skews)
+        size = (
+            f"{figures.non_orthogonality_deg:g}° at most, figure of the part"
+            if figures is not None
+            else "of a size that nothing states: not included"
+        )
+        notes.append(f"skew {names} taken as zero ({size})")
+    others = np.concatenate([skews, missing], axis=2)
+    u = math.hypot(u, figure if held else 0.0, math.sqrt(float((others**2).sum(axis=2).mean())))
+    statistical = noise.extra_mg > 0 and not acts.any()
+    stated = figures is not None or not acts.shape[2]
+    return Source(
+        MODEL,
+        "A" if statistical else "B",
+        "Student" if statistical else "normal",
+        u if stated or noise.extra_mg else None,
+        "mg",
+        np.concatenate([extra, blind], axis=1),
+        np.concatenate([np.full(extra.shape[1], noise.dof), np.full(acts.shape[2], np.inf)]),
+        np.concatenate([np.full(extra.shape[1], _RESIDUAL), np.zeros(acts.shape[2], dtype=np.intp)]).astype(
+            np.intp
+        ),
+        noise.extra_mg**2 * np.eye(axes),
+        "; ".join(notes) or "the residual shows no more than the noise",
+        acts_mg=acts if acts.any() else None,
+        # A further reading has the same biases; the influence of skews and effects depends on its pose.
+        further_mg=np.concatenate(
+            [np.zeros((axes, extra.shape[1])), biases[0], np.zeros((axes, others.shape[2]))], axis=1
+        ),
+    )
+
+
+ROUNDING = 1e-10
+"""Share of u below which a contribution is a rounding error."""
+
+
+@dataclass(frozen=True)
+class BudgetRow(JsonRecord):
+    """One source in the budget of one quantity.
+
+    The JSON document is one row of `budget`.
+
+    Attributes
+    ----------
+    source, kind, distribution : str
+        Name, type (`A` or `B`) and distribution.
+    u, unit : float or None, str
+        Standard uncertainty of the source itself; None if unknown.
+    sensitivity : float or None
+        Contribution per u; for a source with independent values in dwells, the root of the sum of squares.
+    contribution : float
+        Standard uncertainty of the quantity from this source, in the unit of the quantity.
+    dof : float
+        Effective degrees of freedom; inf if unlimited.
+    share : float
+        Share of the variance; the shares of a budget add up to 1.
+    """
+
+    source: str
+    kind: str = field(metadata=key("type"))
+    distribution: str
+    u: float | None
+    unit: str
+    sensitivity: float | None
+    contribution: float
+    dof: float
+    share: float
+    note: str = ""
+
+
+def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None) -> tuple[BudgetRow, ...]:
+    """Budget of one quantity.
+
+    Parameters
+    ----------
+    gradient : (m, p) float
+        Derivative of the quantity by the parameters in natural units; its mean square over m counts.
+    reading : (m, axes) float, optional
+        Derivative by one further reading, per mg.
+    """
+    total, _ = sources.uncertainty(gradient, reading)
+    rows = []
+    for source in sources.each:
+        parts = source.parts(gradient, reading)
+        contribution = math.sqrt(sum(part[2] for part in parts))
+        if contribution < ROUNDING * total:
+            contribution = 0.0
+        known = source.u is not None and source.u > 0
+        rows.append(
+            BudgetRow(
+                source=source.name,
+                kind=source.kind,
+                distribution=source.distribution,
+                u=source.u,
+                unit=source.unit,
+                sensitivity=contribution / source.u if source.u is not None and known else None,
+                contribution=contribution,
+                dof=dof_of(parts),
+                share=0.0 if source.by_definition or total == 0 else (contribution / total) ** 2,
+                note=source.note,
+            )
+        )
+    return tuple(rows)
+
+
+_DESCRIBED = 1e-6
+"""Relative size of the rest of a column below which the columns of the parameters describe it."""
+_LARGEST_FACTOR = 1e4
+
+
+def missing_effects(fit: Fit) -> Floats:
+    """Return inputs (n, axes, k) in mg, each at one standard uncertainty, that the model lacks.
+
+    Parameters
+    ----------
+    fit : Fit
+        Fit of the model that does not describe the session, on readings with a noise that includes the
+        scatter of the residual: unstructured scatter is the alternative explanation.
+    """
+    columns = np.concatenate([*_columns(fit), np.zeros((*fit.data.mean.shape, 0))], axis=2)
+    white = fit.white(columns)
+    size = np.linalg.norm(white, axis=0)
+    # Only the part that the parameters do not describe shows in the residual.
+    remaining = _without(white, fit.jacobian)
+    shown = np.linalg.norm(remaining, axis=0) > _DESCRIBED * size
+    columns, remaining = columns[:, :, shown], remaining[:, shown]
+    if not columns.shape[2]:
+        return columns
+    residual = _without(fit.residual.reshape(-1, 1), fit.jacobian)[:, 0]
+    # In the basis of the singular vectors the amplitudes are independent.
+    left, singular, right = np.linalg.svd(remaining, full_matrices=False)
+    along = left.T @ residual
+    factor = _factor(singular**2, along**2)
+    # Directions of θ that the residual does not show keep the prior s².
+    precision = factor**-2 + singular**2
+    mean = right.T @ (singular * along / precision)
+    # Second moment of the amplitudes in the basis of the columns.
+    moment = factor**2 * np.eye(columns.shape[2])
+    moment += (right.T * (1 / precision - factor**2)) @ right + np.outer(mean, mean)
+    # Root of the second moment: independent inputs at one standard uncertainty each.
+    values, vectors = np.linalg.eigh(moment)
+    return np.asarray(columns @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+
+
+def _columns(fit: Fit) -> Iterator[Floats]:
+    """Yield columns (n, axes, d) of each effect that acts on readings of this session, at typical size."""
+    data = fit.data
+    for kind in catalogue(data.model.part).values():
+        beside_readings = kind.enters is Enters.SAMPLES or kind.within_dwell
+        # A choice is a discrete number (a dwell, a degree): the scatter of the readings covers these.
+        if beside_readings or kind.choices() or data.conditions.lacks(kind.needs):
+            continue
+        effect = kind(AXES[: data.axes] if kind.by_axis else ())
+        parameters = effect.parameters
+        shapes = tuple((k, p.typical) for k, p in enumerate(parameters) if p.shape)
+        term = NamedTerm(effect.name, (), 0.0, effect, shapes)
+        yield fit.candidate(term) * np.array([parameters[k].typical for k in term.amplitudes])
+
+
+def _without(rows: Floats, columns: Floats) -> Floats:
+    """Rows (m, d) minus their projection onto the columns (m, p)."""
+    return np.asarray(rows - columns @ np.linalg.lstsq(columns, rows, rcond=1e-9)[0])
+
+
+def _factor(strength: Floats, power: Floats) -> float:
+    """Factor s, 1 to 10⁴, on the sizes of independent amplitudes that maximizes the likelihood.
+
+    Parameters
+    ----------
+    strength, power : (k,) float
+        Squares of the singular values, and of the residual along the singular vectors.
+    """
+    from scipy.optimize import minimize_scalar
+
+    def deviance(log_factor: float) -> float:
+        variance = 1 + math.exp(2 * log_factor) * strength
+        return float((np.log(variance) + power / variance).sum())
+
+    bounds = (0.0, math.log(_LARGEST_FACTOR))
+    return math.exp(float(minimize_scalar(deviance, bounds=bounds, method="bounded").x))
+
+
+PLACES = 72
+"""Number of angles of a turn over which the uncertainty of a shown angle is averaged."""
+
+
+@dataclass(frozen=True)
+class ShownAngle:
+    """Slopes of the shown angle at m places of the turn.
+
+    Attributes
+    ----------
+    gradient : (m, p) float
+        Degrees per unit of the parameters: base and biases in natural units, or all in units of a fit.
+    reading : (m, 2) float
+        Degrees per mg of the reading.
+    """
+
+    gradient: Floats
+    reading: Floats
+
+    @classmethod
+    def around(cls, fit: Fit) -> ShownAngle:
+        """Slopes at places around the turn, by base parameters and biases, at the values of a planar fit.
+
+        Angle ψ = atan2(v, u) with u = (U_x − b_x)/(G K_x), v = ((U_y − b_y)/(G K_y) − u sin Δφ)/cos Δφ; the
+        shown angle is α − ψ. Without declared angles there is no α, and the angle is between gravity and X.
+        """
+        gradient = gradient_of_base(fit.values.base, zero=bool(fit.data.visible[0]))
+        return cls(gradient, -np.degrees(_by_reading(fit, _around())))
+
+    @classmethod
+    def at_dwells(cls, fit: Fit) -> ShownAngle:
+        """Slopes at the dwells of a planar fit, by all of its parameters, also of its terms."""
+        psi = fit.values.base[0] + fit.turn_rad + fit.values.attitude
+        slope = _by_reading(fit, psi)
+        gradient = np.einsum("na,nap->np", slope, fit.columns)
+        return cls(np.degrees(gradient), -np.degrees(slope))
+
+    def variances(self, covariance: Floats, reading_mg2: Floats) -> Floats:
+        """Variance (m,) in degrees² at each place."""
+        # gᵀ C g at each place, for the parameters and for the reading.
+        by_parameters = np.einsum("mp,pq,mq->m", self.gradient, covariance, self.gradient)
+        by_reading = np.einsum("ma,ab,mb->m", self.reading, reading_mg2, self.reading)
+        return np.asarray(by_parameters + by_reading)
+
+
+def gradient_of_base(base: Floats, *, zero: bool) -> Floats:
+    """Degrees (PLACES, 6) of a shown angle by α, K_x, K_y, Δφ and biases (of gravity 1).
+
+    Parameters
+    ----------
+    base : (4,) float
+        Base parameters of the plane.
+    zero : bool
+        True if angles are declared, so that α is part of the shown angle.
+    """
+    _, k_x, k_y, skew = base
+    psi = _around()
+    x, y = np.cos(psi), np.sin(psi + skew)
+    by_x, by_y = _by_axis(psi, skew)
+    gradient = np.zeros((PLACES, len(base) + 2))
+    gradient[:, 0] = 1.0 if zero else 0.0
+    gradient[:, 1] = by_x * x / k_x
+    gradient[:, 2] = by_y * y / k_y
+    gradient[:, 3] = x * (x - y * math.sin(skew)) / math.cos(skew) ** 2
+    gradient[:, 4], gradient[:, 5] = by_x / k_x, by_y / k_y
+    return np.asarray(np.degrees(gradient))
+
+
+def _around() -> Floats:
+    return np.linspace(0, 2 * math.pi, PLACES, endpoint=False)
+
+
+def _by_axis(psi: Floats, skew: float) -> tuple[Floats, Floats]:
+    """∂ψ/∂(U_x/(G K_x)) and ∂ψ/∂(U_y/(G K_y))."""
+    return -np.sin(psi) - np.cos(psi) * math.tan(skew), np.cos(psi) / math.cos(skew)
+
+
+def _by_reading(fit: Fit, psi: Floats) -> Floats:
+    """∂ψ/∂reading (m, 2) in rad per mg."""
+    _, k_x, k_y, skew = fit.values.base
+    by_x, by_y = _by_axis(psi, float(skew))
+    return np.asarray(np.stack([by_x / k_x, by_y / k_y], axis=1) / fit.data.gravity_mg)

@@ -1,0 +1,293 @@
+"""When to calibrate next, by two methods of ILAC-G24:2022 / OIML D 10:2022 (6.2 and 6.3; 2007: 1 and 2).
+
+*Staircase* (automatic adjustment): each routine calibration shows the error of the previous one. The
+interval is lengthened if that error is within 80 % of the permissible error, and shortened if it is
+outside. All numbers are choices of this program; the first interval and the factors are the user's, with
+defaults.
+
+*Control chart*: the drift of the parameters, with its uncertainty, is extrapolated from the last
+calibration to the day on which error and U together reach the permissible error.
+
+Error of an angle ψ by an earlier calibration, to first order in the differences δ = later − earlier of
+the parameters, with g the local gravity:
+
+    e(ψ) = −½ sin 2ψ δΔK + cos²ψ δΔφ + (cos ψ δb_y − sin ψ δb_x) / g
+
+since an angle depends on the ratio of the gains alone (K_x = K_y (1 + ΔK)) and X is the reference of Δφ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import INLINE, JsonRecord, key
+from adis_gonio.base.numbers import counted
+from adis_gonio.base.uncertainty import coverage_factor
+from adis_gonio.fleet.control_charts import LEAST, YEAR_DAYS
+from adis_gonio.fleet.sensor_history import History, date_of
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+
+PARAMETERS = ("delta_k", "delta_phi", "bias_x", "bias_y")
+_TURN = np.arange(0.0, 360.0, 1.0)
+
+
+def slopes_deg(gravity_mps2: float = STANDARD_GRAVITY_MPS2) -> Floats:
+    """Error of the angle in degrees by a unit of each of `PARAMETERS` (1, deg, mg, mg), (360, 4)."""
+    psi = np.radians(_TURN)
+    gravity_mg = 1000.0 * gravity_mps2 / STANDARD_GRAVITY_MPS2
+    cos, sin = np.cos(psi), np.sin(psi)
+    return np.column_stack(
+        [
+            np.degrees(-sin * cos),
+            cos**2,
+            np.degrees(-sin / gravity_mg),
+            np.degrees(cos / gravity_mg),
+        ]
+    )
+
+
+def worst_deg(
+    difference: Mapping[str, float], u: Mapping[str, float], k: float, gravity_mps2: float
+) -> tuple[float, float]:
+    """Largest |error| over the turn, and largest |error| + U.
+
+    Parameters
+    ----------
+    difference, u : mapping of str to float
+        Difference of `PARAMETERS`, later minus earlier, and its standard uncertainty; 0 for a missing
+        parameter. Covariances are neglected.
+    k : float
+        Coverage factor of U.
+    """
+    slopes = slopes_deg(gravity_mps2)  # (360, 4)
+    by = np.array([difference.get(name, 0.0) for name in PARAMETERS])
+    spread = np.array([u.get(name, 0.0) for name in PARAMETERS])
+    error = np.abs(slopes @ by)
+    return float(error.max()), float((error + k * np.sqrt(slopes**2 @ spread**2)).max())
+
+
+DEFAULT_LIMIT_DEG = 0.1
+"""Permissible error of the angle if none is given: an assumption. It is about four LSB of the ADIS16354
+at the horizontal (0.027° each), or a change of a bias by 1.7 mg."""
+WITHIN = 0.8
+"""Share of the permissible error within which an interval grows."""
+ROUTINE = 0.8
+"""Share of the interval that must have passed before a calibration can lengthen it."""
+SHORTEST_DAYS, LONGEST_DAYS = 30.0, 5 * YEAR_DAYS
+
+
+@dataclass(frozen=True)
+class Rules(JsonRecord):
+    """Choices of the user.
+
+    Attributes
+    ----------
+    limit_deg : float
+        Permissible error of the angle.
+    assumed : bool
+        True if the limit is the default.
+    first_days : float
+        Interval after the first calibration.
+    longer, shorter : float
+        Factors of the staircase.
+    """
+
+    document_keys = ("limit_deg", "assumed")
+
+    limit_deg: float = DEFAULT_LIMIT_DEG
+    assumed: bool = field(default=True, metadata=key("limit_assumed"))
+    first_days: float = YEAR_DAYS
+    longer: float = 1.5
+    shorter: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not (self.limit_deg > 0 and self.first_days > 0 and self.longer >= 1 and 0 < self.shorter <= 1):
+            raise UsageError(
+                "the limit and the first interval must be above 0, longer ≥ 1 and 0 < shorter ≤ 1"
+            )
+
+
+@dataclass(frozen=True)
+class Stair(JsonRecord):
+    """One step of the staircase: the error of the previous calibration, found by the next one.
+
+    Attributes
+    ----------
+    when : str
+        Date.
+    elapsed_days, error_deg, interval_days : float
+        Time since the previous calibration, its largest error of an angle, and the next interval.
+    response : str
+        `longer`, `kept`, `shorter` or `early` (too early to lengthen the interval).
+    """
+
+    when: str
+    elapsed_days: float
+    error_deg: float
+    interval_days: float
+    response: str
+
+
+@dataclass(frozen=True)
+class Rule(JsonRecord):
+    """A date by one method, or the reason why there is none."""
+
+    method: str
+    date: str | None
+    why: str
+    assumes: str
+
+
+@dataclass(frozen=True)
+class Due(JsonRecord):
+    """When to calibrate next.
+
+    Attributes
+    ----------
+    date : str or None
+        Earliest date of the methods; None if no session has a date.
+    by : str
+        Method of that date.
+    rules : tuple of Rule
+    stairs : tuple of Stair
+    """
+
+    serial: str
+    date: str | None
+    by: str
+    limits: Rules = field(metadata=INLINE)
+    rules: tuple[Rule, ...]
+    stairs: tuple[Stair, ...]
+
+
+def due_of(history: History, limits: Rules | None = None) -> Due:
+    """Date of the next calibration of a sensor."""
+    limits = limits or Rules()
+    if not len(history.sessions):
+        lacking = Rule("staircase", None, "no session has both a date and a result", "")
+        return Due(history.serial, None, "", limits, (lacking,), ())
+    stairs = tuple(staircase_of(history, limits))
+    rules = (_staircase(history, limits, stairs), _control_chart(history, limits))
+    date, by = min((rule.date, rule.method) for rule in rules if rule.date is not None)
+    return Due(history.serial, date, by, limits, rules, stairs)
+
+
+def step(interval_days: float, elapsed_days: float, error_deg: float, limits: Rules) -> tuple[float, str]:
+    """Next interval and the response to one calibration.
+
+    An error beyond the limit shortens the interval, or the elapsed time if that is less. An error within
+    `WITHIN` of the limit lengthens it, if enough of it has passed (`ROUTINE`). Otherwise it is kept.
+    """
+    if error_deg > limits.limit_deg:
+        return max(min(interval_days, elapsed_days) * limits.shorter, SHORTEST_DAYS), "shorter"
+    if elapsed_days < ROUTINE * interval_days:
+        return interval_days, "early"
+    if error_deg <= WITHIN * limits.limit_deg:
+        return min(interval_days * limits.longer, LONGEST_DAYS), "longer"
+    return interval_days, "kept"
+
+
+def staircase_of(history: History, limits: Rules) -> list[Stair]:
+    """Steps so far, one per session from the second on."""
+    days, sessions = history.days, history.sessions
+    interval, stairs = limits.first_days, []
+    last = 0
+    for n in range(1, len(sessions)):
+        difference, _ = _difference(history, last, n)
+        if not difference:
+            continue
+        gravity = sessions[n].gravity_mps2 or STANDARD_GRAVITY_MPS2
+        error, _ = worst_deg(difference, {}, 0.0, gravity)
+        elapsed = float(days[n] - days[last])
+        interval, response = step(interval, elapsed, error, limits)
+        stairs.append(Stair(date_of(days[n]), elapsed, error, interval, response))
+        last = n
+    return stairs
+
+
+def _difference(history: History, before: int, after: int) -> tuple[dict[str, float], dict[str, float]]:
+    """Change of each parameter that both sessions determine, and its u."""
+    one, other = history.sessions[before].values, history.sessions[after].values
+    names = [name for name in PARAMETERS if name in one and name in other]
+    change = {name: other[name].value - one[name].value for name in names}
+    u = {name: float(np.hypot(one[name].u or 0.0, other[name].u or 0.0)) for name in names}
+    return change, u
+
+
+def _staircase(history: History, limits: Rules, stairs: tuple[Stair, ...]) -> Rule:
+    interval = stairs[-1].interval_days if stairs else limits.first_days
+    assumes = (
+        f"first interval {limits.first_days:.0f} d, "
+        f"×{limits.longer:g} within {100 * WITHIN:.0f} % of the limit, "
+        f"×{limits.shorter:g} outside; every session replaced the calibration in use"
+    )
+    date = date_of(history.days[-1] + interval)
+    if not stairs:
+        why = f"only one session: the first interval of {interval:.0f} d; a second session will test it"
+        return Rule("staircase", date, why, assumes)
+    end = stairs[-1]
+    response = {
+        "longer": f"within {100 * WITHIN:.0f} % of the limit, the interval grew to",
+        "kept": f"within the limit but not within {100 * WITHIN:.0f} % of it, the interval stays",
+        "shorter": f"outside the limit of {limits.limit_deg:g}°, the interval shrank to",
+        "early": "within the limit, but too early to lengthen the interval of",
+    }[end.response]
+    elapsed, error = f"{end.elapsed_days:.0f} d", f"{end.error_deg:.3g}°"
+    off = f"after {elapsed} the error of the previous calibration was up to {error}"
+    why = f"{off}: {response} {interval:.0f} d"
+    return Rule("staircase", date, why, assumes)
+
+
+def _control_chart(history: History, limits: Rules) -> Rule:
+    method = "control chart"
+    drifts = {n: t.drift for n, t in history.tracks.items() if n in PARAMETERS and t.drift is not None}
+    if not drifts:
+        there = counted(len(history.sessions), "session")
+        why = f"a drift needs {LEAST} sessions at different times that determine it, here: {there}"
+        return Rule(method, None, why, "")
+    slope = {name: drift.slope.value / YEAR_DAYS for name, drift in drifts.items()}
+    u_slope = {name: (drift.slope.u or 0.0) / YEAR_DAYS for name, drift in drifts.items()}
+    own = {
+        name: float(np.hypot(history.tracks[name].u[-1], drift.between)) for name, drift in drifts.items()
+    }
+    gravity = history.sessions[-1].gravity_mps2 or STANDARD_GRAVITY_MPS2
+    k = coverage_factor(min(drift.slope.dof for drift in drifts.values()))
+
+    # Largest error and U of an angle after some days of drift.
+    def reached(days: float) -> float:
+        change = {name: one * days for name, one in slope.items()}
+        u = {name: float(np.hypot(own[name], u_slope[name] * days)) for name in slope}
+        return worst_deg(change, u, k, gravity)[1]
+
+    missing = [name for name in PARAMETERS if name not in drifts]
+    assumes = (
+        "drift continues as a straight line; errors of sessions are independent; the last session is in use"
+        + (f"; {', '.join(missing)} not known to drift" if missing else "")
+    )
+    last = float(history.days[-1])
+    if reached(0.0) >= limits.limit_deg:
+        why = (
+            f"U of a calibration with its scatter between sessions is {reached(0.0):.3g}° already, not "
+            f"below the limit of {limits.limit_deg:g}°: calibrate with more dwells, or raise the limit"
+        )
+        return Rule(method, date_of(last), why, assumes)
+    if reached(LONGEST_DAYS) <= limits.limit_deg:
+        years = f"{LONGEST_DAYS / YEAR_DAYS:.0f} years, the longest interval"
+        why = f"error and U stay within {limits.limit_deg:g}° for {years}"
+        return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)
+    from scipy.optimize import brentq
+
+    # The error grows with time, so that there is one crossing.
+    days = float(brentq(lambda t: reached(t) - limits.limit_deg, 0.0, LONGEST_DAYS))
+    drifts_text = ", ".join(
+        f"{name} {drift.slope.value:+.2g} ± {drift.slope.U:.2g} {drift.slope.unit}"
+        for name, drift in drifts.items()
+    )
+    by = f"{days:.0f} d after the last calibration, by {drifts_text}"
+    why = f"error and U (k = {k:.2f}) reach {limits.limit_deg:g}° {by}"
+    return Rule(method, date_of(last + days), why, assumes)

@@ -1,0 +1,241 @@
+"""Distribution of a cause over the sessions (share, mean, spread), and the detectable amplitude."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.fleet.population_likelihood import (
+    MEANS,
+    MOST_OF_KNOWN,
+    RELATIVE_SPREAD,
+    SHARES,
+    Block,
+    Group,
+    log_factor,
+    mixed,
+)
+from adis_gonio.fleet.population_selection import ChosenCause, Population, group_at, parameters_of
+from adis_gonio.tracing.thresholds import limits
+
+_LEVELS = (0.025, 0.975)
+_SHARES = np.concatenate([np.linspace(0.005, 0.2, 40), np.linspace(0.21, 1.0, 80)])
+_FACTORS = np.geomspace(0.4, 2.5, 9)
+"""Factors on the most probable mean and spread; the share is averaged over them."""
+
+
+def share_of(
+    population: Population, others: Sequence[ChosenCause], part: ChosenCause
+) -> tuple[float, float, float]:
+    """Posterior mean of the share of affected sessions, and its 95 % interval; uniform prior."""
+    # Only sessions of the group that could show the cause.
+    inside = part.group.inside & population.units.seen(part.candidate.index)
+    blocks = population.blocks_given(others, part.candidate.index, part.amplitudes.relative)
+    log_posterior = []
+    centred = bool((part.amplitudes.mean == 0).all())
+    for spread in part.amplitudes.spread * _FACTORS:
+        for factor in (1.0,) if centred else _FACTORS:
+            factors = [
+                (weight[inside], log_factor(block, factor * part.amplitudes.mean, spread)[inside])
+                for weight, block in blocks
+            ]
+            log_posterior.append([_at(factors, share) for share in _SHARES])
+    by_share = logsumexp(np.array(log_posterior), axis=0)
+    # Normalise the posterior on the uneven grid of shares, and read off its quantiles.
+    density = np.exp(by_share - by_share.max())
+    weight = density * np.gradient(_SHARES)
+    weight /= weight.sum()
+    cumulative = np.cumsum(weight)
+    low, high = (float(np.interp(level, cumulative, _SHARES)) for level in _LEVELS)
+    return float(weight @ _SHARES), low, high
+
+
+def _at(factors: Sequence[tuple[Floats, Floats]], share: float) -> float:
+    rows = [weight + mixed(factor, share, MOST_OF_KNOWN) for weight, factor in factors]
+    return float(logsumexp(np.stack(rows), axis=0).sum())
+
+
+def means_of(
+    population: Population, others: Sequence[ChosenCause], part: ChosenCause
+) -> tuple[dict[str, Value], dict[str, float]]:
+    """Mean amplitude with its uncertainty, and spread, by parameter in its unit.
+
+    The uncertainty follows from the curvature of the log likelihood in share, spread and mean together.
+    """
+    units, start = population.units, part.amplitudes
+    size = _sizes(population, others, part)
+    columns = [units.columns[k] for k in part.candidate.index]
+    u = _uncertainty(population, others, part)
+    mean = {
+        column.parameter: Value(
+            float(start.mean[k] * size[k]), None if u is None else float(u[k] * size[k]), column.unit
+        )
+        for k, column in enumerate(columns)
+    }
+    return mean, {column.parameter: float(start.spread * size[k]) for k, column in enumerate(columns)}
+
+
+def _sizes(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats:
+    """Size of an amplitude of one in the unit of each column (d,).
+
+    If the amplitudes are relative to each session's own uncertainty, the size is the median of that
+    uncertainty over the affected sessions: the sessions of one stage may be much noisier than the rest.
+    """
+    units, index = population.units, list(part.candidate.index)
+    typical = units.typical[index]
+    if not part.amplitudes.relative:
+        return typical
+    likely = population.affected(others, part) > 0.5
+    chosen = likely if likely.any() else part.group.inside
+    out = typical.copy()
+    for k, column in enumerate(index):
+        length = units.length[chosen, column]
+        if (length > 0).any():
+            # `length` is typical/u without the column's weight, so the weight is applied here once.
+            out[k] *= units.columns[column].weight * np.median(1 / length[length > 0])
+    return out
+
+
+def _uncertainty(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats | None:
+    """Uncertainty of the mean (d,) in typical uncertainties; None for a zero mean or without curvature."""
+    start = part.amplitudes
+    at = parameters_of(start)
+    if len(at) == 2:
+        return None
+    inside = part.group.inside
+    blocks = population.blocks_given(others, part.candidate.index, part.amplitudes.relative)
+
+    def value(parameters: Floats) -> float:
+        group: Group = group_at(parameters, start)
+        factors = [
+            (weight[inside], log_factor(block, group.mean, group.spread)[inside])
+            for weight, block in blocks
+        ]
+        return _at(factors, group.share)
+
+    # Parameters: logit of the share, log of the spread, mean.
+    hessian = _curvature(value, at)
+    # A share at its bound or a spread near zero has no curvature: it stays fixed.
+    free = np.diagonal(hessian) > 1e-2
+    free[2:] = True
+    try:
+        covariance = np.linalg.inv(hessian[np.ix_(free, free)])
+    except np.linalg.LinAlgError:
+        return None
+    variance = np.diagonal(covariance)[int(free[:2].sum()) :]
+    return np.sqrt(variance) if (variance > 0).all() else None
+
+
+def _curvature(value, at: Floats, step: float = 0.05) -> Floats:  # type: ignore[no-untyped-def]
+    """Negative Hessian of a function by central differences, (p, p)."""
+    count = len(at)
+    moves = step * np.eye(count)
+    out = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i, count):
+            # f(+,+) − f(+,−) − f(−,+) + f(−,−) over 4 h²
+            corners = [a * b * value(at + a * moves[i] + b * moves[j]) for a in (1, -1) for b in (1, -1)]
+            out[i, j] = out[j, i] = -sum(corners) / (4 * step**2)
+    return out
+
+
+ASKED = (0.1, 0.3, 1.0)
+"""Shares of the sessions for which the detectable amplitude is computed."""
+_POWER_90 = 1.2815515655446004
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
+_SIZES = np.geomspace(0.1, 30.0, 26)
+"""Amplitudes to try, in typical standard uncertainties."""
+
+
+@dataclass(frozen=True)
+class Reach(JsonRecord):
+    """Smallest amplitude of an effect that a population would have shown.
+
+    The JSON document is one value of `detectable`.
+
+    Attributes
+    ----------
+    amplitude : mapping of str to float
+        Smallest amplitude found with 90 % power, by the share of affected sessions (`0.1`, `0.3`, `1`);
+        None if no amplitude that was tried suffices.
+    unit, parameter : str
+    """
+
+    amplitude: Mapping[str, float | None]
+    unit: str
+    parameter: str
+
+
+def reach_of(population: Population) -> dict[str, Reach]:
+    """Smallest amplitude found with 90 % power, by effect, on the worst of its axes.
+
+    The gain and its variance are expected values over units drawn from the distribution. The search
+    costs the prior of candidate and grid.
+    """
+    units = population.units
+    by_name: dict[str, list[tuple[str, str, dict[str, float | None]]]] = defaultdict(list)
+    single = [c for c in population.candidates if c.named and len(c.index) == 1]
+    double = [c for c in population.candidates if c.named and not c.axes and len(c.index) == 2]
+    chosen: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for k, candidate in enumerate([*single, *double]):
+        chosen[candidate.cause, candidate.axes].append(k)
+    every = [*single, *double]
+    for (name, _), members in chosen.items():
+        candidate = every[members[len(members) // 2]]
+        column = candidate.index[0]
+        block = units.joint([column])
+        # Log evidence that the cause must exceed: level, priors, and the grid of distributions.
+        price = -math.log(limits.adequate) - candidate.log_prior - population.groups[0].log_prior
+        price += math.log(2 * len(MEANS) * 2 * len(SHARES)) * (1 if len(candidate.index) == 1 else 1.5)
+        found = {f"{share:g}": _smallest(block, share, price) for share in ASKED}
+        scaled = {
+            key: None if size is None else float(size * units.typical[column])
+            for key, size in found.items()
+        }
+        by_name[name].append((units.columns[column].parameter, units.columns[column].unit, scaled))
+    out = {}
+    for name, rows in by_name.items():
+        parameter, unit, scaled = max(rows, key=lambda row: sum(v or math.inf for v in row[2].values()))
+        out[name] = Reach(scaled, unit, parameter)
+    return out
+
+
+def _smallest(block: Block, share: float, price: float) -> float | None:
+    """Smallest mean amplitude with an evidence above `price` in 90 % of populations."""
+    low, high = 0, len(_SIZES)
+    while low < high:  # bisection: power grows with the amplitude
+        middle = (low + high) // 2
+        gain, variance = _expected(block, share, float(_SIZES[middle]))
+        if gain - _POWER_90 * math.sqrt(variance) > price:
+            high = middle
+        else:
+            low = middle + 1
+    return float(_SIZES[low]) if low < len(_SIZES) else None
+
+
+def _expected(block: Block, share: float, size: float) -> tuple[float, float]:
+    """Mean and variance of the gain in log likelihood of a population, by Gauss–Hermite quadrature."""
+    g = block.information[:, 0, 0]
+    spread = RELATIVE_SPREAD * size
+    weight = _WEIGHTS / _WEIGHTS.sum()
+    first = second = 0.0
+    # Mixture of unaffected and affected sessions; their scores are normal.
+    for part, mean, variance in (
+        (1 - share, np.zeros_like(g), g),
+        (share, g * size, g + g**2 * spread**2),
+    ):
+        score: Floats = mean[:, None] + np.sqrt(variance)[:, None] * _NODES
+        flat = Block(score.reshape(-1, 1), np.repeat(g, len(_NODES))[:, None, None])
+        value = mixed(log_factor(flat, np.array([size]), spread), share).reshape(score.shape)
+        first = first + part * (value @ weight)
+        second = second + part * (value**2 @ weight)
+    by_unit = np.asarray(first)
+    return float(by_unit.sum()), float((np.asarray(second) - by_unit**2).sum())

@@ -1,0 +1,258 @@
+"""Drift of a quantity between sessions, and control charts that compare a session with those before it.
+
+Drift is a weighted line with additional scatter between sessions: y_i = a + b t_i + w_i + e_i, with e_i
+of standard deviation u_i and w_i of τ. τ² follows from Paule and Mandel (J. Res. NBS 87, 1982, 377): the
+residual is then as large as expected. The uncertainty is by Knapp and Hartung (Stat. Med. 22, 2003,
+2693), at least as large as the stated u require, with Student's t at n − 2.
+
+The charts compare each session with the weighted mean of all before it (recursive residuals; Brown,
+Durbin and Evans, J. R. Stat. Soc. B 37, 1975). If nothing changes, the differences are independent and
+standard normal, so that neither chart needs a baseline of good sessions and the average run lengths of
+the textbooks apply. Shewhart's chart detects a session that is far off; the CUSUM
+(Page, Biometrika 41, 1954) detects a small shift that stays.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.uncertainty import Value
+
+CUSUM_K = 0.5
+"""Half of the shift, in standard deviations, for which the chart is tuned (Montgomery, chapter 9)."""
+CUSUM_H = 5.0
+"""Decision interval in standard deviations: one false alarm in 465 sessions."""
+SHEWHART = 3.0
+"""Limits in standard deviations: one false alarm in 370 sessions."""
+_MOVING_RANGE = 2 / math.sqrt(math.pi)
+"""Mean distance of two neighbours in standard deviations (d₂ of two)."""
+_NODES = 80
+
+
+@dataclass(frozen=True)
+class ControlChart(JsonRecord):
+    """A series of sessions compared with its own past; entries of the first session are NaN.
+
+    Attributes
+    ----------
+    expected : (n,) float
+        Weighted mean of all sessions before.
+    low, high : (n,) float
+        Shewhart's limits for this session.
+    z : (n,) float
+        Standardised difference.
+    up, down : (n,) float
+        The two sums of the CUSUM, in standard deviations; 0 at the first session.
+    between : float
+        Standard deviation between sessions, beyond their u.
+    since : int or None
+        Index of the first session after a change that the CUSUM signals, by the most likely split of the
+        sessions up to the signal into two means (Pignatiello and Samuel, J. Qual. Technol. 33, 2001).
+    k, h : float
+        Slack and limit of the CUSUM.
+    """
+
+    document_keys = (
+        *("expected", "low", "high", "z", "up", "down"),
+        *("between", "k", "h", "outside", "signal", "since"),
+    )
+
+    expected: Floats
+    low: Floats
+    high: Floats
+    z: Floats
+    up: Floats
+    down: Floats
+    between: float
+    since: int | None = None
+    k: float = CUSUM_K
+    h: float = CUSUM_H
+
+    @property
+    def outside(self) -> list[int]:
+        """Indices of the sessions outside Shewhart's limits."""
+        return [int(n) for n in np.flatnonzero(np.abs(self.z) > SHEWHART)]
+
+    @property
+    def signal(self) -> int | None:
+        """Index of the first session at which the CUSUM signals, or None."""
+        over = np.flatnonzero(np.maximum(self.up, self.down) > self.h)
+        return int(over[0]) if len(over) else None
+
+
+def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM_H) -> ControlChart:
+    """Both charts of a series (n,) with standard uncertainties (n,), in the order of time."""
+    between = between_neighbours(value, u)
+    variance = u**2 + between**2
+    weight = 1 / variance
+    # Weighted mean of all sessions before each session, and the variance of the difference.
+    total, summed = np.cumsum(weight)[:-1], np.cumsum(weight * value)[:-1]
+    expected = np.concatenate([[np.nan], summed / total])
+    sigma = np.sqrt(np.concatenate([[np.nan], variance[1:] + 1 / total]))
+    z = (value - expected) / sigma
+    up, down = cusum(z[1:], k)
+    chart = ControlChart(
+        expected,
+        expected - SHEWHART * sigma,
+        expected + SHEWHART * sigma,
+        z,
+        np.concatenate([[0.0], up]),
+        np.concatenate([[0.0], down]),
+        between,
+        k=k,
+        h=h,
+    )
+    return chart if chart.signal is None else replace(chart, since=_split(value, weight, chart.signal))
+
+
+def _split(value: Floats, weight: Floats, last: int) -> int:
+    """First session of the second part, if two means explain the sessions up to `last` best."""
+
+    def gain(at: int) -> float:
+        one, other = slice(0, at), slice(at, last + 1)
+        means = [float(np.average(value[part], weights=weight[part])) for part in (one, other)]
+        return (means[1] - means[0]) ** 2 / float(1 / weight[one].sum() + 1 / weight[other].sum())
+
+    return max(range(1, last + 1), key=gain)
+
+
+def between_neighbours(value: Floats, u: Floats) -> float:
+    """Standard deviation between sessions beyond u, by the moving range, which a step hardly changes."""
+    if len(value) < 3:
+        return 0.0
+    # Scatter of neighbours minus the mean variance of the stated u.
+    spread = float(np.abs(np.diff(value)).mean()) / _MOVING_RANGE
+    return math.sqrt(max(spread**2 - float((u**2).mean()), 0.0))
+
+
+def cusum(z: Floats, k: float = CUSUM_K) -> tuple[Floats, Floats]:
+    """Upper and lower sums (n,) of standardised values: max(0, S + z − k) and max(0, S − z − k)."""
+    up, down = np.zeros(len(z)), np.zeros(len(z))
+    high = low = 0.0
+    for n, one in enumerate(z):
+        up[n] = high = max(0.0, high + one - k)
+        down[n] = low = max(0.0, low - one - k)
+    return up, down
+
+
+def average_run_length(h: float, shift: float = 0.0, k: float = CUSUM_K) -> float:
+    """Mean number of sessions until the two-sided CUSUM signals, from a sum of zero.
+
+    Solves Page's integral equation by Gauss–Legendre quadrature; the sides combine by 1/L = 1/L₊ + 1/L₋.
+
+    Parameters
+    ----------
+    h, k : float
+        Limit and slack in standard deviations.
+    shift : float
+        Shift of the mean in standard deviations.
+    """
+    return 1 / (1 / _one_sided(h, k - shift) + 1 / _one_sided(h, k + shift))
+
+
+def _one_sided(h: float, k: float) -> float:
+    """L(0) of L(s) = 1 + L(0) Φ(k − s) + ∫₀ʰ L(x) φ(x + k − s) dx."""
+    from scipy.special import ndtr
+
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    # Nodes on 0 … h; row 0 of the linear system is L(0).
+    x, w = h * (node + 1) / 2, h * weight / 2
+    s = np.concatenate([[0.0], x])
+    step = x[None, :] + k - s[:, None]
+    # First column: probability to return to zero; the others: density at the nodes.
+    kernel = np.column_stack([ndtr(k - s), w * np.exp(-(step**2) / 2) / math.sqrt(2 * math.pi)])
+    return float(np.linalg.solve(np.eye(len(s)) - kernel, np.ones(len(s)))[0])
+
+
+def limit_for(run_length: float, k: float = CUSUM_K) -> float:
+    """Decision interval h with one false alarm in `run_length` sessions."""
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda h: math.log(average_run_length(h, 0.0, k) / run_length), 0.1, 20.0))
+
+
+YEAR_DAYS = 365.25
+LEAST = 3
+"""Fewest sessions of a line with scatter."""
+
+
+@dataclass(frozen=True)
+class Drift(JsonRecord):
+    """A line through a series.
+
+    Attributes
+    ----------
+    slope : Value
+        Slope per year, in `<unit>/a`.
+    level : Value
+        Value at `reference_day`.
+    reference_day : float
+        Weighted mean time of the sessions in days, at which level and slope are independent.
+    between : float
+        Standard deviation τ between sessions beyond u.
+    birge : float
+        Birge's ratio: root of χ² per degree of freedom about the line, by the stated u alone.
+    birge_p : float
+        Probability of this scatter, if the stated u are the only cause.
+    p_value : float
+        Probability of this slope without drift.
+    """
+
+    slope: Value
+    level: Value
+    reference_day: float
+    between: float
+    birge: float
+    birge_p: float
+    p_value: float
+
+
+def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
+    """Line through sessions; None for fewer than `LEAST` sessions or a single time.
+
+    Parameters
+    ----------
+    day, value, u : (n,) float
+        Time in days, value and standard uncertainty above zero in `unit`.
+    """
+    if len(day) < LEAST or not np.ptp(day) > 0:
+        return None
+    from scipy.special import gammaincc, stdtr
+
+    from adis_gonio.fleet.fleet_statistics import tau_of
+
+    dof = len(day) - 2
+    stated = _line(day, value, u**2)
+    between = tau_of(lambda tau: _line(day, value, u**2 + tau**2)[-1], dof, value)
+    middle, level, slope, variances, chi2 = _line(day, value, u**2 + between**2)
+    scale = max(1.0, chi2 / dof)  # Knapp and Hartung, never below the stated u
+    u_level, u_slope = (math.sqrt(scale * v) for v in variances)
+    return Drift(
+        slope=Value(slope * YEAR_DAYS, u_slope * YEAR_DAYS, f"{unit}/a", dof),
+        level=Value(level, u_level, unit, dof),
+        reference_day=middle,
+        between=between,
+        birge=math.sqrt(stated[-1] / dof),
+        birge_p=float(gammaincc(dof / 2, stated[-1] / 2)),
+        p_value=float(2 * stdtr(dof, -abs(slope) / u_slope)),
+    )
+
+
+def _line(
+    day: Floats, value: Floats, variance: Floats
+) -> tuple[float, float, float, tuple[float, float], float]:
+    """Weighted mean time, level at that time, slope per day, their variances, χ²."""
+    # Weighted straight line about the weighted mean time, where level and slope are independent.
+    weight = 1 / variance
+    total = float(weight.sum())
+    middle = float((weight * day).sum()) / total
+    t = day - middle
+    spread = float((weight * t**2).sum())
+    level, slope = float((weight * value).sum()) / total, float((weight * t * value).sum()) / spread
+    chi2 = float((weight * (value - level - slope * t) ** 2).sum())
+    return middle, level, slope, (1 / total, 1 / spread), chi2

@@ -1,0 +1,395 @@
+"""The outcome of a fleet as files (page, JSON, Parquet), and the page of a sensor's history."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from adis_gonio.base import __version__
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.base.jsonable import finite, json_object
+from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
+from adis_gonio.base.output import check_output, replacing, write_utf8
+from adis_gonio.fleet import fleet_summary, sensor_history
+from adis_gonio.fleet.fleet_run import Fleet, Repeated
+from adis_gonio.fleet.fleet_summary import GROUPS, Outlying, QuantitySummary, Summary, summarise
+from adis_gonio.fleet.sensor_history import History, Track
+from adis_gonio.fleet.session_record import Options
+from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
+from adis_gonio.page.svg import Series, plot
+
+if TYPE_CHECKING:
+    from adis_gonio.fleet.population_trace import PopulationResult
+
+_MOST_BINS = 40
+_MOST_GROUPS = 12
+"""Most groups in one figure."""
+_MOST_FIGURES = 6
+"""Most figures of outlying groups."""
+_MOST_ROWS = 200
+"""Most rows of a table of the page; the JSON has all."""
+
+
+def build_page(summary: Summary, repeated: Sequence[Repeated] = (), population: Sequence[str] = ()) -> str:
+    """Render the page of a fleet.
+
+    Parameters
+    ----------
+    repeated : sequence of Repeated
+        Files that do not count.
+    population : sequence of str
+        Paragraphs on the population trace.
+
+    Raises
+    ------
+    NotInstalledError
+        Matplotlib is not installed.
+    """
+    sections = [
+        _overview(summary),
+        Section("Population trace", words=population),
+        _parameters(summary),
+        _effects(summary),
+        _outlying(summary),
+        _files("Failed sessions", "reason", summary.failures),
+        _files(
+            "Files that count once",
+            "same session as",
+            [(one.path, one.same_as) for one in repeated],
+            folded=True,
+        ),
+    ]
+    return render(
+        "Fleet",
+        counted(summary.sessions["n"], "session"),
+        shape=fleet_summary.headline(summary).rstrip("."),
+        sections=sections,
+        closing="This page is made from the sessions' files alone and can be made again from them.",
+    )
+
+
+def _overview(summary: Summary) -> Section:
+    n = summary.sessions
+    key = [KeyFigure("Sessions with a result", f"{n['ok']} of {n['n']}")]
+    key += [KeyFigure(f"{kind.capitalize()}s", str(n[f"{kind}s"])) for kind in GROUPS if n[f"{kind}s"]]
+    if n["traced"]:
+        key.append(
+            KeyFigure(
+                "Model adequate", format_percent(n["adequate"] / n["traced"]), "of the sessions traced"
+            )
+        )
+    key.append(KeyFigure("Outlying", str(len(summary.outlying)), "units, stages, operators by quantity"))
+    return Section("Summary", key=key, words=fleet_summary.remarks(summary))
+
+
+def _parameters(summary: Summary) -> Section:
+    table = Table(
+        fleet_summary.PARAMETER_HEAD, fleet_summary.parameter_rows(summary), numeric=tuple(range(2, 11))
+    )
+    figures = [_histogram(one, summary.table[one.name]) for one in summary.parameters]
+    return Section(
+        "Parameters",
+        tables=[table] if summary.parameters else [],
+        figures=[figure for figure in figures if figure is not None],
+        notes=fleet_summary.PARAMETER_NOTES if summary.parameters else (),
+    )
+
+
+def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
+    """Histogram of the sessions, with the density of one true value scattered by the median u."""
+    x = values[np.isfinite(values)]
+    spread = one.distribution
+    width = 2 * (spread.quantiles["75"] - spread.quantiles["25"]) / len(x) ** (1 / 3)
+    if len(x) < 5 or not width > 0:
+        return None
+    # A few far values would press all others into one bin.
+    middle, reach = spread.quantiles["50"], 6 * spread.robust_sd
+    low, high = max(spread.low, middle - reach), min(spread.high, middle + reach)
+    edges = np.linspace(low, high, 1 + int(np.clip(np.ceil((high - low) / width), 4, _MOST_BINS)))
+    counts, _ = np.histogram(x, edges)
+    series = [
+        Series(
+            np.append(np.insert(edges, 0, edges[0]), edges[-1]),
+            np.concatenate([[0], counts, [0, 0]]),
+            "sessions",
+            role="after",
+            style="steps",
+        )
+    ]
+    if one.beyond is not None and one.beyond.u > 0.2 * (edges[1] - edges[0]):
+        grid = np.linspace(edges[0], edges[-1], 300)
+        u = one.beyond.u
+        density = np.exp(-0.5 * ((grid - middle) / u) ** 2) / (u * np.sqrt(2 * np.pi))
+        expected = density * len(x) * (edges[1] - edges[0])
+        series.append(Series(grid, expected, "if u explained all", role="model", style="line"))
+    name = NAMES.get(one.name, one.name)
+    outside = int((x < low).sum() + (x > high).sum())
+    far = f"; {counted(outside, 'session')} outside the figure" if outside else ""
+    svg = plot(
+        series,
+        label_quantity(one.name, one.unit),
+        "sessions",
+        title=f"Distribution of {name}",
+        zero=True,
+    )
+    return Figure(svg, f"{name} of {counted(len(x), 'session')}{far}.")
+
+
+def _effects(summary: Summary) -> Section:
+    rows = fleet_summary.effect_rows(summary)
+    table = Table(
+        fleet_summary.EFFECT_HEAD, rows, numeric=(1, 2, 3), caption="95 % interval of the share by Wilson."
+    )
+    none = ["No effect was found."] if summary.sessions["traced"] and not rows else []
+    return Section("Effects by frequency", words=none, tables=[table] if rows else [])
+
+
+def _outlying(summary: Summary) -> Section:
+    rows = fleet_summary.outlying_rows(summary)
+    caption = "" if len(rows) <= _MOST_ROWS else f"The first {_MOST_ROWS} of {len(rows)}."
+    table = Table(fleet_summary.OUTLYING_HEAD, rows[:_MOST_ROWS], numeric=(2, 3, 4, 5), caption=caption)
+    groups = [one for one in summary.outlying if one.kind != "unit" and one.quantity in summary.table]
+    shown = {(one.kind, one.quantity): one for one in groups}
+    figures = [_group_plot(one, summary) for one in list(shown.values())[:_MOST_FIGURES]]
+    return Section(
+        "Outlying groups",
+        words=[fleet_summary.outlying_text(summary)],
+        tables=[table] if rows else [],
+        figures=[figure for figure in figures if figure is not None],
+        notes=[
+            "Units: robust z of the median of their sessions. Stages and operators: normal scores over"
+            " their units, effects by the hypergeometric tail. The most outlying group is removed"
+            " before the others are compared."
+        ]
+        if summary.tests
+        else (),
+    )
+
+
+def _group_plot(one: Outlying, summary: Summary) -> Figure | None:
+    """Values of all sessions by stage or operator."""
+    names = summary.table[GROUPS[one.kind]]
+    values = summary.table[one.quantity]
+    known = [str(name) for name in np.unique(names[(names != "") & np.isfinite(values)])]
+    if len(known) > _MOST_GROUPS:
+        return None
+    at = np.array([known.index(name) if name in known else np.nan for name in names.tolist()])
+    odd = np.isin(
+        names, [x.name for x in summary.outlying if (x.kind, x.quantity) == (one.kind, one.quantity)]
+    )
+    # Spread the points in the order of the sessions, so that they do not hide each other.
+    place = at + np.linspace(-0.3, 0.3, len(at))
+    name = NAMES.get(one.quantity, one.quantity)
+    svg = plot(
+        [
+            Series(place[~odd], values[~odd], "others", role="after"),
+            Series(place[odd], values[odd], "outlying", role="before"),
+        ],
+        one.kind,
+        label_quantity(one.quantity, one.unit),
+        title=f"{name} by {one.kind}",
+        x_ticks={float(k): text if len(text) < 9 else f"{text[:7]}…" for k, text in enumerate(known)},
+    )
+    return Figure(svg, f"{name} of each session by {one.kind}.")
+
+
+def _files(title: str, head: str, rows: Sequence[tuple[str, str]], *, folded: bool = False) -> Section:
+    """Section with a table of files, each with a text."""
+    more = len(rows) - _MOST_ROWS
+    table = Table(["file", head], rows[:_MOST_ROWS], caption=f"{more} more." if more > 0 else "")
+    return Section(title, tables=[table] if rows else [], folded=folded)
+
+
+def history_page(history: History) -> str:
+    """Render the history of a sensor as one HTML page that loads nothing; every text is escaped."""
+    head, rows = sensor_history.value_rows(history)
+    sections = [
+        Section(
+            "Overview",
+            words=(
+                f"{sensor_history.headline(history)[:1].upper()}{sensor_history.headline(history)[1:]}.",
+            ),
+            tables=(Table(head, rows, "Values ± U (95 %).", tuple(range(1, len(head)))),),
+            notes=tuple(f"left out: {record.path}: {reason}" for record, reason in history.left_out),
+        ),
+        *(_section(track, history) for track in history.tracks.values()),
+        Section(
+            "Effects found",
+            tables=(Table(["date", "effects", "model"], sensor_history.effect_table(history)),),
+        ),
+    ]
+    return render(
+        "History",
+        f"sensor {history.serial}",
+        shape=sensor_history.headline(history),
+        simulated=any(record.simulated for record in history.sessions),
+        sections=sections,
+        closing="This page is made from the sessions' files and can be made again from them.",
+    )
+
+
+def _section(track: Track, history: History) -> Section:
+    figures = [_over_time(track)]
+    if track.chart is not None:
+        figures.append(_cusum(track))
+    sentences = [
+        f"{text[:1].upper()}{text[1:]}."
+        for text in (
+            *sensor_history.drift_sentences(track),
+            *sensor_history.chart_sentences(track, history),
+        )
+    ]
+    return Section(track.label, words=sentences, figures=figures)
+
+
+def _years(track: Track) -> np.ndarray:
+    """Dates (n,) as fractional calendar years."""
+    return 1970.0 + track.day / 365.2425
+
+
+def _over_time(track: Track) -> Figure:
+    x = _years(track)
+    series = [Series(x, track.value, "session, with U", error=track.expanded, role="after")]
+    if track.drift is not None:
+        day = np.linspace(track.day.min(), track.day.max(), 50)
+        line = track.drift.level.value + track.drift.slope.value / 365.25 * (
+            day - track.drift.reference_day
+        )
+        series.append(Series(1970.0 + day / 365.2425, line, "drift", role="before", style="line"))
+    if track.chart is not None:
+        for limit, label in ((track.chart.low, "3σ limits"), (track.chart.high, "")):
+            series.append(Series(x, limit, label, role="model", style="line"))
+    name = track.label
+    drawn = plot(series, "year", name, title=f"{name} over time")
+    caption = "Value of each session with U" + (
+        "; limits from all previous sessions." if track.chart else "."
+    )
+    return Figure(drawn, caption)
+
+
+def _cusum(track: Track) -> Figure:
+    chart = track.chart
+    assert chart is not None
+    number = np.arange(1, len(chart.z) + 1)
+    limit = np.full(len(number), chart.h)
+    series = [
+        Series(number, chart.up, "up", role="after", style="line"),
+        Series(number, chart.down, "down", role="before", style="line"),
+        Series(number, limit, f"limit {chart.h:.3g}", role="model", style="line"),
+    ]
+    drawn = plot(
+        series,
+        "session",
+        "CUSUM / σ",
+        title=f"CUSUM of {track.label}",
+        zero=True,
+    )
+    return Figure(
+        drawn, f"Sums of differences beyond {chart.k:g} σ; above the limit the quantity has changed."
+    )
+
+
+ENDINGS = (".parquet", ".json", ".html")
+
+
+@dataclass(frozen=True)
+class FleetResult:
+    """A fleet with its summary, independent of the workers and of their order."""
+
+    fleet: Fleet
+    options: Options
+
+    @cached_property
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per session, with the columns `session_table.COLUMNS`."""
+        return [record.row() for record in self.fleet.records]
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Summary of the rows."""
+        return summarise(self.rows)
+
+    @cached_property
+    def population(self) -> PopulationResult | str | None:
+        """Result of the population trace, or the reason if it failed; None if it was not requested."""
+        if not self.options.evidence:
+            return None
+        from adis_gonio.fleet.population_trace import trace_population
+        from adis_gonio.fleet.session_evidence import SessionEvidence
+
+        known = [record.evidence for record in self.fleet.records if record.evidence is not None]
+        try:
+            return trace_population([SessionEvidence.from_dict(evidence) for evidence in known])
+        except AdisGonioError as error:
+            return str(error)
+
+    @property
+    def population_lines(self) -> tuple[str, ...]:
+        """Lines of text on the population trace."""
+        found = self.population
+        if found is None:
+            return ()
+        return (f"No population trace: {found}.",) if isinstance(found, str) else found.summary()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON document: the summary, the options, and files that do not count."""
+        found = self.population
+        population = {"reason": found} if isinstance(found, str) else found
+        return self.summary.as_dict() | json_object(
+            options=self.options,
+            repeated=self.fleet.repeated,
+            **{} if found is None else {"population": population},
+        )
+
+    def write(self, path: Path) -> None:
+        """Write a file in the format of its ending; an existing file is replaced.
+
+        Raises
+        ------
+        OutputError
+            The file cannot be written; an existing file stays as it is.
+        """
+        with replacing(path) as temporary:
+            if path.suffix.lower() == ".parquet":
+                from adis_gonio.fleet.session_table import write_parquet
+
+                about = {"software": f"adis-gonio {__version__}", "options": self.options.as_dict()}
+                write_parquet(self.rows, temporary, about)
+            elif path.suffix.lower() == ".html":
+                write_utf8(temporary, build_page(self.summary, self.fleet.repeated, self.population_lines))
+            else:
+                text = json.dumps(finite(self.as_dict()), ensure_ascii=False, indent=2, allow_nan=False)
+                write_utf8(temporary, text + "\n")
+
+
+def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
+    """Check the output files before the work begins.
+
+    Raises
+    ------
+    UsageError
+        An unknown ending, or a file that is one of the sessions.
+    OutputError, NotInstalledError
+        A file cannot be written.
+    """
+    for path in paths:
+        if path.suffix.lower() not in ENDINGS:
+            raise UsageError(f"{path}: unknown ending; use {', '.join(ENDINGS)}")
+        if str(path) in files:
+            raise UsageError(f"{path}: is one of the sessions; name another file")
+        check_output(path, force=True)
+        if path.suffix.lower() == ".parquet":
+            from adis_gonio.fleet.session_table import require_pyarrow
+
+            require_pyarrow()
+        elif path.suffix.lower() == ".html":
+            from adis_gonio.page.svg import require_matplotlib
+
+            require_matplotlib()

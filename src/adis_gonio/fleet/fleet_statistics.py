@@ -1,0 +1,411 @@
+"""Scatter of a quantity over the fleet, and the outlying units, stages and operators.
+
+A *unit* is compared with the other units by a robust z: its distance from their median over the distance
+that scatter and its own u explain. A *stage* or an *operator* is compared by ranks (normal scores) of a
+quantity over its units, and by how many of them showed an effect (hypergeometric tail). All tests of a
+fleet share one probability of a false name (Bonferroni). The most outlying group is named and
+removed before the others are compared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ndtr, ndtri, stdtr
+from scipy.stats import hypergeom, rankdata
+
+from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
+from adis_gonio.base.jsonable import JsonRecord, key
+from adis_gonio.base.uncertainty import OUTLYING
+
+PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
+LEAST = 3
+"""Fewest values for a statement on scatter."""
+
+
+@dataclass(frozen=True)
+class Distribution(JsonRecord):
+    """Values of one quantity over the fleet.
+
+    Attributes
+    ----------
+    n : int
+        Number of sessions with the quantity.
+    mean, sd, robust_sd : float
+    quantiles : mapping of str to float
+        Quantiles by probability in percent, such as `50`.
+    low, high : float
+        Extremes.
+    """
+
+    n: int
+    mean: float
+    sd: float
+    robust_sd: float
+    quantiles: dict[str, float]
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Floats) -> Distribution:
+        """Distribution of finite values (n,), at least one."""
+        probable = np.quantile(values, PROBABILITIES)
+        quantiles = {f"{100 * p:g}": float(q) for p, q in zip(PROBABILITIES, probable, strict=True)}
+        sd = float(values.std(ddof=1)) if len(values) > 1 else math.nan
+        ends = float(values.min()), float(values.max())
+        return cls(len(values), float(values.mean()), sd, robust_sd(values), quantiles, *ends)
+
+
+@dataclass(frozen=True)
+class Beyond(JsonRecord):
+    """Scatter compared with the uncertainties that the sessions state.
+
+    Attributes
+    ----------
+    n : int
+        Values with an uncertainty.
+    u : float
+        Median standard uncertainty of the values.
+    q, dof, p_value : float
+        Cochran's Q about the weighted mean, its degrees of freedom, and the probability of this Q if u
+        explains the scatter.
+    tau : float
+        Additional standard deviation between the true values of the sessions (Paule and Mandel).
+    tau_95 : tuple of float
+        Interval of 95 % of tau (Q profile).
+    """
+
+    document_keys = ("n", "u", "q", "dof", "p_value", "birge_ratio", "tau", "tau_95")
+
+    n: int
+    u: float = field(metadata=key("median_u"))
+    q: float
+    dof: int
+    p_value: float
+    tau: float
+    tau_95: tuple[float, float]
+
+    @property
+    def birge_ratio(self) -> float:
+        """Birge ratio: scatter over the scatter that u explains."""
+        return math.sqrt(self.q / self.dof)
+
+
+def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
+    """Compare the scatter of values (n,) with their standard uncertainties (n,) with `dof` (n,).
+
+    A deviation in units of u has Student's distribution. It is converted to the normal deviate of equal
+    probability, so that Q is χ² even if u has few degrees of freedom. Returns None for fewer than three
+    values with a u.
+    """
+    from scipy.stats import chi2
+
+    good = np.isfinite(values) & np.isfinite(u) & (u > 0)
+    x, s, nu = values[good], u[good], dof[good]
+    n = len(x)
+    if n < LEAST:
+        return None
+
+    def q_at(tau: float) -> float:
+        # Weighted mean and deviations with the variance that τ adds.
+        variance = s**2 + tau**2
+        weight = 1 / variance
+        centre = float(weight @ x) / float(weight.sum())
+        return float((as_normal((x - centre) / np.sqrt(variance), nu) ** 2).sum())
+
+    # Q equals its expectation at τ, and its 2.5 % and 97.5 % quantiles at the ends of the interval.
+    expected = (n - 1.0, float(chi2.ppf(0.975, n - 1)), float(chi2.ppf(0.025, n - 1)))
+    tau, low, high = (tau_of(q_at, goal, x) for goal in expected)
+    q = q_at(0.0)
+    return Beyond(n, float(np.median(s)), q, n - 1, float(chi2.sf(q, n - 1)), tau, (low, high))
+
+
+def as_normal(t: Floats, dof: Floats) -> Floats:
+    """Normal deviates of equal probability to Student's t (n,) with `dof` (n,)."""
+    from scipy.special import ndtri, stdtr
+
+    few = np.isfinite(dof) & (dof < 1e6)
+    out = np.array(t, dtype=float)
+    # The lower tail keeps the digits of small probabilities.
+    tail = np.maximum(stdtr(np.maximum(dof[few], 1.0), -np.abs(out[few])), 1e-300)
+    out[few] = -np.sign(out[few]) * ndtri(tail)
+    return out
+
+
+def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
+    """τ by Paule and Mandel, at which Q is as large as expected; 0 if Q is smaller already without τ."""
+    from scipy.optimize import brentq
+
+    if q_at(0.0) <= goal:
+        return 0.0
+    high = float(np.ptp(values))
+    while q_at(high) > goal:
+        high *= 2
+    return float(brentq(lambda tau: q_at(tau) - goal, 0.0, high, xtol=1e-7 * high, rtol=1e-6))
+
+
+@dataclass(frozen=True)
+class Repeats(JsonRecord):
+    """Agreement of the sessions of one unit, in units of their u.
+
+    Attributes
+    ----------
+    units, sessions : int
+        Units with two sessions or more, and their sessions.
+    ratio : float
+        Scatter within units over the scatter that u explains; 1 if u is right.
+    p_value : float
+        Probability of this scatter if u explains it.
+    """
+
+    units: int
+    sessions: int
+    ratio: float
+    p_value: float
+
+
+def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> Repeats | None:
+    """Scatter of sessions about the mean of their unit, by its number `unit` (n,); negative is unknown.
+
+    Returns None if no unit has two sessions.
+    """
+    from scipy.stats import chi2
+
+    good = np.isfinite(values) & np.isfinite(u) & (u > 0) & (unit >= 0)
+    x, s, nu = values[good], u[good], dof[good]
+    _, index, count = np.unique(unit[good], return_inverse=True, return_counts=True)
+    weight = 1 / s**2
+    # Weighted mean of each unit.
+    centre = np.bincount(index, weight * x) / np.bincount(index, weight) if len(x) else x
+    several = count[index] > 1  # sessions of units with at least two
+    freedom = int((count[count > 1] - 1).sum())
+    if not freedom:
+        return None
+    q = float((as_normal((x - centre[index]) / s, nu)[several] ** 2).sum())
+    return Repeats(
+        int((count > 1).sum()), int(several.sum()), math.sqrt(q / freedom), float(chi2.sf(q, freedom))
+    )
+
+
+FEWEST_UNITS = 5
+"""Fewest units among which one can be outlying."""
+FEWEST = 3
+"""Fewest sessions or units of a group, and of the rest of the fleet."""
+_MAD_EFFICIENCY = 0.37
+"""Efficiency of the median absolute deviation: a robust z of n values has the tails of Student's
+distribution with about this factor times n − 1 degrees of freedom."""
+
+Codes = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Test:
+    """One comparison.
+
+    Attributes
+    ----------
+    kind : str
+        `unit`, `stage` or `operator`.
+    code : int
+        Number of the group.
+    quantity : str
+        A parameter, or `effect NAME`.
+    z : float
+        Robust z, or the normal deviate of equal probability.
+    p_value : float
+        Two-sided for parameters, one-sided (as many or more) for effects.
+    value, others : float
+        Median of the group and of the others; for an effect the share that shows it.
+    n : int
+        Number of sessions of a unit, or of units of a stage or operator.
+    """
+
+    kind: str
+    code: int
+    quantity: str
+    z: float
+    p_value: float
+    value: float
+    others: float
+    n: int
+
+
+@dataclass(frozen=True)
+class FamilyOfTests:
+    """All groups of a kind by one quantity.
+
+    Attributes
+    ----------
+    count : int
+        Number of tests.
+    find : callable
+        Function from a level to the tests with a smaller p-value.
+    """
+
+    count: int
+    find: Callable[[float], list[Test]]
+
+
+def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
+    """Number of tests, and those that pass the level `OUTLYING` in all, the smallest p-value first."""
+    total = sum(one.count for one in comparisons)
+    passed = [test for one in comparisons if one.count for test in one.find(OUTLYING / total)]
+    return total, sorted(
+        passed, key=lambda test: (test.p_value, -abs(test.z), test.kind, test.quantity, test.code)
+    )
+
+
+def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTests:
+    """Compare every unit with all units, by the median of its sessions.
+
+    Parameters
+    ----------
+    values, u, unit : (n,)
+        One entry per session. A negative unit is unknown; its session counts as a separate unit.
+    """
+    good = np.isfinite(values)
+    codes = _own(unit)[good]
+    names, index, count = np.unique(codes, return_inverse=True, return_counts=True)
+
+    def find(level: float) -> list[Test]:
+        # One value per unit, with the root mean square of its u.
+        median = _medians(values[good], index)
+        # Sessions of a unit may share their error, so its u is not reduced by their number.
+        doubt = np.sqrt(np.bincount(index, np.nan_to_num(u[good]) ** 2) / count)
+        z, centre = robust_z(median, doubt)
+        p = 2 * stdtr(_MAD_EFFICIENCY * (len(names) - 1), -np.abs(z))
+        return [
+            Test("unit", int(names[k]), quantity, z[k], p[k], median[k], centre, int(count[k]))
+            for k in np.flatnonzero(p < level)
+        ]
+
+    return FamilyOfTests(len(names) if len(names) >= FEWEST_UNITS else 0, find)
+
+
+def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
+    """Distances (n,) from the median over √(τ² + u²), and the median.
+
+    τ is such that the median distance is as in a normal distribution; 0 if u alone explains it.
+    """
+    centre = float(np.median(values))
+    away = np.abs(values - centre)
+
+    def unusual(tau: float) -> float:
+        return float(np.median(away / np.sqrt(tau**2 + u**2))) - 1 / MAD_TO_SD
+
+    # τ is at most the robust scatter without any u.
+    most = robust_sd(values)
+    least = 1e-6 * most
+    if most == 0.0:
+        tau = 0.0
+    elif unusual(least) <= 0:
+        tau = least
+    else:
+        tau = float(brentq(unusual, least, 1.001 * most))
+    scale = np.sqrt(tau**2 + u**2)
+    return np.divide(values - centre, scale, out=np.zeros_like(values), where=scale > 0), centre
+
+
+def by_rank(kind: str, quantity: str, values: Floats, group: Codes, unit: Codes) -> FamilyOfTests:
+    """Compare every stage or operator with the others, by ranks of the medians of its units."""
+    good = np.isfinite(values) & (group >= 0)
+    x, code = _by_unit(values[good], group[good], _own(unit)[good])
+    return _stepwise(kind, quantity, x, code, _normal_scores, np.median)
+
+
+def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) -> FamilyOfTests:
+    """Compare every group by the number of its units with an effect in at least half of their sessions.
+
+    If `kind` is `unit`, the sessions of each unit are counted.
+    """
+    good = group >= 0
+    shown, code = found[good].astype(float), group[good]
+    if kind != "unit":
+        shown, code = _by_unit(shown, code, _own(unit)[good])
+        shown = (shown >= 0.5).astype(float)
+    return _stepwise(kind, f"effect {effect}", shown, code, _hypergeometric, np.mean)
+
+
+def _own(unit: Codes) -> Codes:
+    """Numbers of the units, with a new number for each session of an unknown unit."""
+    return np.where(unit >= 0, unit, -1 - np.arange(len(unit)))
+
+
+def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
+    """Median of each unit in each group, and the group; many sessions of a unit count as one value."""
+    if not len(values):
+        return values, group
+    # Every pair of group and unit is one value.
+    pairs, index = np.unique(np.stack([group, unit]), axis=1, return_inverse=True)
+    return _medians(values, np.asarray(index).ravel()), pairs[0]
+
+
+def _medians(values: Floats, index: Codes) -> Floats:
+    """Median of each group; `index` (n,) numbers the groups from 0 without gaps."""
+    # Sorted within each group, so that the median is the mean of its two middle values.
+    x = values[np.lexsort((values, index))]
+    count = np.bincount(index)
+    first = np.cumsum(count) - count
+    return np.asarray(0.5 * (x[first + (count - 1) // 2] + x[first + count // 2]))
+
+
+def _normal_scores(values: Floats, index: Codes, count: Codes) -> tuple[Floats, Floats]:
+    """Van der Waerden's z of each group against the rest, and its two-sided p-value."""
+    n = len(values)
+    score = ndtri(rankdata(values) / (n + 1))
+    score -= score.mean()
+    # Variance of the sum of `count` scores drawn without replacement.
+    variance = count * (n - count) / (n * (n - 1)) * float(score @ score)
+    z = np.divide(
+        np.bincount(index, score), np.sqrt(variance), out=np.zeros(len(count)), where=variance > 0
+    )
+    return z, 2 * ndtr(-np.abs(z))
+
+
+def _hypergeometric(values: Floats, index: Codes, count: Codes) -> tuple[Floats, Floats]:
+    """Normal deviate and probability of as many or more by chance."""
+    here = np.bincount(index, values)
+    p = np.minimum(hypergeom.sf(here - 1, len(values), int(values.sum()), count), 1.0)
+    return -ndtri(np.maximum(p, 1e-300)), p
+
+
+def _stepwise(
+    kind: str,
+    quantity: str,
+    values: Floats,
+    code: Codes,
+    score: Callable[[Floats, Codes, Codes], tuple[Floats, Floats]],
+    middle: Callable[[Floats], Any],
+) -> FamilyOfTests:
+    """Compare all groups with the rest, remove the oddest, compare the others."""
+
+    def find(level: float) -> list[Test]:
+        x, groups = values, code
+        tests: list[Test] = []
+        while True:
+            names, index, count = np.unique(groups, return_inverse=True, return_counts=True)
+            able = _able(count)
+            if not able.any():
+                return tests
+            z, p = score(x, index, count)
+            # Of two groups that differ only from each other, the smaller one is the outlier.
+            k = int(np.lexsort((names, count, np.where(able, p, 2.0)))[0])
+            if not p[k] < level:
+                return tests
+            own = index == k
+            middles = float(middle(x[own])), float(middle(x[~own]))
+            tests.append(Test(kind, int(names[k]), quantity, z[k], p[k], *middles, int(count[k])))
+            x, groups = x[~own], groups[~own]
+
+    return FamilyOfTests(int(_able(np.unique(code, return_counts=True)[1]).sum()), find)
+
+
+def _able(count: Codes) -> Flags:
+    return np.asarray((count >= FEWEST) & (count.sum() - count >= FEWEST))

@@ -1,0 +1,444 @@
+"""Summary of a fleet by columns (100 000 rows are quick): parameters, effects, outlying groups.
+
+>>> from adis_gonio.fleet.fleet_summary import summarise
+>>> from adis_gonio.fleet.session_table import read_parquet
+>>> summarise(read_parquet("fleet.parquet")).as_dict()["sessions"]  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base import __version__
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord, key
+from adis_gonio.base.numbers import (
+    NAMES,
+    count_decimals,
+    counted,
+    format_fixed,
+    format_number,
+    format_p,
+    format_percent,
+    format_unit,
+    with_unit,
+)
+from adis_gonio.base.uncertainty import OUTLYING, wilson
+from adis_gonio.fleet.fleet_statistics import (
+    FEWEST,
+    FEWEST_UNITS,
+    Beyond,
+    Codes,
+    Distribution,
+    FamilyOfTests,
+    Repeats,
+    Test,
+    beyond,
+    by_rank,
+    by_share,
+    by_unit,
+    outlying,
+    repeats,
+)
+from adis_gonio.fleet.session_record import QUANTITIES
+from adis_gonio.fleet.session_table import Row, Table, table_of
+
+FORMAT = "adis-gonio fleet summary 1"
+KINDS = ("unit", "stage", "operator")
+GROUPS = {"unit": "serial", "stage": "stage", "operator": "operator"}
+"""Column that names the groups of a kind."""
+_ALIKE = 0.9
+"""Share of common sessions above which a fleet cannot distinguish two groups."""
+_RMS = "angle"
+"""A root mean square: its logarithm is compared, and the stated u belongs to an angle."""
+
+
+@dataclass(frozen=True)
+class QuantitySummary(JsonRecord):
+    """One quantity over all sessions that determine it.
+
+    The JSON document is one value of `parameters`.
+
+    Attributes
+    ----------
+    name, unit : str
+    distribution : Distribution
+    beyond : Beyond or None
+        None if fewer than three sessions state a u.
+    repeats : Repeats or None
+        None if no unit has two sessions.
+    """
+
+    name: str = field(metadata=HIDDEN)
+    unit: str
+    distribution: Distribution = field(metadata=INLINE)
+    beyond: Beyond | None = field(metadata=key("beyond_u"))
+    repeats: Repeats | None
+
+
+@dataclass(frozen=True)
+class Frequency(JsonRecord):
+    """Number of the traced sessions that showed an effect."""
+
+    document_keys = ("effect", "found", "traced", "share", "wilson_95")
+
+    effect: str
+    found: int
+    traced: int
+
+    @property
+    def share(self) -> float:
+        """Share of the traced sessions."""
+        return self.found / self.traced
+
+    @property
+    def wilson_95(self) -> tuple[float, float]:
+        """Wilson's interval of 95 % for the share."""
+        return wilson(self.found, self.traced)
+
+
+@dataclass(frozen=True)
+class Outlying(JsonRecord):
+    """An outlying unit, stage or operator.
+
+    The JSON document is one entry of `outlying.found`.
+
+    Attributes
+    ----------
+    kind : {"unit", "stage", "operator"}
+    name : str
+        Name of the group; the path of a session without a serial number.
+    quantity, unit : str
+        Parameter with its unit, or `effect NAME`.
+    z, p_value, adjusted_p : float
+        Robust z or normal deviate, its p-value, and the p-value times the number of tests.
+    value, others : float
+        Median of the group and of the others; for an effect the share that shows it.
+    n : int
+        Number of sessions of the unit, or of units of the stage or operator.
+    same_sessions_as : tuple of str
+        Other groups with nearly the same sessions, which may be the cause instead.
+    """
+
+    kind: str
+    name: str
+    quantity: str
+    unit: str
+    z: float
+    p_value: float
+    adjusted_p: float
+    value: float
+    others: float
+    n: int
+    same_sessions_as: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Summary of a fleet.
+
+    Attributes
+    ----------
+    sessions : mapping of str to int
+        Counts: `n`, `ok`, `failed`, `traced`, `adequate`, `doubted`, `units`, `stages`, `operators`.
+    failures : tuple of (str, str)
+        Path and reason.
+    parameters : tuple of QuantitySummary
+    effects : tuple of Frequency
+        The most frequent first.
+    tests : int
+        Number of comparisons.
+    outlying : tuple of Outlying
+        Outlying groups, the smallest p-value first.
+    """
+
+    sessions: dict[str, int]
+    failures: tuple[tuple[str, str], ...]
+    parameters: tuple[QuantitySummary, ...]
+    effects: tuple[Frequency, ...]
+    tests: int
+    outlying: tuple[Outlying, ...]
+    table: Table = field(repr=False, compare=False, default_factory=dict)
+    """Columns of all sessions, for figures."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON document."""
+        return {
+            "format": FORMAT,
+            "software": f"adis-gonio {__version__}",
+            "sessions": self.sessions,
+            "failures": [{"path": path, "reason": reason} for path, reason in self.failures],
+            "parameters": {one.name: one.as_dict() for one in self.parameters},
+            "effects": [one.as_dict() for one in self.effects],
+            "outlying": {
+                "level": OUTLYING,
+                "tests": self.tests,
+                "found": [one.as_dict() for one in self.outlying],
+            },
+        }
+
+
+def summarise(rows: Sequence[Row] | Any) -> Summary:
+    """Summary of rows or of a pyarrow table, with the columns `session_table.COLUMNS`, in any order."""
+    table = table_of(rows)
+    ok = table["status"] == "ok"
+    failed = np.flatnonzero(~ok)
+    groups = {kind: _codes(table[column]) for kind, column in GROUPS.items()}
+    traced = ok & (table["traced"] == 1)
+    tests, found = outlying(_comparisons(table, groups, traced))
+    return Summary(
+        _counts(table, groups, ok, traced),
+        tuple((str(table["path"][k]), str(table["reason"][k])) for k in failed),
+        tuple(_parameters(table, groups["unit"])),
+        tuple(_frequencies(table, int(traced.sum()))),
+        tests,
+        tuple(_named(test, tests, table, groups) for test in found),
+        table,
+    )
+
+
+def _codes(names: Any) -> Codes:
+    """Number of each name; -1 for an empty name."""
+    _, codes = np.unique(names, return_inverse=True)
+    return np.where(names == "", -1, codes)
+
+
+def _counts(table: Table, groups: dict[str, Codes], ok: Any, traced: Any) -> dict[str, int]:
+    counts = {
+        "n": len(ok),
+        "ok": ok.sum(),
+        "failed": (~ok).sum(),
+        "traced": traced.sum(),
+        "adequate": (traced & (table["adequate"] == 1)).sum(),
+        "doubted": (table["doubts"] != "").sum(),
+        **{f"{kind}s": len(np.unique(codes[codes >= 0])) for kind, codes in groups.items()},
+        "without_serial": (ok & (groups["unit"] < 0)).sum(),
+    }
+    return {name: int(count) for name, count in counts.items()}
+
+
+def _quantities(table: Table) -> list[str]:
+    return [name for name in QUANTITIES if name in table and np.isfinite(table[name]).any()]
+
+
+def _doubt(table: Table, name: str) -> Floats:
+    """Standard uncertainty (n,) of the values; NaN if it is not stated."""
+    return np.full(len(table[name]), np.nan) if name == _RMS else table[f"{name}_u"]
+
+
+def _parameters(table: Table, unit: Codes) -> list[QuantitySummary]:
+    found = []
+    for name in _quantities(table):
+        values, u, dof = table[name], _doubt(table, name), table[f"{name}_dof"]
+        dof = np.where(np.isfinite(dof), dof, np.inf)
+        known = values[np.isfinite(values)]
+        by_u = beyond(values, u, dof), repeats(values, u, dof, unit)
+        found.append(QuantitySummary(name, QUANTITIES[name], Distribution.of(known), *by_u))
+    return found
+
+
+def _effects(table: Table) -> list[tuple[str, Any]]:
+    """Each effect found with the rows (n,) that show it, by name."""
+    names, index = np.unique(table["effect_name"], return_inverse=True)
+    shown = []
+    for k, name in enumerate(names):
+        flags = np.zeros(len(table["path"]), dtype=bool)
+        flags[table["effect_row"][index == k]] = True
+        shown.append((str(name), flags))
+    return shown
+
+
+def _frequencies(table: Table, traced: int) -> list[Frequency]:
+    found = [Frequency(name, int(flags.sum()), traced) for name, flags in _effects(table)]
+    return sorted(found, key=lambda one: (-one.found, one.effect))
+
+
+def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[FamilyOfTests]:
+    """Comparisons of all units, stages and operators by all parameters and effects."""
+    unit = groups["unit"]
+    made = []
+    for name in _quantities(table):
+        values = _compared(name, table[name])
+        made.append(by_unit(name, values, _doubt(table, name), unit))
+        made += [by_rank(kind, name, values, groups[kind], unit) for kind in KINDS[1:]]
+    for effect, shown in _effects(table):
+        made += [by_share(kind, effect, shown, np.where(traced, groups[kind], -1), unit) for kind in KINDS]
+    return made
+
+
+def _compared(name: str, values: Floats) -> Floats:
+    if name != _RMS:
+        return values
+    return np.log(values, out=np.full(len(values), np.nan), where=values > 0)
+
+
+def _named(test: Test, tests: int, table: Table, groups: dict[str, Codes]) -> Outlying:
+    codes = groups[test.kind]
+    rows = np.flatnonzero(codes == test.code) if test.code >= 0 else np.array([-1 - test.code])
+    name = str(table[GROUPS[test.kind] if test.code >= 0 else "path"][rows[0]])
+    value, others = (
+        (float(np.exp(one)) if test.quantity == _RMS else float(one)) for one in (test.value, test.others)
+    )
+    return Outlying(
+        test.kind,
+        name,
+        test.quantity,
+        "1" if test.quantity.startswith("effect ") else QUANTITIES[test.quantity],
+        float(test.z),
+        float(test.p_value),
+        min(1.0, tests * float(test.p_value)),
+        value,
+        others,
+        test.n,
+        _twins(test.kind, rows, table, groups) if len(rows) > 1 else (),
+    )
+
+
+def _twins(kind: str, rows: Any, table: Table, groups: dict[str, Codes]) -> tuple[str, ...]:
+    """Groups of another kind that consist of nearly the same sessions."""
+    found = []
+    for other in KINDS:
+        codes = groups[other]
+        here, count = np.unique(codes[rows], return_counts=True)
+        for code, common in zip(here, count, strict=True):
+            union = len(rows) + int((codes == code).sum()) - common
+            if other != kind and code >= 0 and common >= _ALIKE * union:
+                found.append(f"{other} {table[GROUPS[other]][codes == code][0]}")
+    return tuple(found)
+
+
+PARAMETER_HEAD = [
+    "quantity", "unit", "sessions", "median", "5 %", "95 %", "mean", "robust sd", "median u", "sd beyond u",
+    "repeats / u",
+]  # fmt: skip
+PARAMETER_NOTES = (
+    "sd beyond u: standard deviation between the true values, needed in addition to the sessions' u"
+    " (Paule and Mandel), with its interval of 95 %; 0 if u explains the scatter.",
+    "repeats / u: scatter of sessions of one unit over the scatter that their u explains; 1 if u is right.",
+    "angle: error of the angle, rms over held-out dwells; it has no u.",
+)
+EFFECT_HEAD = ["effect", "sessions", "share", "95 % interval"]
+OUTLYING_HEAD = ["group", "quantity", "here", "the others", "z", "p × tests", "of"]
+
+
+def headline(summary: Summary) -> str:
+    """Headline such as `998 of 1000 sessions have a result, of 334 units on 4 stages.`."""
+    n = summary.sessions
+    verb = "has" if 1 in (n["ok"], n["n"]) else "have"
+    text = f"{n['ok']} of {counted(n['n'], 'session')} {verb} a result"
+    who = [
+        f"of {counted(n['units'], 'unit')}" if n["units"] else "",
+        f"on {counted(n['stages'], 'stage')}" if n["stages"] else "",
+        f"by {counted(n['operators'], 'operator')}" if n["operators"] else "",
+    ]
+    known = " ".join(filter(None, who))
+    return f"{text}, {known}." if known else f"{text}."
+
+
+def remarks(summary: Summary) -> list[str]:
+    """Sentences on failed, traced, doubtful and unnamed sessions."""
+    n = summary.sessions
+    sentences = []
+    if n["failed"]:
+        sentences.append(f"{counted(n['failed'], 'session')} failed.")
+    if n["traced"]:
+        sentences.append(f"{n['traced']} were traced; the model is adequate in {n['adequate']} of them.")
+    else:
+        sentences.append("No session was traced: effects are not known.")
+    if n["doubted"]:
+        sentences.append(
+            f"{counted(n['doubted'], 'session')} contain readings that the operator kept against a warning."
+        )
+    if n["without_serial"]:
+        sentences.append(
+            f"{counted(n['without_serial'], 'session')} without a serial number: each counts as a unit."
+        )
+    return sentences
+
+
+def parameter_rows(summary: Summary) -> list[list[str]]:
+    """Rows under `PARAMETER_HEAD`."""
+    return [_parameter(one) for one in summary.parameters]
+
+
+def _parameter(one: QuantitySummary) -> list[str]:
+    spread = one.distribution
+    q = spread.quantiles
+    return [
+        NAMES.get(one.name, one.name),
+        format_unit(one.unit),
+        str(spread.n),
+        *(_to_digit_of(spread.robust_sd, value) for value in (q["50"], q["5"], q["95"], spread.mean)),
+        format_number(spread.robust_sd if spread.n > 1 else None, 2),
+        "–" if one.beyond is None else format_number(one.beyond.u, 2),
+        "–" if one.beyond is None else _tau(one.beyond),
+        "–" if one.repeats is None else f"{one.repeats.ratio:.2f} ({format_p(one.repeats.p_value)})",
+    ]
+
+
+def _to_digit_of(sd: float, value: float) -> str:
+    """Value with the decimals of a standard deviation of two digits."""
+    if not sd > 1e-6:
+        return format_number(value)
+    return format_fixed(value, count_decimals(sd))
+
+
+def _tau(beyond: Beyond) -> str:
+    low, high = beyond.tau_95
+    if beyond.tau == 0:
+        return "0" if high == 0 else f"0 (to {format_number(high, 2)})"
+    return f"{format_number(beyond.tau, 2)} ({format_number(low, 2)} to {format_number(high, 2)})"
+
+
+def effect_rows(summary: Summary) -> list[list[str]]:
+    """Rows under `EFFECT_HEAD`."""
+    rows = []
+    for one in summary.effects:
+        low, high = one.wilson_95
+        share = format_percent(one.share)
+        between = f"{format_percent(low)} to {format_percent(high)}"
+        rows.append([one.effect, f"{one.found} of {one.traced}", share, between])
+    return rows
+
+
+def outlying_rows(summary: Summary) -> list[list[str]]:
+    """Rows under `OUTLYING_HEAD`."""
+    return [_outlying(one) for one in summary.outlying]
+
+
+def _outlying(one: Outlying) -> list[str]:
+    if one.quantity.startswith("effect "):
+        values = [format_percent(one.value), format_percent(one.others)]
+    else:
+        values = [with_unit(format_number(value), one.unit) for value in (one.value, one.others)]
+    same = f", the same sessions as {', '.join(one.same_sessions_as)}" if one.same_sessions_as else ""
+    of_sessions = one.kind == "unit"
+    return [
+        f"{one.kind} {one.name}{same}",
+        NAMES.get(one.quantity, one.quantity),
+        *values,
+        format_fixed(one.z, 1),
+        format_number(one.adjusted_p, 2)
+        if one.adjusted_p >= 1e-12
+        else format_p(one.adjusted_p).split("p\u00a0")[1],
+        counted(one.n, "session" if of_sessions else "unit"),
+    ]
+
+
+def outlying_text(summary: Summary) -> str:
+    """Sentence on the comparisons and the probability of a false name."""
+    if not summary.tests:
+        return (
+            f"Nothing could be compared: a comparison needs {FEWEST_UNITS} units, or {FEWEST} units on a"
+            f" stage or with an operator and {FEWEST} elsewhere."
+        )
+    found = "" if summary.outlying else " No group is outlying."
+    return (
+        f"{counted(summary.tests, 'comparison')} of units, stages and operators with the rest of the fleet;"
+        f" the probability of any false name is at most {format_percent(OUTLYING)} in all"
+        f" (Bonferroni).{found}"
+    )

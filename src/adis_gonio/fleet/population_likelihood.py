@@ -1,0 +1,294 @@
+"""The hierarchical likelihood of one cause over many sessions.
+
+A unit (a session) is affected with probability w. The amplitudes of an affected unit are θ ~ N(μ, τ² 1),
+the amplitudes of other units are zero. μ and τ are either in the unit of the amplitudes or relative to
+each session's standard uncertainty (for amplitudes that differ by orders of magnitude between sessions);
+each has half of the prior. With score s and information G of a unit,
+
+    ln B(μ, τ) = sᵀμ − ½ μᵀGμ + ½ (s − Gμ)ᵀ (G + 1/τ²)⁻¹ (s − Gμ) − ½ ln |1 + τ² G|
+
+is its Bayes factor for being affected, in closed form, and Σ ln(1 − w + w B) the log likelihood of the
+population (empirical Bayes: Efron, Large-Scale Inference, 2010, ch. 2). Averaged over a grid of (w, μ, τ)
+that was fixed before the data, B is an e-value: its expectation is 1 if no unit is affected, so that it
+exceeds 1/p with probability p at most (Markov; Vovk and Wang, Ann. Stat. 49, 2021), for any number of
+units. The factor of one unit is limited to `MOST`; a limited factor is still an e-value.
+
+The noise of each session is checked by its own χ². Ratios χ²/ν scatter by √(2/ν) if the stated noise is
+right; any additional scatter is a difference between sessions. Each ratio is drawn towards the common
+ratio accordingly (moderated variances: Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004). A ratio that the
+common one cannot explain is used as it is. No ratio is less than 1 if the noise was stated, so that noise
+stated too small does not look like an effect.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fleet.session_evidence import Column, SessionEvidence
+
+MOST = float(np.log(1000.0))
+"""Log of the largest Bayes factor of one unit, so that one extreme session proves no common cause."""
+MOST_OF_KNOWN = 100.0
+"""Like `MOST`, if the distribution of an accepted cause is estimated."""
+SHARES = (0.03, 0.1, 0.2, 0.35, 0.6, 1.0)
+"""Shares w of the units; a cause in fewer than 3 % of them is not common."""
+SPREADS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.0)
+"""Spreads τ about zero (sign not common), in typical standard uncertainties."""
+MEANS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.0)
+"""Lengths of the mean μ for a common sign; the spread is then a third of the length."""
+RELATIVE_SPREAD = 1 / 3
+
+
+@dataclass(frozen=True)
+class Block:
+    """Score (n, d) and information (n, d, d) of n units by the amplitudes of one cause, scaled."""
+
+    score: Floats
+    information: Floats
+
+    @property
+    def width(self) -> int:
+        """Amplitudes."""
+        return int(self.score.shape[1])
+
+
+@dataclass(frozen=True)
+class Group:
+    """Distribution of the amplitudes of affected units: N(mean (d,), spread² 1), in a share of the units.
+
+    The unit is the typical standard uncertainty of all sessions or, if `relative`, that of each session.
+    """
+
+    share: float
+    mean: Floats
+    spread: float
+    relative: bool = False
+
+
+def log_factor(block: Block, mean: Floats, spread: float | Floats) -> Floats:
+    """Log Bayes factor (n,) of each unit, not limited."""
+    return log_factors(block, mean[None], spread)[:, 0]
+
+
+def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
+    """Log Bayes factors (n, h) for several means (h, d); `spread` may have one value per amplitude (d,)."""
+    score, information = block.score, block.information
+    shifted = score[:, None, :] - means @ information  # s − Gμ, (n, h, d)
+    along = 0.5 * ((score[:, None, :] + shifted) * means).sum(axis=2)
+    wide = np.broadcast_to(np.asarray(spread, dtype=float), (block.width,))
+    if block.width == 1:  # scalars instead of matrices
+        denominator = 1 + wide[0] ** 2 * information[:, 0]
+        square = shifted[:, :, 0] ** 2 * (wide[0] ** 2 / denominator)
+        return np.asarray(along + 0.5 * (square - np.log(denominator)))
+    # Gaussian integral over the amplitudes: quadratic form and determinant of (G + 1/τ²).
+    precision = information + np.diag(wide**-2.0)
+    solved = np.linalg.solve(precision, shifted.transpose(0, 2, 1)).transpose(0, 2, 1)
+    size = np.linalg.slogdet(precision)[1] + 2 * np.log(wide).sum()
+    return np.asarray(along + 0.5 * (shifted * solved).sum(axis=2) - 0.5 * size[:, None])
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Distributions (h of them) fixed before the data, with their prior.
+
+    Attributes
+    ----------
+    mean : (h, d) float
+    spread, share, log_prior : (h,) float
+        Half of the prior is for amplitudes in their unit, half for relative amplitudes.
+    """
+
+    mean: Floats
+    spread: Floats
+    share: Floats
+    log_prior: Floats
+
+    def group(self, k: int) -> Group:
+        """Distribution k; those from h on are relative."""
+        relative, k = divmod(k, len(self.share))
+        return Group(float(self.share[k]), self.mean[k], float(self.spread[k]), bool(relative))
+
+    @property
+    def log_priors(self) -> Floats:
+        """Log prior of all distributions (2 h,), the relative ones last."""
+        return np.tile(self.log_prior - np.log(2), 2)
+
+
+def grid_of(width: int) -> Grid:
+    """Grid for a number of amplitudes; half of the prior has no common sign, half has one."""
+    # No common sign: zero mean and several spreads.
+    still = [(np.zeros(width), spread, 0.5 / len(SPREADS)) for spread in SPREADS]
+    ways = _ways(width)
+    # Common sign: a mean along each direction, with a third of its length as spread.
+    moved = [
+        (size * way, size * RELATIVE_SPREAD, 0.5 / len(MEANS) / len(ways)) for size in MEANS for way in ways
+    ]
+    every = [*still, *moved]
+    h = len(every)
+    return Grid(
+        np.tile([mean for mean, _, _ in every], (len(SHARES), 1)).reshape(-1, width),
+        np.tile([spread for _, spread, _ in every], len(SHARES)),
+        np.repeat(SHARES, h),
+        np.tile(np.log([part for _, _, part in every]), len(SHARES)) - np.log(len(SHARES)),
+    )
+
+
+def _ways(width: int) -> list[Floats]:
+    """Directions of a common mean: each amplitude with either sign, and two amplitudes together."""
+    ways = [sign * row for row in np.eye(width) for sign in (1.0, -1.0)]
+    if width == 2:
+        ways += [np.array(signs) / np.sqrt(2) for signs in itertools.product((1.0, -1.0), repeat=2)]
+    return ways
+
+
+def gains(block: Block, grid: Grid, most: float = MOST) -> Floats:
+    """Log likelihood ln(1 − w + w B) of each unit (n,) at each distribution (h,) of the grid."""
+    h = len(grid.share) // len(SHARES)
+    factors = np.empty((len(block.score), h))
+    for spread in np.unique(grid.spread[:h]):  # all means of one spread in one call
+        rows = np.flatnonzero(grid.spread[:h] == spread)
+        factors[:, rows] = log_factors(block, grid.mean[rows], float(spread))
+    return np.concatenate([mixed(factors, share, most) for share in SHARES], axis=1)
+
+
+def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:
+    """Log likelihood ln(1 − w + w B) with ln B limited to `most`."""
+    cut = np.minimum(log_factor, most)
+    if share >= 1:
+        return np.asarray(cut)
+    return np.asarray(np.logaddexp(np.log1p(-share), np.log(share) + cut))
+
+
+_FOREIGN = 1e-3
+"""Probability below which a session's χ² does not belong to the common noise."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """Sessions of a population.
+
+    Attributes
+    ----------
+    evidence : tuple of SessionEvidence
+    columns : tuple of Column
+        All columns that any session can determine.
+    inflation : (n,) float
+        Factor on each session's noise variance.
+    typical : (m,) float
+        Median standard uncertainty of each amplitude over the sessions that determine it, in its unit,
+        times `Column.weight`.
+    z : (n, m) float
+        Scores with the inflated noise; zero if a session does not determine a column.
+    length : (n, m) float
+        1/u of each amplitude in units of `typical`; zero if a session does not determine it.
+    directions : (n, k, m) float32
+        As in `SessionEvidence`, padded with zeros.
+    """
+
+    evidence: tuple[SessionEvidence, ...]
+    columns: tuple[Column, ...]
+    inflation: Floats
+    typical: Floats
+    z: Floats
+    length: Floats
+    directions: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.evidence)
+
+    def seen(self, index: Sequence[int]) -> NDArray[np.bool_]:
+        """Mask (n,) of the sessions that determine any of the columns."""
+        return np.asarray((self.length[:, list(index)] > 0).any(axis=1))
+
+    def joint(self, index: Sequence[int], relative: Sequence[bool] | bool = False) -> Block:
+        """Score and information for some of the columns.
+
+        Amplitudes are in `typical` or, if `relative`, in each session's standard uncertainty.
+        """
+        chosen = list(index)
+        length = self.length[:, chosen]
+        alike = (length > 0) * np.array([self.columns[k].weight for k in chosen])
+        length = np.where(np.broadcast_to(relative, len(chosen)), alike, length)
+        ways = self.directions[:, :, chosen].astype(float)
+        gram = ways.transpose(0, 2, 1) @ ways  # correlations of the scores, (n, d, d)
+        return Block(self.z[:, chosen] * length, gram * length[:, :, None] * length[:, None, :])
+
+
+def units_of(evidence: Sequence[SessionEvidence]) -> Units:
+    """Arrays of all sessions, sorted so that the order of the argument does not matter."""
+    evidence = sorted(evidence, key=lambda one: (one.digest, one.source))
+    keys = sorted({key for one in evidence for key in one.keys})
+    number = {key: k for k, key in enumerate(keys)}
+    n, m = len(evidence), len(keys)
+    rank = max((len(one.directions) for one in evidence), default=0)
+    # One row per session; columns that it does not determine stay zero.
+    z, length = np.zeros((n, m)), np.zeros((n, m))
+    directions = np.zeros((n, rank, m), dtype=np.float32)
+    inflation = inflations(evidence)
+    for i, one in enumerate(evidence):
+        own = [number[key] for key in one.keys]
+        root = np.sqrt(inflation[i])
+        z[i, own] = one.z / root
+        length[i, own] = one.length / root
+        directions[i, : len(one.directions), own] = one.directions.T
+    columns = tuple(Column.of(key) for key in keys)
+    weight = np.array([column.weight for column in columns])
+    typical = np.array([1 / np.median(column[column > 0]) for column in length.T]) * weight
+    return Units(
+        tuple(evidence),
+        columns,
+        inflation,
+        typical,
+        z,
+        length * typical,
+        directions,
+    )
+
+
+def inflations(evidence: Sequence[SessionEvidence]) -> Floats:
+    """Factor (n,) on each session's noise variance, the larger one of its two directions."""
+    known = np.array([one.noise_known for one in evidence], dtype=bool)
+    ways = max((len(one.scatter) for one in evidence), default=1)
+    out = np.zeros(len(evidence))
+    # Direction by direction, and separately for stated and estimated noise.
+    for way in range(ways):
+        has = np.array([len(one.scatter) > way and one.scatter[way].dof > 0.5 for one in evidence])
+        ratio = np.ones(len(evidence))
+        dof = np.zeros(len(evidence))
+        for i in np.flatnonzero(has).tolist():
+            scatter = evidence[i].scatter[way]
+            ratio[i], dof[i] = scatter.chi2 / scatter.dof, scatter.dof
+        for rows in (known & has, ~known & has):
+            if rows.any():
+                out[rows] = np.maximum(out[rows], _moderated(ratio[rows], dof[rows]))
+    return np.where(known, np.maximum(out, 1.0), np.where(out > 0, out, 1.0))
+
+
+def _moderated(ratio: Floats, dof: Floats) -> Floats:
+    """Ratios χ²/ν drawn towards the common ratio, the less the more they scatter beyond χ²."""
+    from scipy.stats import chi2
+
+    ratio = np.maximum(ratio, 1e-12)
+    common = float(np.median(ratio / _median_of(dof)))
+    foreign = chi2.sf(ratio * dof / common, dof) < _FOREIGN
+    own = np.asarray(~foreign)
+    if own.sum() >= 3:
+        common = max(float((ratio[own] * dof[own]).sum() / dof[own].sum()), 1e-12)
+        between = float(np.mean((ratio[own] / common - 1) ** 2 - 2 / dof[own]))
+    else:
+        between = np.inf
+    prior = 2 / between if between > 2e-3 else 1e3
+    # Mean of common and own ratio, weighted by their degrees of freedom.
+    drawn = (prior * common + dof * ratio) / (prior + dof)
+    return np.where(foreign, ratio, drawn)
+
+
+def _median_of(dof: Floats) -> Floats:
+    """Median of χ²/ν by Wilson and Hilferty."""
+    return np.asarray(np.maximum(1 - 2 / (9 * dof), 0.1) ** 3)

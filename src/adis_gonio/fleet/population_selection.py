@@ -1,0 +1,420 @@
+"""Forward selection of the causes of a population, on the joint evidence of all sessions.
+
+A candidate is a cause on some axes with its share of the prior. Each step compares every candidate in
+every group of sessions, given the causes that were chosen before. A chosen cause may or may not be
+present in a unit, with an unknown amplitude; both are averaged out, so that a candidate gains nothing
+from readings that a chosen cause explains.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.fleet.population_likelihood import (
+    MOST,
+    MOST_OF_KNOWN,
+    Block,
+    Group,
+    Units,
+    gains,
+    grid_of,
+    log_factor,
+    mixed,
+)
+from adis_gonio.fleet.session_evidence import Column
+from adis_gonio.model.effects import catalogue
+from adis_gonio.tracing.thresholds import limits
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A cause on some axes.
+
+    Attributes
+    ----------
+    cause : str
+        Name of the catalogue, or the quantity that an unnamed function depends on.
+    named : bool
+    variant : str
+        As in `Column`.
+    axes : str
+        Letters of the axes; empty for the stage.
+    index : tuple of int
+        Its columns among the population's columns.
+    log_prior : float
+    """
+
+    cause: str
+    named: bool
+    variant: str
+    axes: str
+    index: tuple[int, ...]
+    log_prior: float
+
+    @property
+    def kind(self) -> tuple[str, bool]:
+        """Cause, and whether it is a name of the catalogue."""
+        return self.cause, self.named
+
+
+def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
+    """Every cause on each axis and on all axes, with prior shares as in the trace of one session.
+
+    The share of a name is divided evenly among its variants, or by 1/n among numbers n of cycles.
+    """
+    by_kind: dict[tuple[str, bool], list[int]] = defaultdict(list)
+    for k, column in enumerate(columns):
+        by_kind[column.cause, column.named].append(k)
+    named = [kind for kind in by_kind if kind[1]]
+    weight = {kind: limits.quadratic_weight if kind[0] == "quadratic" else 1.0 for kind in named}
+    out = []
+    for kind, index in by_kind.items():
+        if kind[1]:
+            share = (1 - limits.nameless_share) * weight[kind] / sum(weight.values())
+        else:
+            share = limits.nameless_share / (len(by_kind) - len(named))
+        blocks = list(_blocks(kind[0] if kind[1] else "", index, columns))
+        parts = [_part(variant) for variant, _, _ in blocks]
+        for (variant, axes, own), part in zip(blocks, parts, strict=True):
+            out.append(Candidate(*kind, variant, axes, own, math.log(share * part / sum(parts))))
+    return out
+
+
+def _part(variant: str) -> float:
+    return 1 / int(variant.removeprefix("cycles=")) if variant.startswith("cycles=") else 1.0
+
+
+def _blocks(
+    name: str, index: Sequence[int], columns: Sequence[Column]
+) -> Iterator[tuple[str, str, tuple[int, ...]]]:
+    """Variant, axes and columns of each candidate of a cause."""
+    variants: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for k in index:
+        variants[columns[k].variant][columns[k].axes].append(k)
+    alone = bool(name) and catalogue()[name].one_axis
+    below: dict[str, list[int]] = defaultdict(list)
+    for variant in sorted(variants):
+        by_axis = variants[variant]
+        if variant.startswith("degree="):  # a polynomial includes its lower powers
+            for letter, own in by_axis.items():
+                below[letter] += own
+            by_axis = {letter: list(below[letter]) for letter in by_axis}
+        for letter, own in by_axis.items():
+            yield variant, letter, tuple(own)
+        if len(by_axis) > 1 and not alone:
+            yield variant, "".join(sorted(by_axis)), tuple(itertools.chain(*by_axis.values()))
+
+
+FOLDS = 5
+"""Parts of the units for cross-validation."""
+LEAST_UNITS = 5
+"""Fewest sessions of a population or a group."""
+WHOLE = 0.5
+"""Prior share of causes in all sessions; the rest is for one stage, operator, serial number or variant."""
+
+Kind = tuple[str, bool]
+
+
+@dataclass(frozen=True)
+class Membership:
+    """Sessions with a common stage, operator, serial number or variant.
+
+    Attributes
+    ----------
+    by : str
+        `all`, `stage`, `operator`, `serial` or `sensor`.
+    value : str
+        Common value; empty for all sessions.
+    inside : (n,) bool
+    log_prior : float
+    """
+
+    by: str
+    value: str
+    inside: NDArray[np.bool_]
+    log_prior: float
+
+
+def memberships(units: Units, by: Sequence[str]) -> list[Membership]:
+    """All sessions, and the sessions of each value of the groupings `by`."""
+    n = len(units)
+    found: list[list[tuple[str, str, NDArray[np.bool_]]]] = []
+    for name in by:
+        values = np.array([getattr(one, name) for one in units.evidence])
+        masks = [(name, str(value), values == value) for value in sorted(set(values.tolist()) - {""})]
+        kept = [group for group in masks if LEAST_UNITS <= group[2].sum() < n]
+        if kept:
+            found.append(kept)
+    whole = Membership("all", "", np.ones(n, dtype=bool), np.log(WHOLE) if found else 0.0)
+    return [
+        whole,
+        *(
+            Membership(name, value, inside, float(np.log((1 - WHOLE) / len(found) / len(kept))))
+            for kept in found
+            for name, value, inside in kept
+        ),
+    ]
+
+
+@dataclass(frozen=True)
+class ChosenCause:
+    """A chosen cause: its group of sessions, and the distribution of its amplitudes."""
+
+    candidate: Candidate
+    group: Membership
+    amplitudes: Group
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Scores of candidates (k) in groups (g), given a model.
+
+    Attributes
+    ----------
+    log_evidence : (k, g) float
+        Log evidence of each candidate in each group against the model, averaged over the grid.
+    trained, foreseen : (k, g, folds) float
+        Log evidence without a fold, and the log score that it predicts for the fold.
+    best : (k, g) int
+        Most probable distribution of the grid.
+    """
+
+    log_evidence: Floats
+    trained: Floats
+    foreseen: Floats
+    best: NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class SelectionStep:
+    """One step of the selection.
+
+    Attributes
+    ----------
+    part : ChosenCause
+        Best candidate of the most probable cause, with its distribution of the grid.
+    log_evidence : float
+        Log evidence of any further cause against the model, averaged over all candidates by their prior.
+    posterior : mapping of (cause, named) to float
+        Probability of each cause, if there is one; sums to 1.
+    places : mapping of (by, value) to float
+        Probability of each group, given the cause.
+    heldout : float
+        Log score of the units of each fold, by the cause that the other folds choose.
+    """
+
+    part: ChosenCause
+    log_evidence: float
+    posterior: Mapping[Kind, float]
+    places: Mapping[tuple[str, str], float]
+    heldout: float
+
+
+class Population:
+    """Units with their candidates and groups."""
+
+    def __init__(self, units: Units, candidates: Sequence[Candidate], groups: Sequence[Membership]) -> None:
+        self.units = units
+        self.candidates = list(candidates)
+        self.groups = list(groups)
+        self.fold = np.arange(len(units)) % FOLDS
+        # Rows that add up the units of each fold of each group.
+        inside = np.stack([group.inside for group in groups])
+        folds = self.fold[None, :] == np.arange(FOLDS)[:, None]
+        self._sums = (inside[:, None, :] & folds[None, :, :]).reshape(-1, len(units)).astype(float)
+
+    def blocks_given(
+        self, parts: Sequence[ChosenCause], index: Sequence[int], relative: bool = False
+    ) -> list[tuple[Floats, Block]]:
+        """Log probability (n,) of each combination of present parts, and the block of columns given it."""
+        own = self.units.joint(index, relative)
+        if not parts:
+            return [(np.zeros(len(self.units)), own)]
+        out = []
+        # Every combination of present and absent parts, with its probability in each unit.
+        for present in itertools.product((False, True), repeat=len(parts)):
+            log_prior = np.zeros(len(self.units))
+            for part, there in zip(parts, present, strict=True):
+                share = min(part.amplitudes.share, 1 - 1e-9)
+                inside = part.group.inside
+                log_prior += np.where(
+                    inside, np.log(share if there else 1 - share), -np.inf if there else 0.0
+                )
+            chosen = [part for part, there in zip(parts, present, strict=True) if there]
+            out.append(self._block_given(chosen, index, own, log_prior, relative))
+        norm = logsumexp(np.stack([weight for weight, _ in out]), axis=0)
+        return [(weight - norm, block) for weight, block in out]
+
+    def _block_given(
+        self,
+        chosen: Sequence[ChosenCause],
+        index: Sequence[int],
+        own: Block,
+        log_prior: Floats,
+        relative: bool,
+    ) -> tuple[Floats, Block]:
+        """Block of columns if some parts are present, with their amplitudes averaged out."""
+        if not chosen:
+            return log_prior, own
+        held = [k for part in chosen for k in part.candidate.index]
+        mean = np.concatenate([part.amplitudes.mean for part in chosen])
+        spread = np.concatenate(
+            [np.full(len(part.candidate.index), part.amplitudes.spread) for part in chosen]
+        )
+        in_own = [part.amplitudes.relative for part in chosen for _ in part.candidate.index]
+        both = self.units.joint([*held, *index], [*in_own, *([relative] * len(index))])
+        a = len(held)
+        first = Block(both.score[:, :a], both.information[:, :a, :a])
+        across = both.information[:, :a, a:]
+        # Schur complement: the chosen amplitudes are integrated over their distribution.
+        precision = first.information + np.diag(spread**-2.0)
+        linear = (first.score + mean / spread**2)[:, :, None]
+        solved = np.linalg.solve(precision, np.concatenate([linear, across], axis=2))
+        score = own.score - (across.transpose(0, 2, 1) @ solved[:, :, :1])[:, :, 0]
+        information = own.information - across.transpose(0, 2, 1) @ solved[:, :, 1:]
+        return log_prior + log_factor(first, mean, spread), Block(score, information)
+
+    def by_unit(self, parts: Sequence[ChosenCause], candidate: Candidate, most: float = MOST) -> Floats:
+        """Log gain (n, 2 h) of each unit at each distribution of the candidate's grid."""
+        grid = grid_of(len(candidate.index))
+        out = []
+        for relative in (False, True):
+            blocks = self.blocks_given(parts, candidate.index, relative)
+            rows = [weight[:, None] + gains(block, grid, most) for weight, block in blocks]
+            out.append(rows[0] if len(rows) == 1 else logsumexp(np.stack(rows), axis=0))
+        return np.concatenate(out, axis=1)
+
+    def scores(self, parts: Sequence[ChosenCause], only: Sequence[Candidate] | None = None) -> Scores:
+        """Score candidates, by default all, in all groups, given a model."""
+        candidates = self.candidates if only is None else only
+        shape = (len(candidates), len(self.groups))
+        evidence, best = np.zeros(shape), np.zeros(shape, dtype=np.intp)
+        trained, foreseen = np.zeros((*shape, FOLDS)), np.zeros((*shape, FOLDS))
+        for k, candidate in enumerate(candidates):
+            prior = grid_of(len(candidate.index)).log_priors
+            # Sum of the gains by group and fold, then over all folds, and over all folds but one.
+            by_fold = (self._sums @ self.by_unit(parts, candidate)).reshape(len(self.groups), FOLDS, -1)
+            whole = by_fold.sum(axis=1)
+            evidence[k] = logsumexp(whole + prior, axis=1)
+            best[k] = (whole + prior).argmax(axis=1)
+            trained[k] = logsumexp(whole[:, None] - by_fold + prior, axis=2)
+            foreseen[k] = evidence[k][:, None] - trained[k]
+        return Scores(evidence, trained, foreseen, best)
+
+    def step(self, parts: Sequence[ChosenCause]) -> SelectionStep:
+        """Choose the most probable further cause."""
+        # Posterior over candidates and groups, then the best candidate of the most probable cause.
+        scores = self.scores(parts)
+        prior = self.log_prior
+        weighed = scores.log_evidence + prior
+        any_ = float(logsumexp(weighed.ravel()))
+        share = np.exp(weighed - any_)  # posterior of each candidate in each group
+        posterior: dict[Kind, float] = defaultdict(float)
+        for k, candidate in enumerate(self.candidates):
+            posterior[candidate.kind] += float(share[k].sum())
+        kind = max(posterior, key=lambda one: posterior[one])
+        own = [k for k, candidate in enumerate(self.candidates) if candidate.kind == kind]
+        flat, g = divmod(int(weighed[own].argmax()), len(self.groups))
+        chosen = own[flat]
+        candidate, group = self.candidates[chosen], self.groups[g]
+        places = share[own].sum(axis=0) / share[own].sum()
+        grid = grid_of(len(candidate.index))
+        start = grid.group(int(scores.best[chosen, g]))
+        return SelectionStep(
+            part=ChosenCause(candidate, group, start),
+            log_evidence=any_,
+            posterior=dict(posterior),
+            places={(one.by, one.value): float(p) for one, p in zip(self.groups, places, strict=True)},
+            heldout=_heldout(scores, prior),
+        )
+
+    @property
+    def log_prior(self) -> Floats:
+        """Log prior of each candidate in each group (k, g)."""
+        own = np.array([candidate.log_prior for candidate in self.candidates])
+        return np.asarray(own[:, None] + np.array([group.log_prior for group in self.groups]))
+
+    def refine(self, parts: Sequence[ChosenCause], part: ChosenCause) -> ChosenCause:
+        """Return the part with the most likely distribution of its amplitudes, given the other parts."""
+        from scipy.optimize import minimize
+
+        likely = self.by_unit(parts, part.candidate, MOST_OF_KNOWN)[part.group.inside].sum(axis=0)
+        start = grid_of(len(part.candidate.index)).group(int(likely.argmax()))
+        blocks = [
+            (weight[part.group.inside], Block(b.score[part.group.inside], b.information[part.group.inside]))
+            for weight, b in self.blocks_given(parts, part.candidate.index, start.relative)
+        ]
+
+        def at(amplitudes: Group) -> float:
+            rows = [
+                w
+                + mixed(log_factor(b, amplitudes.mean, amplitudes.spread), amplitudes.share, MOST_OF_KNOWN)
+                for w, b in blocks
+            ]
+            return float(logsumexp(np.stack(rows), axis=0).sum())
+
+        # Refine from the best distribution of the grid.
+        found = minimize(  # type: ignore[call-overload]
+            lambda p: -at(group_at(p, start)),
+            parameters_of(start),
+            method="Nelder-Mead",
+            options={"maxfev": 150 + 50 * len(start.mean), "xatol": 0.02, "fatol": 0.02},
+        )
+        best = group_at(found.x, start)
+        return replace(part, amplitudes=best if at(best) > at(start) else start)
+
+    def affected(self, parts: Sequence[ChosenCause], part: ChosenCause) -> Floats:
+        """Probability (n,) that each unit is affected by a part, given the others."""
+        amplitudes = part.amplitudes
+        share = min(amplitudes.share, 1 - 1e-9)
+        # Odds of presence and absence, summed over the combinations of the other parts.
+        with_, without = [], []
+        for weight, block in self.blocks_given(parts, part.candidate.index, part.amplitudes.relative):
+            factor = log_factor(block, amplitudes.mean, amplitudes.spread)
+            with_.append(weight + np.log(share) + factor)
+            without.append(weight + np.log1p(-share))
+        odds = logsumexp(np.stack(with_), axis=0) - logsumexp(np.stack(without), axis=0)
+        return np.where(part.group.inside, 1 / (1 + np.exp(-np.clip(odds, -500, 500))), 0.0)
+
+    def without_foremost(self, parts: Sequence[ChosenCause], part: ChosenCause, count: int) -> float:
+        """Gain in log likelihood by a part, without the `count` units that gain most."""
+        amplitudes = part.amplitudes
+        rows = [
+            w + mixed(log_factor(b, amplitudes.mean, amplitudes.spread), amplitudes.share)
+            for w, b in self.blocks_given(parts, part.candidate.index, part.amplitudes.relative)
+        ]
+        own = np.sort(logsumexp(np.stack(rows), axis=0)[part.group.inside])
+        return float(own[: max(len(own) - count, 0)].sum())
+
+
+def parameters_of(group: Group) -> Floats:
+    """Unbounded parameters: logit of the share, log of the spread, and the mean if it is not zero."""
+    odds = np.log(group.share / max(1 - group.share, 1e-3))
+    centred = bool((group.mean == 0).all())
+    return np.array([odds, np.log(group.spread), *([] if centred else group.mean)])
+
+
+def group_at(parameters: Floats, like: Group) -> Group:
+    """Inverse of `parameters_of`."""
+    share = 1 / (1 + np.exp(-np.clip(parameters[0], -8, 12)))
+    spread = float(np.exp(np.clip(parameters[1], -4, 5)))
+    mean = like.mean if len(parameters) == 2 else parameters[2:]
+    return Group(float(share), mean, spread, like.relative)
+
+
+def _heldout(scores: Scores, prior: Floats) -> float:
+    """Log score of each fold's units for the cause that the other folds choose, summed."""
+    gain = 0.0
+    for fold in range(FOLDS):
+        chosen = int((scores.trained[:, :, fold] + prior).argmax())
+        gain += float(scores.foreseen[:, :, fold].ravel()[chosen])
+    return gain

@@ -1,0 +1,377 @@
+"""`trace_population`: from the evidence of many sessions to the causes that they have in common.
+
+evidence ─ units ─▶ candidates ─▶ selection ─▶ accepted causes, and the sessions that they affect
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.numbers import counted
+from adis_gonio.base.uncertainty import POPULATION_SET, Value
+from adis_gonio.fleet.cause_distribution import Reach, means_of, reach_of, share_of
+from adis_gonio.fleet.population_likelihood import Units, units_of
+from adis_gonio.fleet.population_selection import (
+    LEAST_UNITS,
+    ChosenCause,
+    Kind,
+    Population,
+    SelectionStep,
+    candidates_of,
+    memberships,
+)
+from adis_gonio.fleet.session_evidence import SessionEvidence
+from adis_gonio.tracing.thresholds import limits
+
+
+@dataclass(frozen=True)
+class Affected(JsonRecord):
+    """A session that is probably affected."""
+
+    source: str
+    serial: str
+    digest: str
+    probability: float
+
+
+@dataclass(frozen=True)
+class Common(JsonRecord):
+    """A cause that sessions have in common.
+
+    The JSON document is one entry of `found`, `sets` or `unnamed`.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Names that the data cannot distinguish, the most probable first; a single one if it is certain.
+        Empty for an unnamed cause.
+    depends_on : str
+        Quantity that an unnamed cause depends on.
+    variant : str
+        Choice or time constant of the most probable form.
+    axes : tuple of str
+        Axes on which it acts.
+    posterior : mapping of str to float
+        Probability of each name, if there is a cause; unnamed causes are `unnamed: …`.
+    by, value : str
+        Group of sessions that shows it: `all`, or a grouping such as `stage` with its value.
+    groups : mapping of str to float
+        Probability of each group.
+    sessions : int
+        Number of sessions of the group that could show it.
+    share : mapping of str to float
+        Share of these sessions that are affected (`value`), with its 95 % interval (`low`, `high`). If
+        the sign is not common, only the shape of the normal distribution separates share and spread; the
+        interval then begins at the share of sessions that are affected with certainty.
+    mean : mapping of str to Value
+        Mean amplitude of affected sessions by parameter; zero if the sign is not common.
+    spread : mapping of str to float
+        Standard deviation of the amplitudes about the mean, in its unit.
+    relative : bool
+        True if the amplitudes are similar relative to each session's uncertainty rather than in their
+        unit; `mean` and `spread` then hold for an affected session of median uncertainty.
+    p_value : float
+        Upper bound of the probability of this evidence without a further cause in any session.
+    heldout_gain : float
+        Gain in log likelihood on sessions that were not used to choose the cause.
+    affected : tuple of Affected
+        Sessions affected with a probability above one half, the most probable first.
+    """
+
+    effects: tuple[str, ...]
+    depends_on: str
+    variant: str
+    axes: tuple[str, ...]
+    posterior: Mapping[str, float]
+    by: str
+    value: str
+    groups: Mapping[str, float]
+    sessions: int
+    share: Mapping[str, float]
+    mean: Mapping[str, Value]
+    spread: Mapping[str, float]
+    relative: bool
+    p_value: float
+    heldout_gain: float
+    affected: tuple[Affected, ...] = ()
+
+    @property
+    def common_sign(self) -> bool:
+        """True if the mean amplitude differs from zero."""
+        return any(value.value != 0 for value in self.mean.values())
+
+    def sentence(self) -> str:
+        """Describe the cause in one sentence."""
+        what = " or ".join(self.effects) if self.effects else f"something that follows {self.depends_on}"
+        axes = f" of {', '.join(self.axes)}" if self.axes else ""
+        where = "" if self.by == "all" else f" of {self.by} {self.value}"
+        sign = "of one sign" if self.common_sign else "of either sign"
+        sizes, share = "; ".join(self._size(name) for name in self.mean), self.share
+        return (
+            f"{what}{axes}: in {share['value']:.0%} ({share['low']:.0%} to {share['high']:.0%}) of"
+            f" {counted(self.sessions, 'session')}{where}, {sign} ({sizes}); p < {_p(self.p_value)},"
+            f" on held-out sessions the log likelihood gains {self.heldout_gain:.1f}"
+        )
+
+    def _size(self, name: str) -> str:
+        value, spread = self.mean[name], self.spread[name]
+        if not self.common_sign:
+            return f"{name} about {spread:.2g} {value.unit}"
+        sure = "" if value.U is None else f" ± {value.U:.1g}"
+        return f"{name} {value.value:.3g}{sure} {value.unit}, scattering by {spread:.1g}"
+
+
+def _p(value: float) -> str:
+    return f"{max(value, 1e-99):.1g}"
+
+
+@dataclass(frozen=True)
+class PopulationResult(JsonRecord):
+    """Causes that many sessions have in common.
+
+    Attributes
+    ----------
+    sessions : int
+    found : tuple of Common
+        Causes with one name.
+    sets : tuple of Common
+        Causes with several names that the data cannot distinguish.
+    unnamed : tuple of Common
+        Causes without a name, or perhaps without one.
+    detectable : mapping of str to Reach
+    missing : mapping of str to str
+        Effects for which no session gives evidence, with the reason.
+    open : mapping of str to str
+        Causes that were rejected, with the reason.
+    inflation : mapping of str to float
+        `median` and `largest` factor on the noise variance of a session.
+    notes : tuple of str
+    """
+
+    sessions: int
+    found: tuple[Common, ...]
+    sets: tuple[Common, ...]
+    unnamed: tuple[Common, ...]
+    detectable: Mapping[str, Reach]
+    missing: Mapping[str, str]
+    open: Mapping[str, str]
+    inflation: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+
+    def summary(self) -> tuple[str, ...]:
+        """Lines of text, one for each cause and note."""
+        lines = [f"Population of {counted(self.sessions, 'session')}:"]
+        for title, every in (
+            ("found", self.found),
+            ("one of several names", self.sets),
+            ("unnamed", self.unnamed),
+        ):
+            lines += [f"  {title}: {one.sentence()}" for one in every]
+        if not (self.found or self.sets or self.unnamed):
+            lines.append("  no common cause found")
+        lines += [f"  {name} was rejected: {reason}" for name, reason in self.open.items()]
+        lines += [f"  {note}" for note in self.notes]
+        return tuple(lines)
+
+
+GROUPINGS = ("stage", "operator", "serial", "sensor")
+"""Groupings of sessions."""
+MOST_PARTS = 4
+"""Most causes of one population."""
+FOREMOST = 0.02
+"""Share of the sessions, at least one, without which a common cause must remain probable."""
+
+
+def trace_population(
+    evidence: Sequence[SessionEvidence], *, by: Sequence[str] = GROUPINGS
+) -> PopulationResult:
+    """Find the causes that sessions have in common, even if each is too weak in one session.
+
+    Parameters
+    ----------
+    evidence : sequence of SessionEvidence
+        Evidence of each session, in any order; sessions with equal digests count once.
+    by : sequence of str
+        Groupings to search: `stage`, `operator`, `serial`, `sensor`.
+
+    Raises
+    ------
+    UsageError
+        Fewer than five different sessions, or an unknown grouping.
+    """
+    wrong = [name for name in by if name not in GROUPINGS]
+    if wrong:
+        raise UsageError(f"sessions cannot be grouped by '{wrong[0]}'; use {', '.join(GROUPINGS)}")
+    once = list({one.digest or f"{k}": one for k, one in enumerate(evidence)}.values())
+    if len(once) < LEAST_UNITS:
+        raise UsageError(
+            f"a population trace needs at least {LEAST_UNITS} different sessions, here are {len(once)}"
+        )
+    units = units_of(once)
+    population = Population(units, candidates_of(units.columns), memberships(units, by))
+    steps, open_ = _chosen(population)
+    steps, dropped = _keep_supported(population, steps)
+    open_ |= dropped
+    commons = _merged(population, steps)
+    notes = []
+    if len(once) < len(evidence):
+        notes.append(f"{len(evidence) - len(once)} sessions occur twice and count once")
+    inflated = float(np.median(units.inflation))
+    if inflated > 1.2:
+        notes.append(
+            f"residuals scatter more than the stated noise, by a factor of {inflated:.2g} in variance in"
+            " the median session; the result takes this into account"
+        )
+    return PopulationResult(
+        sessions=len(units),
+        found=tuple(one for one in commons if len(one.effects) == 1),
+        sets=tuple(one for one in commons if len(one.effects) > 1),
+        unnamed=tuple(one for one in commons if not one.effects),
+        detectable=reach_of(population),
+        missing=_without_evidence(units),
+        open=open_,
+        inflation={"median": inflated, "largest": float(units.inflation.max())},
+        notes=tuple(notes),
+    )
+
+
+def _chosen(population: Population) -> tuple[list[SelectionStep], dict[str, str]]:
+    """Steps of the forward selection, each refined, and the reason if the last step was rejected."""
+    steps: list[SelectionStep] = []
+    for _ in range(MOST_PARTS):
+        parts = [step.part for step in steps]
+        step = population.step(parts)
+        if step.log_evidence < -math.log(limits.adequate):
+            break
+        step = replace(step, part=population.refine(parts, step.part))
+        reason = _objection(population, parts, step)
+        if reason:
+            return steps, {_label(step.part.candidate.kind): reason}
+        steps.append(step)
+    return steps, {}
+
+
+def _objection(population: Population, parts: Sequence[ChosenCause], step: SelectionStep) -> str:
+    """Reason against a step that the likelihood supports, or an empty text."""
+    if step.heldout <= 0:
+        return "held-out sessions do not agree with it"
+    seen = population.units.seen(step.part.candidate.index) & step.part.group.inside
+    few = max(1, math.ceil(FOREMOST * int(seen.sum())))
+    if population.without_foremost(parts, step.part, few) <= 0:
+        return f"it depends on {few} of the sessions alone: trace these"
+    return ""
+
+
+def _keep_supported(
+    population: Population, steps: Sequence[SelectionStep]
+) -> tuple[list[SelectionStep], dict[str, str]]:
+    """Drop the steps that the other steps explain; return the kept steps and the reasons."""
+    kept = list(steps)
+    dropped: dict[str, str] = {}
+    for step in list(steps)[:-1]:
+        others = [one.part for one in kept if one is not step]
+        if not others or step not in kept:
+            continue
+        own = population.scores(others, [step.part.candidate]).log_evidence
+        least = -math.log(limits.adequate)
+        group = population.groups.index(step.part.group)
+        if own[0, group] + step.part.candidate.log_prior + step.part.group.log_prior < least:
+            kept = [one for one in kept if one is not step]
+            dropped[_label(step.part.candidate.kind)] = "causes that were found later explain it"
+    return kept, dropped
+
+
+def _label(kind: Kind) -> str:
+    return kind[0] if kind[1] else f"unnamed: {kind[0]}"
+
+
+def _merged(population: Population, steps: Sequence[SelectionStep]) -> list[Common]:
+    """One entry per cause; a further axis of a name is added to the first entry."""
+    commons: dict[tuple[str, str, str], Common] = {}
+    for k, step in enumerate(steps):
+        others = [one.part for j, one in enumerate(steps) if j != k]
+        common = _common(population, others, step)
+        key = (
+            common.effects[0] if common.effects else f"unnamed: {common.depends_on}",
+            common.by,
+            common.value,
+        )
+        first = commons.get(key)
+        if first is None:
+            commons[key] = common
+        else:
+            axes = tuple(sorted({*first.axes, *common.axes}))
+            commons[key] = replace(
+                first,
+                axes=axes,
+                mean={**common.mean, **first.mean},
+                spread={**common.spread, **first.spread},
+            )
+    return list(commons.values())
+
+
+def _common(population: Population, others: Sequence[ChosenCause], step: SelectionStep) -> Common:
+    part, units = step.part, population.units
+    kind = part.candidate.kind
+    ranked = sorted(step.posterior.items(), key=lambda entry: -entry[1])
+    # An unnamed function may contain a named one, so the name must be probable itself.
+    by_name = kind[1] and sum(p for one, p in ranked if one[1]) >= limits.sure
+    names, sum_ = [], 0.0
+    for one, probability in ranked:
+        names.append(one)
+        sum_ += probability
+        if sum_ >= POPULATION_SET:
+            break
+    share, low, high = share_of(population, others, part)
+    mean, spread = means_of(population, others, part)
+    probable = population.affected(others, part)
+    if (part.amplitudes.mean == 0).all():
+        # Without a common sign, many small amplitudes look like few large ones.
+        seen = units.seen(part.candidate.index) & part.group.inside
+        low = min(low, float((probable[seen] > 0.5).mean()))
+    order = [int(i) for i in np.argsort(-probable) if probable[i] > 0.5]
+    return Common(
+        effects=tuple(name for name, named in names if named) if by_name else (),
+        depends_on="" if by_name else _dependence(names, kind),
+        variant=part.candidate.variant,
+        axes=tuple(part.candidate.axes),
+        posterior={_label(one): probability for one, probability in ranked if probability > 1e-3},
+        by=part.group.by,
+        value=part.group.value,
+        groups={" ".join(filter(None, place)): p for place, p in step.places.items() if p > 1e-3},
+        sessions=int((units.seen(part.candidate.index) & part.group.inside).sum()),
+        share={"value": share, "low": low, "high": high},
+        mean=mean,
+        spread=spread,
+        relative=part.amplitudes.relative,
+        p_value=min(1.0, math.exp(-step.log_evidence)),
+        heldout_gain=step.heldout,
+        affected=tuple(_unit(units, i, float(probable[i])) for i in order),
+    )
+
+
+def _dependence(names: Sequence[Kind], best: Kind) -> str:
+    """Quantity that an unnamed cause depends on, with its possible names in brackets."""
+    nameless = [name for name, named in names if not named]
+    also = [name for name, named in names if named]
+    what = best[0] if not best[1] else nameless[0]
+    return what + (f" (or {', '.join(also)})" if also else "")
+
+
+def _unit(units: Units, index: int, probability: float) -> Affected:
+    one = units.evidence[index]
+    return Affected(one.source, one.serial, one.digest, probability)
+
+
+def _without_evidence(units: Units) -> dict[str, str]:
+    """Effects without evidence in any session, with the reason."""
+    shown = {column.cause for column in units.columns if column.named}
+    return {
+        name: reason for one in units.evidence for name, reason in one.missing.items() if name not in shown
+    }

@@ -1,0 +1,347 @@
+"""History of one sensor: quantities over time, drift, control charts, effects found; and its texts."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import JsonRecord, json_object
+from adis_gonio.base.numbers import (
+    DASH,
+    NAMES,
+    counted,
+    format_p,
+    format_uncertain,
+    format_unit,
+    label_quantity,
+    use_minus,
+)
+from adis_gonio.base.uncertainty import DRIFTING, Value
+from adis_gonio.fleet.control_charts import CUSUM_H, CUSUM_K, ControlChart, Drift, control_chart, drift_of
+from adis_gonio.fleet.session_record import ANGLE, QUANTITIES, SessionRecord
+
+_IN_PLANE = ("delta_k", "delta_phi", "bias_x", "bias_y")
+_DAY_S = 86400.0
+
+LISTED = (
+    *("when", "path", "operator", "stage", "plan", "method", "effects"),
+    *("adequate", "temperature_c", "angle_max_deg"),
+)
+"""Entries of a session's record in the document of `history`."""
+
+
+@dataclass(frozen=True)
+class Track(JsonRecord):
+    """One quantity over the sessions that determine it.
+
+    Attributes
+    ----------
+    name, unit : str
+    sessions : tuple of int
+        Indices of the sessions in the history, from 0.
+    day : (n,) float
+        Days since 1970.
+    values : tuple of Value
+    drift : Drift or None
+        None with fewer than three sessions, and for the error of the angle, which has no sign.
+    chart : ControlChart or None
+        None with fewer than two sessions.
+    drifts : bool
+        True if the slope differs from zero at the level `DRIFTING` over all quantities.
+    """
+
+    document_keys = ("unit", "sessions", "values", "drift", "drifts", "chart")
+
+    name: str
+    unit: str
+    sessions: tuple[int, ...]
+    day: Floats
+    values: tuple[Value, ...]
+    drift: Drift | None = None
+    chart: ControlChart | None = None
+    drifts: bool = False
+
+    @property
+    def label(self) -> str:
+        """Name and unit, such as `Δφ / °`."""
+        return label_quantity(self.name, self.unit)
+
+    @property
+    def value(self) -> Floats:
+        """Values (n,)."""
+        return np.array([value.value for value in self.values])
+
+    @property
+    def u(self) -> Floats:
+        """Standard uncertainties (n,)."""
+        return np.array([value.u for value in self.values], dtype=float)
+
+    @property
+    def expanded(self) -> Floats:
+        """U (n,), 95 %."""
+        return np.array([value.U for value in self.values], dtype=float)
+
+
+@dataclass(frozen=True)
+class History:
+    """A sensor over its sessions.
+
+    Attributes
+    ----------
+    serial : str
+    sessions : tuple of SessionRecord
+        Sessions in the order of time.
+    tracks : mapping of str to Track
+    left_out : tuple of (SessionRecord, str)
+        Sessions without a date or with a doubtful result, and the reason.
+    """
+
+    serial: str
+    sessions: tuple[SessionRecord, ...]
+    tracks: dict[str, Track]
+    left_out: tuple[tuple[SessionRecord, str], ...] = ()
+
+    @property
+    def days(self) -> Floats:
+        """Begin of each session in days since 1970, (n,)."""
+        return np.array([day_of(record.when or "") for record in self.sessions])
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON document of `history`."""
+        return json_object(
+            serial=self.serial,
+            sessions=[
+                {name: getattr(record, name) for name in LISTED}
+                | ({} if record.traced else {"effects": None})
+                for record in self.sessions
+            ],
+            quantities=self.tracks,
+            left_out=[{"path": record.path, "reason": reason} for record, reason in self.left_out],
+        )
+
+
+def history_of(
+    serial: str, records: Sequence[SessionRecord], *, k: float = CUSUM_K, h: float = CUSUM_H
+) -> History:
+    """History from records of one serial number.
+
+    Parameters
+    ----------
+    k, h : float
+        Slack and limit of the CUSUM, in standard deviations.
+    """
+    left_out = tuple((record, reason) for record in records if (reason := _unfit(record)))
+    good = sorted((r for r in records if not _unfit(r)), key=lambda r: (day_of(r.when or ""), r.path))
+    tracks = [_track(name, good, k, h) for name in _names(good)]
+    tested = sum(track.drift is not None for track in tracks)
+    judged = {track.name: _judged(track, tested) for track in tracks if track.sessions}
+    return History(serial, tuple(good), judged, left_out)
+
+
+def known_serial(serial: str, known: Sequence[str]) -> str:
+    """Check a serial number and return it.
+
+    Raises
+    ------
+    UsageError
+        It is unknown; the message lists similar serial numbers.
+    """
+    if serial in known:
+        return serial
+    lower = {name.lower() for name in known}
+    close = difflib.get_close_matches(serial.lower(), sorted(lower), n=5, cutoff=0.5)
+    near = [name for one in close for name in known if name.lower() == one]
+    if near:
+        hint = f"similar: {', '.join(near)}"
+    elif known:
+        hint = f"known: {', '.join(known[:5])}{' …' if len(known) > 5 else ''}"
+    else:
+        hint = (
+            "no session in these folders has a serial number (calibrate --serial, or '# serial:' in a CSV)"
+        )
+    raise UsageError(f"no session is of a sensor with serial number '{serial}'; {hint}")
+
+
+def alike(serial: str, known: Sequence[str]) -> list[str]:
+    """Serial numbers that differ from this one in capitals and spaces only."""
+
+    def bare(text: str) -> str:
+        return "".join(text.split()).casefold()
+
+    return [other for other in known if other != serial and bare(other) == bare(serial)]
+
+
+def day_of(when: str) -> float:
+    """Days since 1970 of an ISO time."""
+    return datetime.fromisoformat(when).timestamp() / _DAY_S
+
+
+def date_of(day: float) -> str:
+    """Date (UTC) of a day since 1970; `UsageError` beyond the calendar's end."""
+    try:
+        return (datetime(1970, 1, 1) + timedelta(days=float(day))).date().isoformat()
+    except OverflowError:
+        raise UsageError(f"day {day:g} is beyond the calendar") from None
+
+
+def _unfit(record: SessionRecord) -> str:
+    if record.status != "ok":
+        return record.reason
+    if record.when is None:
+        return "no date: a samples CSV does not state its time of recording"
+    return f"the result cannot be right: {record.doubts[0]}" if record.doubts else ""
+
+
+def _names(records: Sequence[SessionRecord]) -> list[str]:
+    """Quantities to track; in the plane only ΔK of the gains, since their common part is gravity."""
+    if any("delta_k" in record.values for record in records):
+        return [*_IN_PLANE, ANGLE]
+    return [name for name in QUANTITIES if name.startswith(("bias_", "scale_", "skew_"))]
+
+
+def _track(name: str, records: Sequence[SessionRecord], k: float, h: float) -> Track:
+    stated = [(n, r, r.values[name]) for n, r in enumerate(records) if _stated(r.values.get(name))]
+    day = np.array([day_of(record.when or "") for _, record, _ in stated])
+    values = tuple(value for _, _, value in stated)
+    unit = values[0].unit if values else ""
+    track = Track(name, unit, tuple(n for n, _, _ in stated), day, values)
+    if name == ANGLE or len(values) < 2:
+        return track
+    return replace(
+        track,
+        drift=drift_of(day, track.value, track.u, unit),
+        chart=control_chart(track.value, track.u, k, h),
+    )
+
+
+def _stated(value: Value | None) -> bool:
+    return value is not None and bool(np.isfinite(value.value)) and value.u is not None and value.u > 0
+
+
+def _judged(track: Track, tested: int) -> Track:
+    found = track.drift is not None and track.drift.p_value * tested <= DRIFTING
+    return replace(track, drifts=found)
+
+
+_ROWS = 9
+
+
+def format_expanded(value: Value) -> str:
+    """Value ± U without unit."""
+    return format_uncertain(value.value, value.U)
+
+
+def drift_sentences(track: Track) -> list[str]:
+    """Sentences on drift and on scatter between sessions."""
+    drift = track.drift
+    if drift is None:
+        return []
+    unit = format_unit(drift.slope.unit).removeprefix("1/")
+    said = "drifts" if track.drifts else "no drift shown"
+    rate = f"{format_expanded(drift.slope)} {'a year' if unit == 'a' else unit}"
+    lines = [f"{said}: {rate} (U, 95 %), {format_p(drift.p_value)}"]
+    if drift.birge_p < DRIFTING:
+        lines.append(
+            f"sessions scatter by more than their u: {drift.between:.2g} between sessions "
+            f"(Birge ratio {drift.birge:.2f}, {format_p(drift.birge_p)})"
+        )
+    return lines
+
+
+def chart_sentences(track: Track, history: History) -> list[str]:
+    """Sentences on the signals of the control charts."""
+    chart = track.chart
+    if chart is None:
+        return []
+    lines = []
+    if chart.signal is not None and chart.since is not None:
+        at, since = (history.sessions[track.sessions[n]] for n in (chart.signal, chart.since))
+        way = "up" if chart.up[chart.signal] > chart.h else "down"
+        lines.append(f"CUSUM signals a change {way} since {_date(since)} (seen on {_date(at)})")
+    if chart.outside:
+        dates = ", ".join(_date(history.sessions[track.sessions[n]]) for n in chart.outside)
+        lines.append(f"outside the 3σ limits: {dates}")
+    return lines
+
+
+def effect_table(history: History) -> list[list[str]]:
+    """Rows of date, effects found with their axes, and adequacy of the model."""
+    return [[_date(record), _effects(record), _adequate(record)] for record in history.sessions]
+
+
+def _effects(record: SessionRecord) -> str:
+    if not record.traced:
+        return "not traced"
+    names = [f"{e.effect} ({', '.join(e.axes)})" if e.axes else e.effect for e in record.effects]
+    return ", ".join(names) or "none"
+
+
+def _adequate(record: SessionRecord) -> str:
+    return {None: "–", True: "adequate", False: "not adequate"}[record.adequate]
+
+
+def _date(record: SessionRecord) -> str:
+    return (record.when or "")[:10]
+
+
+def headline(history: History) -> str:
+    """Headline: number of sessions, drifting quantities, signals of control charts."""
+    moving = [NAMES.get(name, name) for name, track in history.tracks.items() if track.drifts]
+    signals = [
+        NAMES.get(name, name)
+        for name, track in history.tracks.items()
+        if track.chart is not None and track.chart.signal is not None
+    ]
+    parts = [counted(len(history.sessions), "session")]
+    parts.append(f"drift in {', '.join(moving)}" if moving else "no drift shown")
+    parts.append(f"control chart signals {', '.join(signals)}" if signals else "control charts quiet")
+    return "; ".join(parts)
+
+
+def chart_lines(track: Track, width: int = 80) -> list[str]:
+    """Character plot of values over time, at most `width` wide: `●` value, `│` U, `·` weighted mean."""
+    if not track.values:
+        return []
+    value, half = track.value, np.nan_to_num(track.expanded)
+    low, high = float((value - half).min()), float((value + half).max())
+    low, high = (low, high) if high > low else (low - 1, high + 1)
+    labels = [use_minus(f"{edge:.4g}") for edge in (high, (high + low) / 2, low)]
+    margin = max(map(len, labels)) + 1
+    columns = width - margin - 1
+    grid = [[" "] * columns for _ in range(_ROWS)]
+    span = float(np.ptp(track.day)) or 1.0
+    where = np.round((track.day - track.day.min()) / span * (columns - 1)).astype(int)
+
+    def row(at: float) -> int:
+        return round((high - at) / (high - low) * (_ROWS - 1))
+
+    weights = 1 / np.where(half > 0, half, 1.0) ** 2
+    for column in range(0, columns, 2):
+        grid[row(float(np.average(value, weights=weights)))][column] = "·"
+    for column, one, u in zip(where, value, half, strict=True):
+        for line in range(row(one + u), row(one - u) + 1):
+            grid[line][column] = "│"
+    for column, one in zip(where, value, strict=True):
+        grid[row(one)][column] = "●"
+    edges = {0: labels[0], _ROWS // 2: labels[1], _ROWS - 1: labels[2]}
+    lines = [f"{edges.get(k, ''):>{margin}}│{''.join(cells)}".rstrip() for k, cells in enumerate(grid)]
+    first, last = date_of(track.day.min()), date_of(track.day.max())
+    foot = first if first == last else first + last.rjust(columns - len(first))
+    return [*lines, " " * (margin + 1) + foot]
+
+
+def value_rows(history: History) -> tuple[list[str], Sequence[list[str]]]:
+    """Head and rows of a table with date and every quantity ± U."""
+    tracks = list(history.tracks.values())
+    rows = []
+    for n, record in enumerate(history.sessions):
+        stated = [t.values[t.sessions.index(n)] if n in t.sessions else None for t in tracks]
+        rows.append([_date(record), *(DASH if v is None else format_expanded(v) for v in stated)])
+    return ["date", *(track.label for track in tracks)], rows

@@ -1,0 +1,451 @@
+"""The evidence of one session for every effect: a quadratic form of its log likelihood, a few kB.
+
+With readings whitened by the session's own noise, and the base model, bias and effects of single dwells
+projected out, let X be the columns of all candidates and r the residual of the readings. Then
+
+    ln L(a) − ln L(0) = aᵀ Xᵀr − ½ aᵀ XᵀX a
+
+for amplitudes a in their units. The score Xᵀr and the information XᵀX are all that a population needs of
+a session.
+
+An effect of the catalogue has one column for each amplitude, axis by axis. Time constants are on one grid
+in seconds for all sessions, since a part's τ does not depend on the length of a session. Unnamed
+functions (courses in time, harmonics of gravity's direction in the part, dependence on the previous
+position) have columns too, so that a cause that the catalogue lacks is not given the nearest name. Bias
+and base parameters have no columns, since every session has its own, nor have effects of one dwell: dwell
+7 of one session is not dwell 7 of another.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import DataError
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
+from adis_gonio.fitting.estimation.terms import Basis, NamedTerm, NamelessTerm, Term
+from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue, effect
+from adis_gonio.model.measurement import PlanarTurn
+from adis_gonio.model.records import Session
+from adis_gonio.record.provenance import provenance_of
+from adis_gonio.tracing.linear_problem import orthonormal
+from adis_gonio.tracing.named_candidates import cycles_shown
+from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.trace_result import TraceResult
+
+TAUS_S = tuple(float(f"{tau:.3g}") for tau in np.geomspace(10.0, 3160.0, 11))
+"""Time constants, a quarter of a decade apart: a course between two loses less than 1 % of its square."""
+MOST_CYCLES = 12
+"""Most cycles per turn of a stage."""
+HARMONICS = (2, 3, 4, 5, 6)
+"""Harmonics of gravity's direction in the part, for an unnamed response."""
+COURSES = 4
+"""Cosines over the session's length, for an unnamed course in time."""
+NUISANCE = ("bias", "position_slip", "outlier_dwell")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One amplitude for which a session gives evidence.
+
+    Attributes
+    ----------
+    cause : str
+        Name of the catalogue, or the quantity that an unnamed function depends on.
+    named : bool
+    variant : str
+        Choice and time constant: `degree=2`, `cycles=5`, `tau=316`; or the number of a function.
+    axes : str
+        Axis on which it acts; empty for the stage.
+    parameter, unit : str
+        Name of the amplitude in the catalogue, and its unit.
+    """
+
+    cause: str
+    named: bool
+    variant: str
+    axes: str
+    parameter: str
+    unit: str
+
+    @property
+    def key(self) -> str:
+        """Unique name, such as `warm_up|tau=316|x|warm_up_x|mg`, `~time|2|x|2_x|mg`."""
+        mark = "" if self.named else "~"
+        return "|".join([mark + self.cause, self.variant, self.axes, self.parameter, self.unit])
+
+    @property
+    def weight(self) -> float:
+        """Expected relative size within its cause: a random walk in time has 1/k of cosine k."""
+        return 1.0 if self.named or self.cause != "time" else 1 / int(self.parameter.split("_")[0])
+
+    @classmethod
+    def of(cls, key: str) -> Column:
+        """Column of a key; `ValueError` for any other text."""
+        cause, variant, axes, parameter, unit = key.split("|")
+        return cls(cause.removeprefix("~"), not cause.startswith("~"), variant, axes, parameter, unit)
+
+
+def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[str, str]]:
+    """Terms, each with its columns, and the reason of each effect without columns."""
+    missing: dict[str, str] = {}
+    out: list[tuple[Term, list[Column]]] = []
+    for name, kind in catalogue("accelerometer").items():
+        reason = _why_not(kind, data)
+        if reason:
+            missing[name] = reason
+            continue
+        for variant, one, shapes in _variants(kind, data):
+            term = NamedTerm("", kind.covariates, 0.0, one, shapes)
+            parameters = [one.parameters[k] for k in term.amplitudes]
+            chosen = list(range(len(parameters)))
+            if "degree" in kind.choices():
+                chosen = chosen[-1:]  # the lower powers have their own columns
+            evidence = [
+                Column(name, True, variant, "".join(one.axes), parameters[k].name, parameters[k].unit)
+                for k in chosen
+            ]
+            out.append((_Part(term, chosen) if len(chosen) < len(parameters) else term, evidence))
+    out += list(_nameless(data))
+    return out, missing
+
+
+def _why_not(kind: type[Effect], data: Readings) -> str:
+    if kind.name in NUISANCE:
+        return "every session has its own"
+    if kind.enters is Enters.SAMPLES or kind.within_dwell:
+        return "it acts among the samples of a dwell"
+    if "dwell" in kind.choices():
+        return "an effect of one dwell belongs to one session"
+    lacking = data.conditions.lacks(kind.needs)
+    if lacking:
+        return f"{', '.join(lacking)} not recorded"
+    if kind.enters is Enters.ATTITUDE and not data.planar:
+        return "attitudes are free"
+    return ""
+
+
+def _variants(
+    kind: type[Effect], data: Readings
+) -> Iterator[tuple[str, Effect, tuple[tuple[int, float], ...]]]:
+    options: list[dict[str, int]] = [{}]
+    if "degree" in kind.choices():
+        options = [{"degree": k} for k in (1, 2, 3)]
+    elif "cycles" in kind.choices():
+        shown = cycles_shown(data.conditions.covariate("angle_rad"), MOST_CYCLES)
+        options = [{"cycles": k} for k in shown]
+    for axes in [(letter,) for letter in AXES[: data.axes]] if kind.by_axis else [()]:
+        for option in options:
+            effect = kind(axes, **option)
+            variant = ",".join(f"{key}={value}" for key, value in option.items())
+            shaped = [(k, p) for k, p in enumerate(effect.parameters) if p.shape]
+            if not shaped:
+                yield variant, effect, ()
+            elif len(shaped) == 1 and shaped[0][1].unit == "s":
+                for tau in TAUS_S:
+                    yield f"tau={tau:g}", effect, ((shaped[0][0], tau),)
+            else:
+                yield variant, effect, tuple((k, p.typical) for k, p in shaped)
+
+
+class _Part(NamedTerm):
+    """A named term with only some of its amplitudes."""
+
+    def __init__(self, term: NamedTerm, chosen: list[int]) -> None:
+        super().__init__(term.label, term.covariates, term.cost, term.effect, term.shapes)
+        object.__setattr__(self, "_chosen", chosen)
+
+    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
+        """Columns of the chosen amplitudes."""
+        chosen: list[int] = self._chosen  # type: ignore[attr-defined]
+        return super().columns(ideal, conditions)[..., chosen]
+
+
+def _nameless(data: Readings) -> Iterator[tuple[Term, list[Column]]]:
+    """Unnamed functions, axis by axis."""
+    conditions = data.conditions
+    for cause, gain, basis in _functions(conditions, data.planar):
+        probe = (
+            basis.common(conditions) if basis.common is not None else basis.by_axis(data.mean / 1000.0, 0)  # type: ignore[misc]
+        )
+        count = probe.shape[1]
+        for k, letter in enumerate(AXES[: data.axes]):
+            term = NamelessTerm("", (cause,), 0.0, "gain" if gain else "bias", (k,), basis)
+            unit = "mg/g" if gain else "mg"
+            head, *number = basis.form.split()
+            variant = " ".join(["gain"] * gain + number) or head
+            yield (
+                term,
+                [Column(cause, False, variant, letter, f"{j + 1}_{letter}", unit) for j in range(count)],
+            )
+
+
+def _functions(conditions: Conditions, planar: bool) -> Iterator[tuple[str, bool, Basis]]:
+    def over(*rows: Floats) -> Basis:
+        kept = np.stack(rows, axis=1)
+        return Basis("course", (), common=lambda _: kept)
+
+    time = conditions.time_s
+    x = (time - time.min()) / max(float(np.ptp(time)), 1e-9)
+    yield "time", False, over(*(np.cos(k * np.pi * x) for k in range(1, COURSES + 1)))
+    yield "time", True, over(*(np.cos(k * np.pi * x) for k in (1, 2)))
+    for name, rows, scale in (
+        ("temperature", conditions.temperature_c, 10.0),
+        ("supply", conditions.supply_v, 0.1),
+    ):
+        if rows is not None and np.ptp(rows) > 0:
+            centred = (rows - rows.mean()) / scale
+            # A linear dependence is an effect of the catalogue.
+            yield name, False, over(centred**2)
+            yield name, True, over(centred**2)
+    previous = conditions.previous_angle_rad
+    if previous is not None and np.isfinite(previous).all():
+        yield "previous angle", False, over(np.cos(previous), np.sin(previous))
+    if planar:
+        for n in HARMONICS:
+            yield "angle", False, Basis(f"harmonic {n}", (), by_axis=_harmonic(n))
+
+
+def _harmonic(n: int) -> Callable[[Floats, int], Floats]:
+    """Harmonic n of gravity's direction in the part, (rows, 2)."""
+
+    def waves(ideal_g: Floats, _: int) -> Floats:
+        psi = n * np.arctan2(ideal_g[:, 1], ideal_g[:, 0])
+        return np.stack([np.cos(psi), np.sin(psi)], axis=1)
+
+    return waves
+
+
+FORMAT = "adis-gonio population evidence 1"
+_STEP = 2.0**-15
+"""Resolution of the stored directions: 3·10⁻⁵ of a column."""
+
+
+@dataclass(frozen=True)
+class ResidualChi2:
+    """χ² of the residual in one direction of the readings, and its degrees of freedom."""
+
+    chi2: float
+    dof: float
+
+
+@dataclass(frozen=True)
+class SessionEvidence:
+    """Evidence of one session.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Columns that this session determines (`Column.key`), m of them.
+    z : (m,) float
+        Score of each in its standard uncertainty: N(0, 1) if the effect is absent.
+    length : (m,) float
+        1/u of each amplitude alone, in 1/unit.
+    directions : (k, m) float
+        Unit vectors; the product of two columns is the correlation of their scores.
+    scatter : tuple of ResidualChi2
+        Residual after base model and bias, along the turn and across it; one entry if attitudes are free.
+    noise_known : bool
+        False if the noise is estimated from the residual alone.
+    missing : mapping of str to str
+        Reason of each effect without columns.
+    digest, source, serial, operator, stage, sensor : str
+        Facts of the session, as in `Provenance`.
+    """
+
+    keys: tuple[str, ...]
+    z: Floats
+    length: Floats
+    directions: Floats
+    scatter: tuple[ResidualChi2, ...]
+    noise_known: bool
+    missing: Mapping[str, str] = field(default_factory=dict)
+    digest: str = ""
+    source: str = ""
+    serial: str = ""
+    operator: str = ""
+    stage: str = ""
+    sensor: str = ""
+
+    def estimate(self, key: str) -> tuple[float, float]:
+        """Amplitude by least squares with this column alone, and its standard uncertainty, in its unit.
+
+        `KeyError` if the session does not determine the column.
+        """
+        if key not in self.keys:
+            raise KeyError(key)
+        k = self.keys.index(key)
+        return float(self.z[k] / self.length[k]), float(1 / self.length[k])
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON document, with directions as base64 of 16-bit integers (k, m) in steps of 2⁻¹⁵."""
+        packed = np.clip(np.round(self.directions / _STEP), -32767, 32767).astype("<i2")
+        return {
+            "format": FORMAT,
+            "keys": list(self.keys),
+            "z": [float(f"{z:.5g}") for z in self.z],
+            "length": [float(f"{x:.6g}") for x in self.length],
+            "rank": len(self.directions),
+            "directions": base64.b64encode(packed.tobytes()).decode("ascii"),
+            "scatter": [[float(f"{s.chi2:.6g}"), float(f"{s.dof:.6g}")] for s in self.scatter],
+            "noise_known": self.noise_known,
+            "missing": dict(self.missing),
+            **{name: getattr(self, name) for name in _TEXTS},
+        }
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> SessionEvidence:
+        """Evidence from its JSON document.
+
+        Raises
+        ------
+        DataError
+            The document is of another version, or damaged.
+        """
+        if document.get("format") != FORMAT:
+            raise DataError(f"unknown format of a session's evidence: {document.get('format')!r}")
+        try:
+            keys = tuple(str(key) for key in document["keys"])
+            packed = np.frombuffer(base64.b64decode(document["directions"]), dtype="<i2")
+            evidence = cls(
+                keys=keys,
+                z=np.array(document["z"], dtype=float),
+                length=np.array(document["length"], dtype=float),
+                directions=_unit(packed.reshape(int(document["rank"]), len(keys)) * _STEP),
+                scatter=tuple(ResidualChi2(float(chi2), float(dof)) for chi2, dof in document["scatter"]),
+                noise_known=bool(document["noise_known"]),
+                missing=dict(document["missing"]),
+                **{name: str(document[name]) for name in _TEXTS},
+            )
+        except (KeyError, ValueError, TypeError) as error:
+            raise DataError(
+                f"damaged evidence of {document.get('source') or 'a session'}: {error}"
+            ) from error
+        if len(evidence.z) != len(keys) or len(evidence.length) != len(keys):
+            raise DataError(
+                f"damaged evidence of {evidence.source or 'a session'}: scores and columns differ in number"
+            )
+        return evidence
+
+
+_TEXTS = ("digest", "source", "serial", "operator", "stage", "sensor")
+
+
+def evidence_of(session: Session, result: TraceResult | None = None) -> SessionEvidence:
+    """Evidence of a session, by one fit of base model and bias; takes milliseconds.
+
+    Parameters
+    ----------
+    session : Session
+    result : TraceResult, optional
+        Its trace, if it was traced. Slipped and outlying dwells are then excluded, scatter is part of the
+        noise, and the effects found are evidence at their size.
+
+    Raises
+    ------
+    DataError, FitError
+        As `adis_gonio.fitting.estimation.readings_of` and the fit.
+    """
+    fit = _begun(readings_of(session).training) if result is None or not result.fits else result.fits[-1]
+    origin = provenance_of(session)
+    return _of_fit(
+        fit,
+        digest=origin.sha256,
+        source=origin.source,
+        serial=origin.serial,
+        operator=origin.operator,
+        stage=origin.stage,
+        sensor=origin.sensor,
+    )
+
+
+def _begun(data: Readings) -> Fit:
+    """Fit of base model and bias."""
+    bias = _bias(data)
+    return Fit.begin(data).with_terms((bias,), (np.zeros(data.axes),)).refit()
+
+
+def _bias(data: Readings) -> NamedTerm:
+    return NamedTerm("bias", (), 0.0, effect("bias", AXES[: data.axes]))
+
+
+def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
+    data = fit.data
+    terms, missing = columns_of(data)
+    residual = fit.declared_misfit
+    # Add the fitted terms to the residual again; bias and single dwells are projected out instead.
+    own: list[Term] = [_bias(data)]
+    for k, term in enumerate(fit.terms):
+        residual = residual + fit.added(k)
+        if term.name in NUISANCE[1:]:
+            own.append(term)
+    beside = [fit.white(fit.base_columns), *(fit.white(fit.candidate(term)) for term in own)]
+    base = orthonormal(np.concatenate(beside, axis=1))
+    target = fit.white(residual[:, :, None])[:, 0]
+    target = target - base @ (base.T @ target)
+    # χ² of the fitted model: a large effect that a trace has found is no scatter.
+    rest = fit.residual.ravel()
+    rest = rest - base @ (base.T @ rest)
+
+    columns = fit.white(np.concatenate([fit.candidate(term) for term, _ in terms], axis=2))
+    keys = [column.key for _, evidence in terms for column in evidence]
+    before = np.linalg.norm(columns, axis=0)
+    # Project base model, bias and single dwells out of the candidates' columns.
+    columns = columns - base @ (base.T @ columns)
+    length = np.linalg.norm(columns, axis=0)
+    # Columns that lie in the projected space are not determined.
+    seen = np.isfinite(length) & (length**2 > limits.independent * before**2) & (length > 0)
+    unit = columns[:, seen] / length[seen]
+    for name in {key.split("|")[0] for key in keys} - {
+        key.split("|")[0] for key, there in zip(keys, seen, strict=True) if there
+    }:
+        if not name.startswith("~"):
+            missing[name] = "lies in the base model and bias"
+    return SessionEvidence(
+        keys=tuple(key for key, there in zip(keys, seen, strict=True) if there),
+        z=unit.T @ target,
+        length=length[seen],
+        directions=_reduced(unit),
+        scatter=_scatter(fit, rest, base),
+        noise_known=data.noise_known,
+        missing=missing,
+        **origin,
+    )
+
+
+def _unit(directions: Floats) -> Floats:
+    return np.asarray(directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-12))
+
+
+def _reduced(unit: Floats) -> Floats:
+    """Reduce columns (rows, m) to the fewest rows (k, m) with the same products."""
+    # XᵀX = V S² Vᵀ: rows S Vᵀ have the products of the columns.
+    _, s, vt = np.linalg.svd(unit, full_matrices=False)
+    kept = s > 1e-5 * (s[0] if s.size else 1.0)
+    return _unit(s[kept, None] * vt[kept])
+
+
+def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[ResidualChi2, ...]:
+    """χ² along the turn and across it, with the degrees of freedom after the nuisance parameters."""
+    data = fit.data
+    rows = rest.reshape(len(data), -1)
+    base_rows = base.reshape(len(data), -1, base.shape[1])
+    if rows.shape[1] != 2 or not isinstance(data.model, PlanarTurn):
+        return (ResidualChi2(float((rows**2).sum()), max(fit.equations - base.shape[1], 0.0)),)
+    # Unit vectors along the turn in the whitened readings, and across it.
+    along = (data.own_root @ fit.tangent)[:, :, 0]
+    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    return tuple(
+        ResidualChi2(
+            float(((rows * way).sum(axis=1) ** 2).sum()),
+            len(data) - float((np.einsum("nr,nrk->nk", way, base_rows) ** 2).sum()),
+        )
+        for way in (along, across)
+    )

@@ -1,0 +1,359 @@
+"""The record of one session: its row in the store, and the job that computes it.
+
+The numbers are taken from the answer (`adis_gonio.tracing.traced_answer`), as `fit` and the report show
+them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from adis_gonio.base import __version__
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.uncertainty import Value, finite_or_none
+from adis_gonio.record.provenance import digest_of_file, provenance_of
+
+if TYPE_CHECKING:
+    from adis_gonio.fitting.answer import Answer
+    from adis_gonio.model.records import Session
+    from adis_gonio.tracing.trace_result import TraceResult
+
+ANGLE = "angle"
+"""Error of the angle, rms; its u and U belong to a displayed angle."""
+QUANTITIES = {
+    "delta_k": "1",
+    "delta_phi": "deg",
+    **{f"bias_{axis}": "mg" for axis in "xyz"},
+    **{f"scale_{axis}": "1" for axis in "xyz"},
+    **{f"skew_{axes}": "deg" for axes in ("xy", "xz", "yz")},
+    ANGLE: "deg",
+}
+"""Unit of each quantity that a record can hold, named as in the document of `fit`; in space the
+skews replace `delta_phi`."""
+PARTS = {"": "value", "_u": "u", "_u95": "U", "_k": "k", "_dof": "dof"}
+"""Columns of a quantity in a row, by ending, with their keys in the document of a value."""
+
+Status = Literal["ok", "failed"]
+
+
+@dataclass(frozen=True)
+class FoundEffect(JsonRecord):
+    """An effect that a trace found, as `found` in the document of `trace`."""
+
+    effect: str
+    axes: tuple[str, ...]
+    p_value: float
+    parameters: dict[str, Value]
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> FoundEffect:
+        """Inverse of `as_dict`."""
+        values = {name: value_from(entry) for name, entry in data["parameters"].items()}
+        return cls(data["effect"], tuple(data["axes"]), data["p_value"], values)
+
+
+@dataclass(frozen=True)
+class SessionRecord(JsonRecord):
+    """Facts and results of one session's file; text that is not stated and unknown values are None.
+
+    Attributes
+    ----------
+    path : str
+        Path of the file as it was read.
+    sha256 : str or None
+        Digest of the file; None if it could not be read.
+    data_sha256 : str or None
+        Digest of the dwells' data, equal for an archive and the CSV exported from it.
+    serial, operator, stage : str or None
+        Text of the operator.
+    sensor : str or None
+        Variant.
+    plan : str or None
+        Name of the plan; None for a CSV.
+    when : str or None
+        Begin of the session (UTC, ISO 8601); None for a CSV.
+    simulated : bool or None
+    dwells : int or None
+    measuring_s : float or None
+        Time in the dwells, s.
+    temperature_c : float or None
+        Mean over all samples, °C.
+    gravity_mps2 : float or None
+    method : str or None
+        Recommended method, which gave these numbers.
+    model_effects : tuple of str
+        Effects of the traced model, if that is the answer.
+    values : mapping of str to Value
+        `QUANTITIES` that the session determines.
+    angle_max_deg : float or None
+        Largest error of the angle over the dwells, each left out of the fit.
+    traced : bool
+        True if a trace ran; otherwise the effects are not known.
+    effects : tuple of FoundEffect
+    adequate : bool or None
+        True if the traced model explains the readings; None without a trace.
+    doubts : tuple of str
+        Reasons why the result cannot be right: readings that were kept against a guard.
+    status : {"ok", "failed"}
+    reason : str
+        Reason of a failure, one line.
+    software : str
+        Program that computed it.
+    evidence : mapping or None
+        `SessionEvidence.as_dict()`, if it was requested and the session has evidence.
+    """
+
+    path: str
+    sha256: str | None = None
+    data_sha256: str | None = None
+    serial: str | None = None
+    operator: str | None = None
+    stage: str | None = None
+    sensor: str | None = None
+    plan: str | None = None
+    when: str | None = None
+    simulated: bool | None = None
+    dwells: int | None = None
+    measuring_s: float | None = None
+    temperature_c: float | None = None
+    gravity_mps2: float | None = None
+    method: str | None = None
+    model_effects: tuple[str, ...] = ()
+    values: dict[str, Value] = field(default_factory=dict)
+    angle_max_deg: float | None = None
+    traced: bool = False
+    effects: tuple[FoundEffect, ...] = ()
+    adequate: bool | None = None
+    doubts: tuple[str, ...] = ()
+    status: Status = "ok"
+    reason: str = ""
+    software: str = ""
+    evidence: dict[str, Any] | None = None
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> SessionRecord:
+        """Inverse of `as_dict`."""
+        return cls(
+            **{
+                **data,
+                "model_effects": tuple(data["model_effects"]),
+                "values": {name: value_from(entry) for name, entry in data["values"].items()},
+                "effects": tuple(FoundEffect.from_dict(entry) for entry in data["effects"]),
+                "doubts": tuple(data["doubts"]),
+            }
+        )
+
+    def row(self) -> dict[str, Any]:
+        """One row with the columns of `adis_gonio.fleet.session_table.COLUMNS`; unknown values are None.
+
+        Each of `QUANTITIES` takes five columns (`PARTS`): `delta_k`, `delta_k_u`, `delta_k_u95` (U, since
+        names of columns ignore capitals), `delta_k_k`, `delta_k_dof`. A value in another unit than its
+        column (counts of unknown scale) is left out. `effects` and `model_effects` are
+        lists of names.
+        """
+        row = {name: value for name, value in vars(self).items() if name not in ("values", "evidence")}
+        row["model_effects"] = list(self.model_effects)
+        row["effects"] = list(dict.fromkeys(found.effect for found in self.effects))
+        row["doubts"] = "; ".join(self.doubts)
+        for name, unit in QUANTITIES.items():
+            known = name in self.values and self.values[name].unit == unit
+            value = self.values[name].as_dict() if known else {}
+            row |= {f"{name}{end}": value.get(key) for end, key in PARTS.items()}
+        return row
+
+
+def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], dict[str, str]]:
+    """Remove records of equal data; return the others by path, and the kept path of each removed one.
+
+    Of an archive and the CSV exported from it, the file that states more facts is kept.
+    """
+    kept, copies, names = [], {}, dict[str, str]()
+    for record in sorted(records, key=_unstated):
+        data = record.data_sha256 if record.status == "ok" else None
+        if data in names:
+            copies[record.path] = names[data]
+            continue
+        if data:
+            names[data] = record.path
+        kept.append(record)
+    return sorted(kept, key=lambda record: record.path), copies
+
+
+def _unstated(record: SessionRecord) -> tuple[int, str]:
+    """Number of facts that a file does not state, then its path."""
+    names = ("when", "serial", "operator", "stage", "plan")
+    return sum(getattr(record, name) is None for name in names), record.path
+
+
+def value_from(entry: Mapping[str, Any]) -> Value:
+    """A `Value` from its JSON form."""
+    value, dof = entry["value"], entry["dof"]
+    return Value(
+        math.nan if value is None else value,
+        entry["u"],
+        entry["unit"],
+        math.inf if dof is None else dof,
+        entry["k"],
+    )
+
+
+@dataclass(frozen=True)
+class Options(JsonRecord):
+    """Computations that every session gets.
+
+    Attributes
+    ----------
+    trace : bool
+        Trace the residual too. A trace takes seconds to half a minute per session, a fit tenths of a
+        second.
+    evidence : bool
+        Compute the session's evidence for `population_trace`.
+    """
+
+    trace: bool = True
+    evidence: bool = False
+
+    @property
+    def key(self) -> str:
+        """Options and version as a text; if it changes, a file may give another result."""
+        return json.dumps([self.as_dict(), __version__])
+
+
+@dataclass(frozen=True)
+class Job:
+    """One session: its file, and the SHA-256 of the file's bytes."""
+
+    path: str
+    digest: str
+
+
+def lost(path: str, reason: str) -> SessionRecord:
+    """Record of a session that was not computed; it has no digest, so that the next run tries again."""
+    return SessionRecord(path, status="failed", reason=f"{path}: {reason}")
+
+
+def work(path: str, digest: str, options: dict[str, bool], version: str) -> SessionRecord:
+    """Compute the record of a job, perhaps on another machine.
+
+    Parameters
+    ----------
+    path, digest : str
+        As in `Job`; a file with another digest is refused.
+    options : mapping
+        `Options.as_dict()`.
+    version : str
+        Version of adis-gonio that runs the fleet.
+    """
+    if version != __version__:
+        return lost(path, f"the worker has adis-gonio {__version__}, the fleet {version}")
+    try:
+        own = digest_of_file(path)
+    except OSError as error:
+        return lost(path, f"cannot be read by the worker: {error.strerror or error}")
+    if own != digest:
+        return lost(path, "is another file at the worker, or was changed meanwhile")
+    return record_of(path, **options)
+
+
+def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) -> SessionRecord:
+    """Fit one session; a broken file gives a record with its reason, never an exception.
+
+    Parameters
+    ----------
+    trace, evidence : bool
+        As in `Options`.
+    """
+    from adis_gonio.record.loading import explain_refusal, load_session
+
+    path = Path(path)
+    known: dict[str, Any] = {"path": str(path), "software": f"adis-gonio {__version__}"}
+    try:
+        # Digest before reading: a file that changes meanwhile has another digest in the next run.
+        known["sha256"] = digest_of_file(path) if path.is_file() else None
+        session = load_session(path)
+        known |= _facts(session)
+        found = _results(session, trace=trace)
+        return SessionRecord(**known, **found, evidence=_evidence(session) if evidence else None)
+    except (AdisGonioError, OSError) as error:
+        reason = explain_refusal(str(error))
+    except Exception as error:  # one file among thousands must not stop the others
+        reason = f"{path}: {type(error).__name__}: {error}"
+    return SessionRecord(**known, status="failed", reason=" ".join(reason.split()))
+
+
+def _facts(session: Session) -> dict[str, Any]:
+    """Facts of the file, known even if the fit fails."""
+    origin = provenance_of(session)
+    return {
+        "data_sha256": origin.sha256,
+        "serial": origin.serial.strip() or None,
+        "operator": origin.operator.strip() or None,
+        "stage": origin.stage.strip() or None,
+        "sensor": origin.sensor,
+        "plan": (session.facts.get("plan") or {}).get("name"),
+        "when": _utc(origin.recorded_utc),
+        "simulated": session.facts.get("simulated"),
+        "dwells": len(session.dwells),
+        "measuring_s": math.fsum(float(d.time_s[-1] - d.time_s[0]) for d in session.dwells if len(d)),
+        "temperature_c": None if origin.temperature_c is None else origin.temperature_c.mean,
+        "gravity_mps2": origin.gravity_mps2,
+        "doubts": tuple(str(doubt["message"]) for doubt in session.facts.get("doubts", ())),
+    }
+
+
+def _utc(text: str) -> str | None:
+    """Time in UTC to the second; a time without a zone is in UTC already."""
+    if not text:
+        return None
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    return moment.isoformat(timespec="seconds")
+
+
+def _results(session: Session, *, trace: bool) -> dict[str, Any]:
+    from adis_gonio.fitting import fit
+    from adis_gonio.tracing.trace import trace as traced_by
+    from adis_gonio.tracing.traced_answer import answer_with_trace
+
+    found = traced_by(session) if trace else None
+    answer = answer_with_trace(fit(session), found, own=False)
+    score = answer.scores.get(answer.scored_as)
+    return {
+        "method": answer.recommended.method,
+        "model_effects": answer.recommended.effects,
+        "values": _values(answer),
+        "angle_max_deg": None if score is None else finite_or_none(score.angle_max_deg),
+        **_of_trace(found),
+    }
+
+
+def _values(answer: Answer) -> dict[str, Value]:
+    known = {**answer.parameters, **answer.values}
+    return {name: known[name] for name in QUANTITIES if name in known}
+
+
+def _of_trace(found: TraceResult | None) -> dict[str, Any]:
+    if found is None:
+        return {}
+    effects = tuple(FoundEffect(f.effect, f.axes, f.p_value, f.parameters) for f in found.found)
+    return {"traced": True, "effects": effects, "adequate": found.adequate}
+
+
+def _evidence(session: Session) -> dict[str, Any] | None:
+    """Evidence of a session for a population; None if it has none, such as a session of one pose."""
+    from adis_gonio.fleet.session_evidence import evidence_of
+
+    try:
+        return evidence_of(session).as_dict()
+    except AdisGonioError:
+        return None

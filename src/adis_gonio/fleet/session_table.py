@@ -1,0 +1,165 @@
+"""The table of many sessions: its columns, documented here and nowhere else, and the table as Parquet."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.errors import DataError, NotInstalledError
+from adis_gonio.fleet.session_record import QUANTITIES
+
+Kind = Literal["text", "number", "integer", "flag", "names"]
+Row = Mapping[str, Any]
+Table = dict[str, NDArray[Any]]
+"""Columns (n,) by name: float with NaN if unknown, str with "" if unknown; for `effects` see `table_of`."""
+
+_FACTS: dict[str, tuple[Kind, str, str]] = {
+    "path": ("text", "", "file of the session, as it was given"),
+    "sha256": ("text", "", "SHA-256 of the file"),
+    "data_sha256": ("text", "", "SHA-256 of the data in it: the same for an archive and its CSV"),
+    "serial": ("text", "", "serial number of the unit"),
+    "operator": ("text", "", "who measured"),
+    "stage": ("text", "", "stage on which it was measured"),
+    "sensor": ("text", "", "variant"),
+    "plan": ("text", "", "plan of positions"),
+    "when": ("text", "", "begin, UTC, ISO 8601"),
+    "simulated": ("flag", "", "of a simulated sensor"),
+    "dwells": ("integer", "", "number of dwells"),
+    "measuring_s": ("number", "s", "time in the dwells"),
+    "temperature_c": ("number", "degC", "mean temperature"),
+    "gravity_mps2": ("number", "m/s2", "local gravity"),
+    "method": ("text", "", "recommended method, source of the values"),
+    "model_effects": ("names", "", "effects of the model that gave the values"),
+    "angle_max_deg": ("number", "deg", "largest error of the angle over the dwells, each left out"),
+    "traced": ("flag", "", "a trace ran; otherwise effects are not known"),
+    "adequate": ("flag", "", "the traced model leaves no more than the noise"),
+    "effects": ("names", "", "effects that the trace found"),
+    "doubts": ("text", "", "reasons why the result is doubtful"),
+    "status": ("text", "", "ok or failed"),
+    "reason": ("text", "", "reason of the failure"),
+    "software": ("text", "", "program that computed it"),
+}
+
+
+def _of_quantities() -> dict[str, tuple[Kind, str, str]]:
+    columns: dict[str, tuple[Kind, str, str]] = {}
+    for name, unit in QUANTITIES.items():
+        what = "error of the angle, rms over held-out dwells" if name == "angle" else name
+        own = "a displayed angle" if name == "angle" else name
+        columns |= {
+            name: ("number", unit, what),
+            f"{name}_u": ("number", unit, f"standard uncertainty of {own}"),
+            f"{name}_u95": ("number", unit, f"expanded uncertainty U of {own}, 95 %"),
+            f"{name}_k": ("number", "1", f"coverage factor of {own}"),
+            f"{name}_dof": ("number", "1", f"degrees of freedom of {own}; null if unlimited"),
+        }
+    return columns
+
+
+COLUMNS: dict[str, tuple[Kind, str, str]] = {**_FACTS, **_of_quantities()}
+"""Kind, unit and meaning of each column, in order."""
+
+
+_FACTS_USED = (
+    *("path", "serial", "operator", "stage", "status", "reason"),
+    *("traced", "adequate", "effects", "doubts"),
+)
+_USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("", "_u", "_dof")))
+
+
+def table_of(rows: Sequence[Row] | Any) -> Table:
+    """Columns of rows, or of a pyarrow table such as `read_parquet` gives.
+
+    `effect_row` (m,) and `effect_name` (m,) replace `effects`: each effect found, with the number of its
+    row. Rows are sorted by path.
+    """
+    columns = (
+        {name: [row.get(name) for row in rows] for name in _USED}
+        if isinstance(rows, Sequence)
+        else {name: rows.column(name).to_pylist() for name in _USED if name in rows.column_names}
+    )
+    order = np.argsort(np.array([path or "" for path in columns["path"]], dtype=object), kind="stable")
+    table: Table = {}
+    for name, values in columns.items():
+        kind = COLUMNS[name][0]
+        if kind == "names":
+            counts = np.array([len(values[k] or ()) for k in order], dtype=int)
+            table["effect_row"] = np.repeat(np.arange(len(order)), counts)
+            table["effect_name"] = np.array([one for k in order for one in values[k] or ()], dtype=str)
+        elif kind == "text":
+            table[name] = np.array([value or "" for value in values], dtype=str)[order]
+        else:
+            table[name] = np.array([np.nan if value is None else value for value in values], dtype=float)[
+                order
+            ]
+    return table
+
+
+def require_pyarrow() -> Any:
+    """Import pyarrow.
+
+    Raises
+    ------
+    NotInstalledError
+        It is not installed.
+    """
+    try:
+        import pyarrow.parquet
+    except ImportError:
+        raise NotInstalledError("Parquet needs pyarrow: pip install 'adis-gonio[fleet]'") from None
+    return pyarrow
+
+
+def write_parquet(rows: Sequence[Row], path: str | Path, about: Mapping[str, Any]) -> None:
+    """Write rows; metadata are `unit` and `meaning` of each column, and `adis_gonio` (`about` as JSON).
+
+    Raises
+    ------
+    NotInstalledError
+        pyarrow is not installed.
+    OSError
+        The file cannot be written.
+    """
+    pa = require_pyarrow()
+    kinds = {
+        "text": pa.string(),
+        "number": pa.float64(),
+        "integer": pa.int64(),
+        "flag": pa.bool_(),
+        "names": pa.list_(pa.string()),
+    }
+    fields = [
+        pa.field(name, kinds[kind], metadata={"unit": unit, "meaning": meaning})
+        for name, (kind, unit, meaning) in COLUMNS.items()
+    ]
+    schema = pa.schema(
+        fields, metadata={"adis_gonio": json.dumps(about, ensure_ascii=False, sort_keys=True)}
+    )
+    arrays = [pa.array([row[field.name] for row in rows], field.type) for field in schema]
+    pa.parquet.write_table(pa.table(arrays, schema=schema), path, compression="zstd")
+
+
+def read_parquet(path: str | Path) -> Any:
+    """Table of a fleet as a pyarrow table, for `summarise`.
+
+    Raises
+    ------
+    NotInstalledError
+        pyarrow is not installed.
+    DataError
+        The file does not exist, or is no table of a fleet.
+    """
+    pa = require_pyarrow()
+    try:
+        table = pa.parquet.read_table(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        raise DataError(f"{path}: cannot be read as Parquet: {' '.join(str(error).split())}") from error
+    missing = [name for name in ("path", "status", "effects") if name not in table.column_names]
+    if missing:
+        raise DataError(f"{path}: is no table of a fleet: it lacks column {', '.join(missing)}")
+    return table

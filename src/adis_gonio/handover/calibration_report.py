@@ -1,0 +1,661 @@
+"""The calibration report: its sections, and the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base import __version__
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.base.numbers import (
+    DASH,
+    HEAD,
+    NAMES,
+    NO_BREAK,
+    UNKNOWN,
+    format_fixed,
+    format_number,
+    format_p,
+    format_percent,
+    format_uncertain,
+    format_unit,
+    label_quantity,
+    use_minus,
+    with_unit,
+)
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.device.sensor.settings import compensations
+from adis_gonio.fitting import FitResult
+from adis_gonio.fitting.answer import Answer, format_dof, format_share
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
+from adis_gonio.fitting.slips import PositionFinding
+from adis_gonio.fitting.slips.position_diagnosis import Angle
+from adis_gonio.model.records import Session
+from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
+from adis_gonio.page.svg import Role, Series, Style, plot
+from adis_gonio.record.provenance import digest_of_file
+from adis_gonio.tracing import trace_summary as words
+from adis_gonio.tracing.trace_figures import Panel, Views, series_views, views_of
+from adis_gonio.tracing.trace_result import TraceResult
+from adis_gonio.tracing.traced_answer import answer_with_trace
+from adis_gonio.tracing.within.samples import Place, WithinFinding
+
+_COVARIATES = {
+    "angle": "declared angle / °",
+    "previous_angle": "angle of the position before / °",
+    "time": "time / min",
+    "order": "number of the dwell",
+    "temperature": "temperature / °C",
+    "temperature_rate": "rate of the temperature / (°C/min)",
+    "temperature_lag": "lag of the temperature / °C",
+    "supply": "supply / V",
+    "approach": "side of approach",
+    "variance": "variance within the dwell / mg²",
+}
+_ROLES: tuple[Role, Role] = ("before", "after")
+_MOST_PLACES = 24
+"""Most lines of one finding in the table of single dwells."""
+_SIDES = {-1.0: "from above", 1.0: "from below"}
+_ORDER = ("delta_k", "delta_phi")
+
+
+def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Section:
+    """Summary of the trace in sentences."""
+    best = fits[-1] if fits else None
+    by_method = ""
+    if best is not None:
+        pair = {e.name: Value(e.value, e.u, e.unit) for e in best.parameters if e.name in _ORDER}
+        by_method = _pair(pair)
+    if isinstance(traced, str):
+        lines = [f"By method {best.method} (± u): {by_method}."] if best is not None and by_method else []
+        return Section("Summary", words=[*lines, f"The session could not be traced: {traced}"])
+    lines = [words.headline(traced), words.gains(traced)]
+    final = {name: value for name, value in traced.base.items() if name in _ORDER}
+    if final:
+        alternative = (
+            f" (method {best.method}, before the trace: {by_method})" if best and by_method else ""
+        )
+        names = "With the effects found" if traced.steps else "By the base model"
+        lines.append(f"{names} (± u): {_pair(final)}{alternative if traced.steps else ''}.")
+    if traced.confounded:
+        lines.append(f"This session cannot distinguish: {'; '.join(words.confounded(traced))}.")
+    return Section("Summary", words=lines)
+
+
+def answer_section(answer: Answer) -> Section:
+    """The recommended answer: values with u, U and k, and its reason."""
+    table = Table(
+        HEAD,
+        [line.cells for line in answer.lines],
+        numeric=(2, 3, 4, 5),
+        caption="u: standard uncertainty; U = k·u covers 95 %. The error of the angle is the root mean "
+        "square over held-out dwells; its u belongs to a displayed angle.",
+    )
+    sentences = [*answer.doubts, f"By method {answer.title}.", answer.why, *answer.remarks]
+    return Section("Answer", words=sentences, tables=[table], key=_key(answer.values))
+
+
+def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
+    """ΔK, Δφ and the error of the angle in large numerals; empty for a session in space."""
+    wanted = [name for name in (*_ORDER, "angle") if name in values]
+    return [_large(name, values[name]) for name in wanted if len(wanted) > 1]
+
+
+def _large(name: str, value: Value) -> KeyFigure:
+    """Value with U; for the error of the angle, U belongs to a displayed angle and is shown separately."""
+    if value.k is None:
+        return KeyFigure(NAMES[name], with_unit(format_number(value.value, 4), value.unit), UNKNOWN)
+    factor = f"k{NO_BREAK}={NO_BREAK}{value.k:.2f}"
+    if name == "angle":
+        of_angle = f"U of a displayed angle: {with_unit(format_number(value.U, 2), value.unit)} ({factor})"
+        return KeyFigure(NAMES[name], with_unit(format_number(value.value, 2), value.unit), of_angle)
+    return KeyFigure(
+        NAMES[name], format_uncertain(value.value, value.U, value.unit), f"± U = k·u covers 95 % ({factor})"
+    )
+
+
+_ANGLES = ("position", "declared", "by gravity", "by the gyro", "found", "how sure")
+
+
+def positions_section(findings: Sequence[PositionFinding]) -> list[Section]:
+    """Section on wrong positions: declared and measured angles of each, and advice; empty without any."""
+    if not findings:
+        return []
+    rows = [
+        [
+            str(found.position),
+            DASH if found.declared_deg is None else use_minus(f"{found.declared_deg:g}°"),
+            _angle(found.gravity_deg),
+            _angle(found.gyro_deg),
+            ", ".join(dict.fromkeys(named.name.replace("_", " ") for named in found.names)),
+            format_percent(found.probability),
+        ]
+        for found in findings
+    ]
+    sentences = list(dict.fromkeys(found.sentence for found in findings))
+    table = Table(_ANGLES, rows, numeric=(1, 2, 3, 5), caption="Angles with their standard uncertainties.")
+    return [Section("Wrong positions", words=sentences, tables=[table])]
+
+
+def _angle(angle: Angle | None) -> str:
+    return DASH if angle is None else format_uncertain(*angle, "deg")
+
+
+def budget_section(answer: Answer) -> Section:
+    """Uncertainty budget of ΔK, Δφ and the angle."""
+    tables = []
+    for name, rows in answer.budget.items():
+        cells = [
+            [
+                row.source,
+                row.kind,
+                row.distribution,
+                "–" if row.u is None else with_unit(format_number(row.u, 2), row.unit),
+                format_number(row.sensitivity),
+                format_number(row.contribution, 2),
+                format_share(row.share),
+            ]
+            for row in rows
+        ]
+        value = answer.values.get(name)
+        contribution = label_quantity("contribution", "" if value is None else value.unit)
+        head = ["source", "type", "distribution", "u of it", "sensitivity", contribution, "share"]
+        dof = "–" if value is None else format_dof(value.dof)
+        caption = f"{NAMES.get(name, name)}: effective degrees of freedom {dof}."
+        tables.append(Table(head, cells, caption=caption, numeric=(3, 4, 5, 6)))
+    first = next(iter(answer.budget.values()), ())
+    notes = [f"{row.source}: {row.note}" for row in first if row.note]
+    return Section("Uncertainty budget", tables=tables, notes=notes if tables else [], folded=True)
+
+
+def scores_section(answer: Answer) -> Section:
+    """Scores of every method on equal readings."""
+    head, rows = answer.score_rows()
+    table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(0,))
+    return Section("Methods on the same readings", words=[answer.scored_on], tables=[table] if rows else [])
+
+
+def _pair(values: Mapping[str, Value]) -> str:
+    return ", ".join(f"{NAMES[name]} = {values[name]}" for name in _ORDER if name in values)
+
+
+_BESIDE = 3
+"""Most methods in one table; more would be wider than the page."""
+
+
+def fitted_section(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
+    """Tables of the parameters by method, ΔK and Δφ first."""
+    sentences: dict[str, list[str]] = {}
+    for fit in fits:
+        for warning in fit.warnings:
+            sentences.setdefault(warning, []).append(fit.method)
+    notes = [f"{', '.join(methods)}: {warning}" for warning, methods in sentences.items()]
+    notes += [f"{method}: {reason}" for method, reason in failures.items()]
+    none = [] if fits or failures else ["No method applies: the session has too few poses."]
+    # The best fit is last in the list and first on the page.
+    order = list(reversed(fits))
+    tables = [_by_method(order[k : k + _BESIDE]) for k in range(0, len(order), _BESIDE)]
+    return Section("Results by method", words=none, tables=tables, notes=notes, folded=bool(tables))
+
+
+def _by_method(fits: Sequence[FitResult]) -> Table:
+    names = list(dict.fromkeys(e.name for fit in fits for e in fit.parameters))
+    names.sort(key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
+    rows = []
+    for name in names:
+        entries = [next((e for e in fit.parameters if e.name == name), None) for fit in fits]
+        unit = next(e.unit for e in entries if e is not None)
+        cells = ["" if e is None else format_uncertain(e.value, e.u) for e in entries]
+        rows.append([NAMES.get(name, name), format_unit(unit), *cells])
+    rows.append(["residual, rms", "mg", *(format_number(fit.residual_rms_mg) for fit in fits)])
+    rows.append(
+        [
+            "χ² / degrees of freedom",
+            "",
+            *(f"{format_number(f.chi2)} / {f.dof}" if f.dof else "–" for f in fits),
+        ]
+    )
+    return Table(
+        ["parameter", "unit", *(fit.method for fit in fits)],
+        rows,
+        numeric=tuple(range(2, 2 + len(fits))),
+        strong=tuple(k for k, name in enumerate(names) if name in _ORDER),
+        caption="± one standard uncertainty; ± k times that covers 95 % (k in the answer's table).",
+    )
+
+
+def found_section(traced: TraceResult) -> Section:
+    """Effects found, their alternatives, and unnamed causes."""
+    inside = words.inside_only(traced)
+    rows = []
+    for finding in words.ordered(traced):
+        rows.append(
+            [
+                words.with_axes(finding),
+                "\n".join(words.parameters(finding)),
+                "–" if finding in inside else format_percent(finding.explains),
+                format_percent(finding.probability),
+                format_p(finding.p_value),
+            ]
+        )
+    tables = []
+    if rows:
+        head = ["effect", "parameters", "explains", "probability", "test"]
+        caption = "“Explains” is the share of the base model's residual beyond the measured noise."
+        tables.append(Table(head, rows, caption=caption, numeric=(2, 3)))
+    parts = [
+        Section("Which this session cannot tell apart", points=words.confounded(traced, most=8)),
+        Section("Unnamed causes", points=[words.unnamed(traced)] if traced.unnamed else []),
+        Section("Candidates not accepted", points=words.open_names(traced)),
+    ]
+    causes = {finding.effect: finding.cause for finding in words.ordered(traced)}
+    return Section(
+        "Effects found",
+        notes=[f"{name}: {cause}" for name, cause in causes.items()],
+        words=[] if rows else ["No effect had to be added, or none could be named."],
+        tables=tables,
+        parts=[part for part in parts if part.points],
+    )
+
+
+def within_section(traced: TraceResult) -> Section:
+    """Findings inside the dwells: sentences, figures, and a table of single dwells."""
+    if not traced.within:
+        nothing = (
+            "Spikes, stuck values, spectral lines, changes of the noise, drift, settling, steps: none."
+        )
+        return Section("Inside the dwells", words=[nothing] if traced.fits else [])
+    figures, rows = [], []
+    for finding in traced.within:
+        view = finding.view
+        if view is not None:
+            # The role "before" has dashed lines; if the samples are a line, it is used for the fit.
+            seen, fit = _ROLES if view.points else _ROLES[::-1]
+            style: Style = "points" if view.points else "line"
+            series = [Series(view.x, view.y, "samples", role=seen, style=style)]
+            if view.model is not None:
+                series.append(Series(view.x, view.model, view.model_label, role=fit, style="line"))
+            drawn = plot(
+                series,
+                view.x_label,
+                view.y_label,
+                title=view.caption,
+                y_log=view.y_log,
+                zero=view.points and view.model is not None,
+            )
+            figures.append(Figure(drawn, view.caption))
+        rows += [_place(finding, place) for place in finding.places[:_MOST_PLACES]]
+        left_out = len(finding.places) - _MOST_PLACES
+        if left_out > 0:
+            rows.append([finding.kind, f"{left_out} more", "", "", "", ""])
+    head = ["finding", "position", "axis", "time / s", "size", "the mean is off by / mg"]
+    tables = [Table(head, rows, numeric=(3, 4, 5))] if rows else []
+    return Section("Inside the dwells", points=words.within(traced), figures=figures, tables=tables)
+
+
+def _place(finding: WithinFinding, place: Place) -> list[str]:
+    return [
+        finding.kind.replace("_", " "),
+        str(place.position),
+        place.axis,
+        "" if place.time_s is None else f"{place.time_s:.2f}",
+        "" if place.value is None else str(place.value),
+        "" if place.shift_mg is None else format_number(abs(place.shift_mg), 2),
+    ]
+
+
+def errors_section(traced: TraceResult) -> Section:
+    """Error before and after, step by step."""
+    head, rows = words.error_rows(traced)
+    base = [[NAMES.get(name, name), str(value)] for name, value in traced.base.items()]
+    table = Table(
+        head,
+        rows,
+        numeric=tuple(range(1, len(head))),
+        strong=(len(rows) - 1,),
+        caption=f"Root mean squares. Left out: {traced.heldout_design or 'nothing'}.",
+    )
+    tables = [table]
+    if base:
+        tables.append(Table(["base parameter", "in the final model"], base, numeric=(1,)))
+    return Section("Error before and after", tables=tables)
+
+
+def steps_section(traced: TraceResult, views: Views) -> Section:
+    """A figure per step: residual against the covariate that explains it, before and after."""
+    parts = []
+    for number_, (step, view) in enumerate(zip(traced.steps, views.steps, strict=True), 1):
+        before = "without it, the others kept" if view.beside_all else "before"
+        figures = [
+            Figure(_panel_plot(panel, step.effect, before), _panel_caption(panel, step.effect, before))
+            for panel in view.panels
+        ]
+        if figures:
+            parts.append(Section(f"Step {number_}: {step.effect}", figures=figures))
+    sentences = ["Bars are standard uncertainties of a reading."]
+    if any(np.isnan(panel.u).all() for view in views.steps for panel in view.panels):
+        sentences = ["No bars: the uncertainty of a point is not known."]
+    return Section("Residual, step by step", words=sentences if parts else [], parts=parts)
+
+
+def residual_section(views: Views) -> Section:
+    """Residual of the final model against each covariate."""
+    roles: tuple[Role, ...] = ("after", "third", "fourth")
+    figures = []
+    for covariate in dict.fromkeys(panel.covariate for panel in views.left):
+        panels = [panel for panel in views.left if panel.covariate == covariate]
+        # Shift the axes sideways, so that their bars do not hide each other.
+        aside = 0.012 * float(np.ptp(panels[0].x)) if len(panels) > 1 else 0.0
+        series = [
+            Series(
+                p.x + (k - (len(panels) - 1) / 2) * aside,
+                p.after,
+                ("norm" if p.quantity == "norm" else p.quantity[-1]) if len(panels) > 1 else "",
+                _bars(p),
+                roles[k],
+            )
+            for k, p in enumerate(panels)
+        ]
+        x = _COVARIATES.get(covariate, _reading(covariate))
+        y = "residual of the norm / mg" if panels[0].quantity == "norm" else "residual / mg"
+        title = f"Residual of the final model against {x}"
+        figures.append(Figure(plot(series, x, y, title=title, zero=True), title))
+    return Section("Remaining residual", figures=figures)
+
+
+def rivals_section(traced: TraceResult) -> Section:
+    """Probable models with their probability."""
+    rows = [
+        [" + ".join(rival.terms) or "base model", format_percent(rival.probability)]
+        for rival in traced.rivals
+    ]
+    same = [
+        f"{finding.effect}: {'; '.join(finding.equivalents)} would give equal readings in this session"
+        for finding in traced.found
+        if finding.equivalents
+    ]
+    caption = "Posterior probability among all models that were weighed; axes in brackets."
+    tables = (
+        [Table(["model", "probability"], rows, caption=caption, numeric=(1,), strong=(0,))] if rows else []
+    )
+    return Section("Rivals", tables=tables, notes=same, folded=True)
+
+
+def sight_section(traced: TraceResult) -> Section:
+    """Smallest amplitude of each effect that the session would have shown, and the verdict."""
+    seen = words.sight(traced)
+    effects_found = {finding.effect for finding in traced.found}
+    rows = []
+    for names, verdict in (
+        (sorted(effects_found & set(traced.detectable)), "found"),
+        ([name for name, _ in seen.open], "open: not distinguishable from others here"),
+        ([name for name, _ in seen.visible], words.absent(traced)),
+        ([name for name, _ in seen.weak], "absent or smaller"),
+    ):
+        for name in names:
+            entry = traced.detectable[name]
+            rows.append([name, words.amplitude(entry), words.typical(name, entry), verdict])
+    rows += [[", ".join(names), "–", "", f"could not be seen: {reason}"] for names, reason in seen.blind]
+    table = Table(
+        ["effect", "smallest amplitude", "of a usual bench", "so it is"],
+        rows,
+        numeric=(1, 2),
+        caption="Smallest amplitude that this session would have shown with 90 % power.",
+    )
+    return Section("Smallest detectable amplitudes", tables=[table] if rows else [], folded=True)
+
+
+def advice_section(traced: TraceResult) -> Section:
+    """Advice on the next measurements."""
+    return Section("What to measure next", points=words.advice(traced))
+
+
+def data_section(
+    session: Session, traced: TraceResult | None, software: str, reference_c: float | None = None
+) -> Section:
+    """Data and configuration; `reference_c` is the temperature at which the parameters hold."""
+    observed = _observed(session)
+    rows = [[name, text] for name, text in facts(session, observed, software, reference_c) if text]
+    parts = []
+    if observed is not None and len(observed) > 1:
+        parts.append(Section("Readings", tables=[_readings(session, observed)], folded=True))
+    notes = [*session.notes, *(traced.notes if traced is not None else ())]
+    problems = [str(problem) for problem in session.facts.get("problems", ())]
+    return Section(
+        "Data and configuration", tables=[Table(["", ""], rows)], notes=[*notes, *problems], parts=parts
+    )
+
+
+def _observed(session: Session) -> Readings | None:
+    try:
+        return readings_of(session)
+    except AdisGonioError:
+        return None
+
+
+def facts(
+    session: Session, observed: Readings | None, software: str, reference_c: float | None
+) -> list[tuple[str, str]]:
+    """Names and texts of the known facts of a session; a fact without a text has no row."""
+    dwells = [dwell for dwell in session.dwells if len(dwell)]
+    if session.free_turn and session.recording is not None:
+        dwells = [session.recording]
+    samples = [len(dwell) for dwell in dwells]
+    stored: dict[str, Any] = session.facts
+    configuration = stored.get("configuration") or {}
+    rate = configuration.get("sample_rate_hz")
+    start, end = float(dwells[0].time_s[0]), float(dwells[-1].time_s[-1])
+    return [
+        ("title", session.title),
+        ("operator", session.operator),
+        ("serial number of the part", session.serial),
+        ("stage", session.stage),
+        ("file", Path(session.source).name),
+        ("SHA-256 of the file", digest_of_file(session.source) if Path(session.source).is_file() else ""),
+        ("sensor", session.sensor + (" (simulated)" if stored.get("simulated") else "")),
+        *words.written_down(session).items(),
+        ("bus", str(stored.get("url", ""))),
+        ("note", str(stored.get("note", ""))),
+        ("overridden", "\n".join(words.overridden(session))),
+        ("begun (UTC)", str(stored.get("started_utc", ""))),
+        ("recorded by", str(stored.get("software", ""))),
+        ("this page by", software),
+        ("session", words.shape(session)),
+        (
+            "samples",
+            f"{sum(samples)}, {_range(samples, '')} a dwell" if session.dwells else f"{sum(samples)}",
+        ),
+        ("duration", f"{(end - start) / 60:.1f} min"),
+        ("sample rate", with_unit(format_number(rate, 4), "Hz") if rate else ""),
+        ("filter", f"2^{configuration['filter_m']} taps, twice" if "filter_m" in configuration else ""),
+        ("the chip compensates", "\n".join(compensations(configuration))),
+        ("unit of the accelerations", session.accel_unit),
+        ("plane of rotation", "xy" if session.plane == "xy" else "none: attitudes in space"),
+        ("standard uncertainty of a declared angle", _fixture(session.fixture_sigma_deg)),
+        ("local gravity", f"{session.gravity_mps2:.5f} m/s²"),
+        ("standard uncertainty of a reading", _noise(observed)),
+        ("reference temperature of the parameters", "" if reference_c is None else f"{reference_c:.1f} °C"),
+        ("temperature", _span([d.temperature_c for d in dwells], "°C")),
+        ("supply", _span([d.supply_v for d in dwells], "V")),
+    ]
+
+
+def _fixture(sigma: float | None) -> str:
+    if sigma is None:
+        return "not stated"
+    return "free: declared angles are not used" if math.isinf(sigma) else f"{sigma:g}°"
+
+
+def _noise(observed: Readings | None) -> str:
+    if observed is None:
+        return ""
+    if not observed.noise_known:
+        return "not known: estimated from the residual"
+    sigma = np.sqrt(np.median(np.diagonal(observed.covariance, axis1=1, axis2=2), axis=0))
+    return ", ".join(
+        f"{axis} {format_number(float(s), 2)} mg" for axis, s in zip("xyz", sigma, strict=False)
+    )
+
+
+def _range(values: Sequence[int], unit: str) -> str:
+    low, high = min(values), max(values)
+    return f"{low}{unit}" if low == high else f"{low} to {high}{unit}"
+
+
+def _span(series: Sequence[Any], unit: str) -> str:
+    known = [s for s in series if s is not None and len(s)]
+    if not known:
+        return "not recorded"
+    low, high = min(float(np.nanmin(s)) for s in known), max(float(np.nanmax(s)) for s in known)
+    return f"{format_fixed(low, 2)} to {format_fixed(high, 2)} {unit}"
+
+
+def _readings(session: Session, observed: Readings) -> Table:
+    used = set(observed.position.tolist())  # without saturated dwells
+    dwells = [dwell for dwell in session.dwells if dwell.position in used]
+    letters = "xyz"[: observed.axes]
+    rows = []
+    for dwell, mean, covariance in zip(dwells, observed.mean, observed.covariance, strict=True):
+        u = np.sqrt(np.diagonal(covariance)) if observed.noise_known else np.full(observed.axes, np.nan)
+        rows.append(
+            [
+                str(dwell.position),
+                DASH if dwell.angle_deg is None else use_minus(f"{dwell.angle_deg:g}"),
+                {1: "below", -1: "above"}.get(dwell.approach, "–"),
+                str(len(dwell)),
+                *(
+                    format_fixed(m, 3) if np.isnan(s) else format_uncertain(m, s)
+                    for m, s in zip(mean, u, strict=True)
+                ),
+                "–" if dwell.temperature_c is None else f"{float(np.mean(dwell.temperature_c)):.2f}",
+                dwell.use,
+            ]
+        )
+    head = [
+        "position",
+        "angle / °",
+        "from",
+        "samples",
+        *(f"{a} / mg" for a in letters),
+        "temperature / °C",
+        "use",
+    ]
+    return Table(head, rows, numeric=(0, 1, 3, *range(4, 5 + observed.axes)))
+
+
+def _panel_plot(panel: Panel, effect: str, before: str) -> str:
+    bars = _bars(panel)
+    series = [
+        Series(panel.x, panel.before, before, bars, "before"),
+        Series(panel.x, panel.after, "after", bars, "after"),
+    ]
+    if panel.check_x.size:
+        series.append(Series(panel.check_x, panel.check_after, "after, check dwells", role="third"))
+    x = _COVARIATES.get(panel.covariate, _reading(panel.covariate))
+    y = {
+        "norm": "residual of the norm / mg",
+        "angle": "computed − declared angle / °",
+    }.get(panel.quantity, f"residual of {panel.quantity[-1]} / mg")
+    sides = panel.covariate == "approach"
+    return plot(
+        series,
+        x,
+        y,
+        title=f"{effect}: {y} against {x}",
+        description=_panel_caption(panel, effect, before),
+        x_ticks={k: text for k, text in _SIDES.items() if (panel.x == k).any()} if sides else None,
+        x_range=(-1.6, 1.6) if sides else None,
+        zero=True,
+    )
+
+
+def _panel_caption(panel: Panel, effect: str, before: str) -> str:
+    unit = "°" if panel.quantity == "angle" else " mg"
+    was, now = (float(np.sqrt(np.nanmean(v**2))) for v in (panel.before, panel.after))
+    quantity = {"norm": "Norm", "angle": "Angle"}.get(panel.quantity, f"Axis {panel.quantity[-1]}")
+    return f"{quantity}: {format_number(was)}{unit} rms {before}, {format_number(now)}{unit} with {effect}."
+
+
+def _bars(panel: Panel) -> Any:
+    return None if np.isnan(panel.u).all() else panel.u
+
+
+def _reading(covariate: str) -> str:
+    return f"reading of {covariate[-1]} / g"
+
+
+def views(session: Session, result: TraceResult) -> Views:
+    """Residuals of a traced session before and after each step, whatever it is of."""
+    if not result.fits:
+        return series_views(session, result)
+    return views_of(readings_of(session), result)
+
+
+def build_page(
+    session: Session,
+    fits: Sequence[FitResult],
+    traced: TraceResult | str,
+    shown: Views | None = None,
+    sections: Sequence[Section] = (),
+    failures: Mapping[str, str] | None = None,
+) -> str:
+    """Render the calibration report as HTML.
+
+    Parameters
+    ----------
+    session : Session
+    fits : sequence of FitResult
+        One per method, the best last.
+    traced : TraceResult or str
+        The trace, or the reason if there is none.
+    shown : Views, optional
+        Residuals for the figures (`views`).
+    sections : sequence of Section
+        Further sections, before data and configuration.
+    failures : mapping of str to str, optional
+        Reason of each method that failed.
+
+    Returns
+    -------
+    str
+        One page that loads nothing; all texts are escaped.
+    """
+    software = f"adis-gonio {__version__}"
+    result = traced if isinstance(traced, TraceResult) else None
+    best = next((fit for fit in reversed(fits) if fit.comparison is not None), None)
+    answer = None if best is None else answer_with_trace(best, result, own=False)
+    body = [answer_section(answer)] if answer is not None else []
+    body += [summary_section(traced, fits)]
+    if result is not None:
+        body += positions_section(result.position_findings)
+    else:
+        body += positions_section(
+            next((fit.position_findings for fit in fits if fit.position_findings), ())
+        )
+    if answer is not None:
+        body += [budget_section(answer), scores_section(answer)]
+    body += [fitted_section(fits, failures or {})]
+    if result is not None:
+        body += [found_section(result), errors_section(result)]
+        if shown is not None:
+            body += [steps_section(result, shown), residual_section(shown)]
+        body += [within_section(result)]
+        body += [rivals_section(result), sight_section(result), advice_section(result)]
+    reference_c = None if answer is None else answer.reference_temperature_c
+    if reference_c is None and result is not None:
+        reference_c = result.reference_temperature_c
+    body += [*sections, data_section(session, result, software, reference_c)]
+    return render(
+        "Calibration report",
+        words.title(session),
+        shape=" · ".join([words.shape(session), *map(" ".join, words.written_down(session).items())]),
+        simulated=bool(session.facts.get("simulated")),
+        begun=str(session.facts.get("started_utc", "")),
+        software=software,
+        sections=body,
+        closing="This page is made from the session's file alone and can be made again from it.",
+    )

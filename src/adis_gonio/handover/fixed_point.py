@@ -1,0 +1,420 @@
+"""The arithmetic of the C header in Python: the fixed point is bit-equal to the compiled header.
+
+Readings in g are integers in Q29 (2⁻²⁹ g, ±4 g in 32 bits). Products are formed in 64 bits and rounded to
+the nearest. Every coefficient has the format that uses its 30 bits (`Scaled`). With readings within ±2 g
+a product of three is at most 2³², times a coefficient below 2³⁰: 2⁶² at most.
+
+The angle is found by a CORDIC of 28 steps on a vector scaled to 2²⁸ … 2²⁹. Its error is at most 7 µ°: 28
+truncations of one unit (3.6), truncations of x and the table (1.5), the remainder of the last step (0.5),
+the rounding to a µ° (0.5).
+
+In `float` the header finds the angle without a library: a quotient, a reduction to |q| ≤ tan 22.5°, and a
+polynomial (`ATAN`, relative error 2.6e-9).
+
+Rates of the gyros are integers of 1/256 of 0.018315 °/s, the part's finest LSB, so that one header serves
+every range. In °/s, with f the raw readings of the accelerometers in g (within ±2 g), t = (T − 25 °C)/128
+and v = (V − 5 V)/8::
+
+    free_i = rate_i − b_i − Σ coefficient · product of f, t, v        the rate of turn alone
+    free_i = free_i / (1 + κ_i t)                                     if a gain follows the temperature
+    ω      = M free,  M = (K D)⁻¹
+
+In fixed point rates are in Q20 (2⁻²⁰ °/s, ±1024 °/s in 31 bits).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import FitError
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration, kind_of
+from adis_gonio.handover.polynomial import (
+    PARTS,
+    RANGE_G,
+    SPAN_C,
+    SPAN_V,
+    Monomial,
+    Polynomial,
+    polynomial_of,
+)
+from adis_gonio.model.effects import AXES
+
+Whole = NDArray[np.int64]
+
+Q = 29
+ONE = 1 << Q
+LIMIT = int(RANGE_G * ONE)
+CORDIC_STEPS = 28
+TURN_BITS = 32
+"""An internal angle is an integer, 2³² per turn."""
+HALF_TURN_UDEG = 180_000_000
+CORDIC_UDEG = 7
+"""Bound of the angle's error by CORDIC in µ°."""
+BITS = 30
+
+ATAN = (
+    -0.3333333134651184,
+    0.1999955028295517,
+    -0.1426423192024231,
+    0.10746298730373383,
+    -0.06459376215934753,
+)
+"""(atan q − q)/q³ in powers of q², fitted at Chebyshev's points of 0 to tan² 22.5°."""
+TAN_EIGHTH = 0.41421356
+DEGREES = 57.29578
+FLOAT_DEG = 4e-5
+"""Bound of the angle's error in degrees by rounding to single precision: 180° has 1.5e-5 a place."""
+
+RATE_Q = 20
+LIMIT_DPS = 1000.0
+"""Rates are limited to ± this: the largest word of the part is 600 °/s."""
+RATE_LIMIT = int(LIMIT_DPS * (1 << RATE_Q))
+STEP_DPS = GYRO_OFFSET_DPS / PARTS
+"""Step of a number in the header's struct, °/s."""
+FIXED_UDPS = 30
+"""Bound of the fixed point's error in a rate up to 300 °/s, in 1e-6 °/s."""
+FLOAT_DPS = 3e-4
+"""Bound of the float's error in a rate up to 300 °/s: single precision has 3e-5 a place there."""
+MOST_SHIFT = 62 - (Q - RATE_Q)
+LEAST_GAIN, MOST_GAIN = 0.5, 2.0
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """A constant as `number` · 2^−`shift`."""
+
+    number: int
+    shift: int
+
+    @classmethod
+    def of(cls, value: float, most_shift: int = 62) -> Scaled:
+        """The format that uses 30 bits; values far below its range become 0."""
+        if value == 0.0:
+            return cls(0, Q)
+        shift = min(BITS - math.frexp(value)[1], most_shift)
+        return cls(round(math.ldexp(value, shift)), shift)
+
+
+@dataclass(frozen=True)
+class FixedTerm:
+    """A monomial with its coefficient scaled."""
+
+    monomial: Monomial
+    coefficient: Scaled
+
+    def value(self, factors: dict[str, Whole]) -> Whole:
+        """Coefficient times the product of the factors (n,) by name, in Q29."""
+        first, *rest = self.monomial.factors
+        product = factors[first]
+        for factor in rest:
+            product = _shifted(product * factors[factor], Q)
+        return _shifted(product * self.coefficient.number, self.coefficient.shift)
+
+
+@dataclass(frozen=True)
+class FixedPoint:
+    """The constants of the header in fixed point, and its computation.
+
+    Attributes
+    ----------
+    step : tuple of Scaled
+        g per 1/256 step.
+    bias : tuple of int
+        In Q29 g; more than 32 bits if the zero of counts is far away.
+    terms : tuple of FixedTerm
+    matrix : tuple of tuple of Scaled
+    temperature, supply : (int, Scaled)
+        Zero and step.
+    passes : int
+    """
+
+    step: tuple[Scaled, ...]
+    bias: tuple[int, ...]
+    terms: tuple[FixedTerm, ...]
+    matrix: tuple[tuple[Scaled, ...], ...]
+    temperature: tuple[int, Scaled]
+    supply: tuple[int, Scaled]
+    passes: int
+
+    @classmethod
+    def of(cls, polynomial: Polynomial) -> FixedPoint:
+        """Constants of a polynomial."""
+        p = polynomial
+        return cls(
+            step=tuple(Scaled.of(step) for step in p.step_g),
+            bias=tuple(round(math.ldexp(b * s, Q)) for b, s in zip(p.bias, p.step_g, strict=True)),
+            terms=tuple(FixedTerm(one, Scaled.of(one.coefficient)) for one in p.monomials),
+            matrix=tuple(tuple(Scaled.of(float(entry)) for entry in row) for row in p.matrix),
+            temperature=(p.temperature.zero, Scaled.of(p.temperature.step)),
+            supply=(p.supply.zero, Scaled.of(p.supply.step)),
+            passes=p.passes,
+        )
+
+    def correct(self, scan: Whole, temperature: Whole | None = None, supply: Whole | None = None) -> Whole:
+        """Gravity (n, axes) in 2⁻²⁹ of local gravity.
+
+        Parameters
+        ----------
+        scan : (n, axes) int
+            Readings in 1/256 step.
+        temperature, supply : (n,) int, optional
+            In 1/256 step; by default 25 °C and 5 V.
+        """
+        axes = len(self.step)
+        scan = np.asarray(scan, dtype=np.int64)[:, :axes]
+        free = np.stack(
+            [
+                _clamped(
+                    _shifted(scan[:, i] * self.step[i].number, self.step[i].shift - Q) - self.bias[i], LIMIT
+                )
+                for i in range(axes)
+            ],
+            axis=1,
+        )
+        factors = {
+            "t": _condition(self.temperature, temperature, len(scan)),
+            "v": _condition(self.supply, supply, len(scan)),
+        }
+        # Terms of temperature and supply are subtracted once, terms of the readings in every pass.
+        steady = np.zeros(free.shape, dtype=np.int64)
+        for term in self.terms:
+            if not term.monomial.of_reading:
+                steady[:, term.monomial.axis] += term.value(factors)
+        free = _clamped(free - steady, LIMIT)
+        ideal = free
+        for _ in range(self.passes):
+            for k, letter in enumerate("xyz"[:axes]):
+                factors[letter] = ideal[:, k]
+                factors[f"|{letter}|"] = np.abs(ideal[:, k])
+            moving = np.zeros(free.shape, dtype=np.int64)
+            for term in self.terms:
+                if term.monomial.of_reading:
+                    moving[:, term.monomial.axis] += term.value(factors)
+            ideal = _clamped(free - moving, LIMIT)
+        return np.stack([_row(self.matrix[k][: k + 1], list(ideal.T)) for k in range(axes)], axis=1)
+
+    def angle_udeg(
+        self,
+        scan: Whole,
+        temperature: Whole | None = None,
+        supply: Whole | None = None,
+        plane: tuple[int, int] = (0, 1),
+    ) -> Whole:
+        """Angle (n,) in µ° from the first axis of a plane towards the second."""
+        gravity = self.correct(scan, temperature, supply)
+        return atan2_udeg(gravity[:, plane[1]], gravity[:, plane[0]])
+
+
+def cordic_table() -> list[int]:
+    """atan(2⁻ⁱ) in 2⁻³² of a turn."""
+    return [round(math.atan2(1, 1 << i) / (2 * math.pi) * (1 << TURN_BITS)) for i in range(CORDIC_STEPS)]
+
+
+def atan2_udeg(y: Whole, x: Whole) -> Whole:
+    """Angle (n,) in µ° of vectors of integers below 2³¹; 0 for the null vector."""
+    ay, ax = np.abs(np.asarray(y, dtype=np.int64)), np.abs(np.asarray(x, dtype=np.int64))
+    none = (ax == 0) & (ay == 0)
+    # Scale each vector to 2²⁸ … 2²⁹, as the loops of the header do.
+    for _ in range(TURN_BITS):
+        small = (np.maximum(ax, ay) < ONE >> 1) & ~none
+        ax, ay = np.where(small, 2 * ax, ax), np.where(small, 2 * ay, ay)
+    for _ in range(3):
+        large = np.maximum(ax, ay) >= ONE
+        ax, ay = np.where(large, ax >> 1, ax), np.where(large, ay >> 1, ay)
+    turn = np.zeros(len(ax), dtype=np.int64)
+    # CORDIC: turn the vector onto x by ±atan 2⁻ⁱ and add up the turns.
+    for i, step in enumerate(cordic_table()):
+        sign, size = np.sign(ay), np.abs(ay)
+        ax, ay = ax + (size >> i), ay - sign * (ax >> i)
+        turn = turn + sign * step
+    # From 2³² per turn to 360 000 000 µ°.
+    udeg = _shifted(turn * (2 * HALF_TURN_UDEG >> 3), TURN_BITS - 3)
+    udeg = np.where(np.asarray(x) < 0, HALF_TURN_UDEG - udeg, udeg)
+    return np.where(none, 0, np.where(np.asarray(y) < 0, -udeg, udeg))
+
+
+def _shifted(values: Whole, bits: int) -> Whole:
+    """Values divided by 2^bits and rounded to the nearest, halves upwards."""
+    return (values + (1 << (bits - 1))) >> bits if bits > 0 else values << -bits
+
+
+def _clamped(values: Whole, limit: int) -> Whole:
+    return np.clip(values, -limit, limit)
+
+
+def _condition(constants: tuple[int, Scaled], given: Whole | None, n: int) -> Whole:
+    zero, step = constants
+    numbers = np.full(n, zero, dtype=np.int64) if given is None else np.asarray(given, dtype=np.int64)
+    return _clamped(_shifted((numbers - zero) * step.number, step.shift - Q), ONE)
+
+
+def _row(entries: Sequence[Scaled], columns: Sequence[Whole]) -> Whole:
+    """Σ entry · column, columns (n,) each."""
+    total = np.zeros(len(columns[0]), dtype=np.int64)
+    for entry, column in zip(entries, columns, strict=False):
+        if entry.number:
+            total = total + _shifted(column * entry.number, entry.shift)
+    return total
+
+
+# -- gyros -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RatePolynomial:
+    """The header's computation for the gyros.
+
+    Attributes
+    ----------
+    bias : tuple of float
+        °/s.
+    terms : tuple of Monomial
+        Rates without a turn, with coefficients in °/s and factors `fx`, `fy`, `fz` (g), `t`, `v`.
+    warm : tuple of float
+        κ of each gyro, per unit of t; zero if its gain does not follow the temperature.
+    matrix : (3, 3) float
+        M.
+    accelerometers : Polynomial
+        Source of temperature, supply, and of the g per 1/256 step, without the calibration.
+    """
+
+    bias: tuple[float, ...]
+    terms: tuple[Monomial, ...]
+    warm: tuple[float, ...]
+    matrix: Floats
+    accelerometers: Polynomial
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Factors (`fx` …, `t`, `v`) that it depends on."""
+        used = {factor for term in self.terms for factor in term.factors}
+        used |= {"t"} if any(self.warm) else set()
+        return tuple(name for name in (*(f"f{axis}" for axis in AXES), "t", "v") if name in used)
+
+
+_FORMS: dict[str, tuple[float, tuple[str, ...]]] = {
+    "gyro_bias_temperature": (SPAN_C, ("t",)),
+    "gyro_bias_temperature2": (SPAN_C**2, ("t", "t")),
+    "gyro_bias_temperature3": (SPAN_C**3, ("t", "t", "t")),
+    "gyro_supply": (SPAN_V, ("v",)),
+}
+
+
+def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> RatePolynomial:
+    """The gyros' polynomial of a calibration.
+
+    Raises
+    ------
+    FitError
+        The accelerometers are in counts of unknown scale, or gains are far from 1.
+    """
+    polynomial = polynomial_of(calibration)
+    if calibration.provenance.counts:
+        raise FitError("accelerometers in counts of unknown scale give no force for the gyros")
+    gains = np.linalg.svd(gyro.sensitivity, compute_uv=False)
+    if gains.min() < LEAST_GAIN or gains.max() > MOST_GAIN:
+        raise FitError("gains of the gyros are too far from 1 for a fixed-point header")
+    terms, warm = [], [0.0, 0.0, 0.0]
+    for one in gyro.parameters:
+        kind, axes = kind_of(one.name) or "", one.name.rpartition("_")[2]
+        own = AXES.index(axes[0])
+        if one.value == 0.0:
+            continue
+        if kind in _FORMS:
+            span, factors = _FORMS[kind]
+            terms.append(Monomial(own, one.value * span, factors))
+        elif kind in ("g_sensitivity", "g2_sensitivity"):
+            power = 1 if kind == "g_sensitivity" else 2
+            terms.append(Monomial(own, one.value, (f"f{axes[1]}",) * power))
+        elif kind == "gyro_scale_temperature":
+            warm[own] = 1e-6 * one.value * SPAN_C
+    if max(map(abs, warm)) > 0.5:
+        raise FitError("a gyro's gain follows the temperature too much: check the session")
+    return RatePolynomial(
+        tuple(gyro.bias_dps.tolist()),
+        tuple(terms),
+        tuple(warm),
+        np.asarray(np.linalg.inv(gyro.sensitivity), np.float64),
+        polynomial,
+    )
+
+
+class FixedRates:
+    """The gyros' constants in fixed point, and the header's computation with them.
+
+    Attributes
+    ----------
+    step, force_step : Scaled
+        °/s per number of a gyro, and g per number of an accelerometer.
+    bias : tuple of int
+        In Q20 °/s.
+    terms : tuple of FixedTerm
+        Coefficients such that the sum is in Q20.
+    warm : tuple of int
+        κ in Q29 per t.
+    matrix : tuple of tuple of Scaled
+        M.
+    """
+
+    def __init__(self, polynomial: RatePolynomial) -> None:
+        self.accelerometers = FixedPoint.of(polynomial.accelerometers)
+        self.step = Scaled.of(STEP_DPS)
+        self.force_step = self.accelerometers.step[0]
+        self.bias = tuple(round(math.ldexp(b, RATE_Q)) for b in polynomial.bias)
+        # A product in Q29 shifted by 9 more bits gives Q20.
+        scaled = [Scaled.of(term.coefficient, MOST_SHIFT) for term in polynomial.terms]
+        self.terms = tuple(
+            FixedTerm(term, Scaled(own.number, own.shift + Q - RATE_Q))
+            for term, own in zip(polynomial.terms, scaled, strict=True)
+        )
+        self.warm = tuple(round(math.ldexp(k, Q)) for k in polynomial.warm)
+        self.matrix = tuple(tuple(Scaled.of(float(entry)) for entry in row) for row in polynomial.matrix)
+
+    def rates_udps(
+        self,
+        rates: ArrayLike,
+        scan: ArrayLike,
+        temperature: Whole | None = None,
+        supply: Whole | None = None,
+    ) -> Whole:
+        """Rates (n, 3) in 1e-6 °/s.
+
+        Parameters
+        ----------
+        rates, scan : (n, 3) int
+            Gyros in 1/256 of 0.018315 °/s, accelerometers in 1/256 step.
+        temperature, supply : (n,) int, optional
+            In 1/256 step; by default 25 °C and 5 V.
+        """
+        given, force = np.asarray(rates, dtype=np.int64), np.asarray(scan, dtype=np.int64)
+        factors = {
+            f"f{axis}": _clamped(
+                _shifted(force[:, k] * self.force_step.number, self.force_step.shift - Q), LIMIT
+            )
+            for k, axis in enumerate(AXES)
+        }
+        factors["t"] = _condition(self.accelerometers.temperature, temperature, len(force))
+        factors["v"] = _condition(self.accelerometers.supply, supply, len(force))
+        step, free = self.step, []
+        for i in range(3):
+            raw = _clamped(_shifted(given[:, i] * step.number, step.shift - RATE_Q), RATE_LIMIT)
+            still = np.full(len(given), self.bias[i], dtype=np.int64)
+            for term in self.terms:
+                if term.monomial.axis == i:
+                    still = still + term.value(factors)
+            own = _clamped(raw - still, RATE_LIMIT)
+            if self.warm[i]:
+                over, under = own << Q, ONE + _shifted(factors["t"] * self.warm[i], Q)
+                # C99 divides towards zero.
+                own = _clamped(np.sign(over) * (np.abs(over) // under), RATE_LIMIT)
+            free.append(own)
+        turned = [_clamped(_row(row, free), 2 * RATE_LIMIT - 1) for row in self.matrix]
+        # 15625 / 2¹⁴ = 1e6 / 2²⁰
+        return np.stack([_shifted(rate * 15625, RATE_Q - 6) for rate in turned], axis=1)

@@ -1,0 +1,297 @@
+"""Sections of a report on the gyros: their calibration, and their noise at rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from adis_gonio.base.errors import AdisGonioError, DataError
+from adis_gonio.base.numbers import (
+    HEAD,
+    QuantityRow,
+    format_fixed,
+    format_number,
+    format_uncertain,
+    format_unit,
+    join_words,
+)
+from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_result, fit_allan
+from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro, gains_in
+from adis_gonio.handover.register_offsets import gyro_offset_words
+from adis_gonio.model.records import Session
+from adis_gonio.page.document import Figure, Section, Table, render
+from adis_gonio.page.svg import ROLES, Role, Series, plot
+from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
+
+_ROLES: tuple[Role, ...] = ("after", "third", "fourth")
+
+
+def gyro_section(session: Session) -> Section | None:
+    """Section on the gyros: parameters, residuals, remarks; None if the session does not calibrate them."""
+    try:
+        result = fit_gyro(session)
+    except AdisGonioError:
+        return None
+    sentences = [
+        uncertainty_sentence(result),
+        f"By the mean rates of {result.held}: a gyro reads K D ω + b + G f, with ω the rate of turn, b its "
+        "zero rate, K its gain, D its axis in the accelerometers' frame, f their readings.",
+        f"Residual {format_number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
+        f"{format_number(result.chi2)} / {result.dof}.",
+    ]
+    gains = gains_in(result)
+    if gains is not None:
+        sentences.append(gains.line)
+    return Section(
+        "Gyros",
+        words=sentences,
+        points=tuple(result.warnings),
+        figures=[_residuals(result)],
+        tables=[gyro_table(result), *_offsets(session), *_scores(result)],
+        parts=[Section("Every parameter of the gyros", tables=_every(result), folded=True)],
+    )
+
+
+def uncertainty_sentence(result: GyroFit) -> str:
+    """Sentence on the determined parameters and their uncertainties."""
+    largest: dict[str, list[float]] = {}
+    for name, value in result.parameters.items():
+        if value.u is not None:
+            largest.setdefault(name.rsplit("_", 1)[0], []).append(value.u)
+    texts = {
+        "gyro_bias": "zero rates to {} °/s",
+        "gyro_scale": "gains to {} %",
+        "gyro_misalignment": "directions of axes to {}°",
+        "g_sensitivity": "sensitivity to acceleration to {} °/s/g",
+    }
+    parts = [
+        text.format(format_number(max(largest[kind]) * (100 if kind == "gyro_scale" else 1), 2))
+        + ("" if len(largest[kind]) in (3, 6, 9) else f" ({len(largest[kind])} of them)")
+        for kind, text in texts.items()
+        if kind in largest
+    ]
+    return f"Determined: {join_words(parts)} (largest standard uncertainty of each)."
+
+
+_KINDS = {
+    "gyro_bias_{}": "zero rate / (°/s)",
+    "gyro_scale_{}": "gain",
+    **{f"gyro_misalignment_{{}}{j}": f"misalignment towards {j.upper()} / °" for j in "xyz"},
+    **{f"g_sensitivity_{{}}{j}": f"force along {j.upper()} adds / (°/s/g)" for j in "xyz"},
+}
+
+
+def gyro_table(result: GyroFit) -> Table:
+    """Table of the errors of each gyro in a column, without rows of unknown quantities."""
+    rows = []
+    for pattern, title in _KINDS.items():
+        names = [pattern.format(axis) for axis in "xyz"]
+        if any(name in result for name in names):
+            rows.append([title, *(_cell(result, name) for name in names)])
+    caption = (
+        "Value ± standard uncertainty. A dash: not determined, taken as ideal (see the remarks above)."
+    )
+    return Table(["quantity", "gyro X", "gyro Y", "gyro Z"], rows, caption=caption, numeric=(1, 2, 3))
+
+
+def _cell(result: GyroFit, name: str) -> str:
+    if name not in result:
+        towards_itself = name.startswith("gyro_misalignment") and name[-1] == name[-2]
+        return "" if towards_itself else "–"
+    return format_uncertain(result[name].value, result[name].u)
+
+
+def _every(result: GyroFit) -> list[Table]:
+    """Tables of the parameters, and of the triad's orientation to the accelerometers."""
+    captions = (
+        "First letter: gyro, second letter: axis of the accelerometers. u: standard uncertainty; U = k·u.",
+        "Rotation of the gyros' triad against the accelerometers', and 90° minus its own angles.",
+    )
+    return [
+        Table(HEAD, [QuantityRow.of(*one).cells for one in values.items()], caption, numeric=(2, 3, 4, 5))
+        for values, caption in zip((result.parameters, result.triad), captions, strict=True)
+        if values is not None
+    ]
+
+
+def _scores(result: GyroFit) -> list[Table]:
+    """Table of the residuals of held-out dwells."""
+    if not result.scores:
+        return []
+    rows = [
+        [
+            name,
+            *(format_number(rms) for rms in score.rms_dps.values()),
+            format_number(max(score.max_dps.values())),
+        ]
+        for name, score in result.scores.items()
+    ]
+    head = ["model", "X / (°/s)", "Y / (°/s)", "Z / (°/s)", "largest / (°/s)"]
+    caption = "Residual of dwells at rest, each left out of the fit in turn, rms by gyro."
+    return [Table(head, rows, caption=caption, numeric=(1, 2, 3, 4))]
+
+
+def _offsets(session: Session) -> list[Table]:
+    """Table of the offset registers: their numbers, and the numbers that remove the zero rates."""
+    if session.sensor not in VARIANTS:
+        return []
+    try:
+        words = gyro_offset_words(gyros_as_recorded(session))
+    except AdisGonioError:
+        return []
+    rows = [
+        [
+            word.name,
+            format_fixed(word.before, 0),
+            format_fixed(word.number, 0),
+            format_fixed(word.remainder, 4, sign=True),
+        ]
+        for word in words
+    ]
+    head = ["register", "while recorded", "removes the zero rate", "remainder / (°/s)"]
+    return [Table(head, rows, caption="One LSB is 0.018315 °/s at every range.", numeric=(1, 2, 3))]
+
+
+def _residuals(result: GyroFit) -> Figure:
+    residual = result.residual_dps
+    order = np.arange(1.0, len(residual) + 1)
+    data = None if result.fit is None else result.fit.data
+    u = None if data is None else np.sqrt(np.diagonal(data.covariance, axis1=1, axis2=2))
+    series = [
+        Series(
+            order + 0.12 * (k - 1),
+            residual[:, k],
+            f"gyro {axis}",
+            None if u is None else u[:, k],
+            _ROLES[k],
+        )
+        for k, axis in enumerate("XYZ")
+    ]
+    turns = ", turns between them" if result.turns else ""
+    title = "Residual of the gyros against the number of the interval"
+    drawn = plot(series, f"dwells in order{turns}", "reading − model / (°/s)", title=title, zero=True)
+    return Figure(drawn, f"{title}; bars are standard uncertainties of a mean.")
+
+
+LONG_S = 30.0
+"""Length of a rest that shows a gyro's floor (docs/noise.md); shorter ones show little but white noise."""
+_TIME = "averaging time / s"
+_SLOW = ("flicker", "walk")
+
+
+def allan_page(result: AllanResult) -> str:
+    """Render the noise at rest as one HTML page that loads nothing; every text is escaped."""
+    name = result.title or result.source or "session"
+    whole = section_of(result)
+    return render(
+        "Noise at rest",
+        f"{allan_result.PARTS[result.part]} of {name}",
+        shape=result.sensor,
+        simulated=result.simulated,
+        sections=[replace(whole, title="Recording", parts=()), *whole.parts],
+        closing="This page is made from the session's file and can be made again from it.",
+    )
+
+
+def noise_section(session: Session) -> Section | None:
+    """Section on the gyros' noise; None without gyros, or if the rests are too short."""
+    try:
+        result = fit_allan(session)
+    except DataError:
+        return None
+    return section_of(result) if shows_slow_noise(result) else None
+
+
+def shows_slow_noise(result: AllanResult) -> bool:
+    """True if the rests show slow noise, or are long enough to show it."""
+    shown = any(axis[kind].present for axis in result.axes for kind in _SLOW)
+    return shown or result.longest_s >= LONG_S
+
+
+def section_of(result: AllanResult) -> Section:
+    """Content of `allan_page` as a section of another page."""
+    return Section(
+        f"Noise of the {allan_result.PARTS[result.part]} at rest",
+        words=(f"{allan_result.headline(result)}.",),
+        notes=[*result.notes, *_reading()],
+        parts=[_section(result, axis) for axis in result.axes],
+    )
+
+
+def allan_svg(result: AllanResult) -> str:
+    """Allan deviations of all axes with the fitted curves, as one drawing."""
+    series = []
+    for role, axis in zip(ROLES, result.axes, strict=False):
+        curve = axis.curve
+        series.append(Series(curve.tau_s, curve.deviation, axis.axis, role=role))
+        series.append(Series(curve.tau_s, curve.model, "", role="model", style="line"))
+    title = f"Allan deviation of the {allan_result.PARTS[result.part]}"
+    described = " ".join(_described(result, axis) for axis in result.axes)
+    return plot(
+        series, _TIME, _deviation(result), title=title, description=described, x_log=True, y_log=True,
+        width=560, height=380,
+    )  # fmt: skip
+
+
+def _deviation(result: AllanResult) -> str:
+    return f"Allan deviation / {format_unit(result.unit)}"
+
+
+def _reading() -> tuple[str, ...]:
+    return (
+        "The coefficients follow IEEE Std 952-1997, Annex C; the bias instability is the floor of the"
+        " Allan deviation, 0.664 times the standard's B. They are fitted to the samples by restricted"
+        " maximum likelihood, not to the points of the plot.",
+        "A noise that is not present has an upper limit (95 %), and the size that these records would have"
+        " shown in nine of ten cases.",
+    )
+
+
+def _section(result: AllanResult, axis: AxisNoise) -> Section:
+    rows: list[tuple[str, ...]] = []
+    absent: list[str] = []
+    for parameter in axis.parameters:
+        if parameter.present:
+            # Every row has its name, since a screen reader reads the head of each row.
+            rows += [
+                (allan_result.name_shown(parameter), *row[1:]) for row in allan_result.cells(parameter)
+            ]
+        elif parameter.kind != "quantization":
+            unit = format_unit(parameter.unit)
+            absent.append(
+                f"{allan_result.name_shown(parameter)} / {unit}: {allan_result.missing(parameter)}"
+            )
+    return Section(
+        f"{axis.axis.upper()}",
+        points=[*absent, *axis.notes],
+        figures=(_figure(result, axis),),
+        tables=(Table(("noise", *allan_result.HEAD[1:]), rows, numeric=(1, 2, 3, 4)),),
+    )
+
+
+def _figure(result: AllanResult, axis: AxisNoise) -> Figure:
+    curve = axis.curve
+    series = [
+        Series(curve.tau_s, curve.deviation, "measured", role="before"),
+        Series(curve.tau_s, curve.low, "its 95 %", role="model", style="line"),
+        Series(curve.tau_s, curve.high, "", role="model", style="line"),
+        Series(curve.tau_s, curve.model, "fitted noise", role="after", style="line"),
+    ]
+    title = f"Allan deviation of {axis.axis}"
+    drawn = plot(
+        series, _TIME, _deviation(result), title=title, description=_described(result, axis), x_log=True,
+        y_log=True,
+    )  # fmt: skip
+    return Figure(drawn, f"{title}: overlapping estimate with its interval, and the fitted noise's curve.")
+
+
+def _described(result: AllanResult, axis: AxisNoise) -> str:
+    """Description of the curve in a sentence, for a screen reader."""
+    tau, deviation, unit = axis.curve.tau_s, axis.curve.deviation, format_unit(result.unit)
+    first, last, least = (
+        f"{format_number(deviation[k])} {unit} at {format_number(tau[k])} s"
+        for k in (0, -1, int(deviation.argmin()))
+    )
+    return f"{axis.axis.upper()}: from {first} to {last}, least {least}."

@@ -1,0 +1,191 @@
+"""Offset words: biases and zero rates of a calibration as numbers for the part's offset registers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from adis_gonio.base.errors import AdisGonioError, DataError, FitError
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.coefficients import Coefficient
+from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
+from adis_gonio.device.sensor.registers import register
+from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.model.effects import AXES
+from adis_gonio.tracing.trace_calibrations import load_calibration, load_gyro_calibration
+
+
+@dataclass(frozen=True)
+class OffsetWord(JsonRecord):
+    """A number for an offset register, which the part adds to its outputs.
+
+    The JSON document is the entry `calibration` of a register in `registers --json`.
+
+    Attributes
+    ----------
+    name : str
+        Register.
+    number, before : int or None
+        Number to write, and the number during the session; None if the file does not state it.
+    bias, u : float, float or None
+        Bias or zero rate that is corrected, in `unit`.
+    lsb : float
+        Step of the register, in `unit`.
+    unit : {"mg", "°/s"}
+    """
+
+    document_keys = ("number", "value", "u", "unit")
+
+    name: str
+    number: int
+    before: int | None
+    bias: float
+    u: float | None
+    lsb: float
+    unit: str
+
+    @classmethod
+    def of(
+        cls, name: str, bias: Coefficient, offsets: Sequence[int] | None, k: int, lsb: float, unit: str
+    ) -> OffsetWord:
+        """Word of a register, the k-th of those that held `offsets` during the session.
+
+        Raises
+        ------
+        FitError
+            The number is beyond the register's range.
+        """
+        before = None if offsets is None else offsets[k]
+        number = round(-bias.value / lsb) + (before or 0)
+        low, high = register(name).range
+        if not low <= number <= high:
+            raise FitError(
+                f"{name} holds {low} to {high} ({low * lsb:.1f} to {high * lsb:.1f} {unit}), and "
+                f"{bias.name} of {bias.value:.4g} {unit} would need {number}: is the part broken, or did "
+                "it move?"
+            )
+        return cls(name, number, before, bias.value, bias.u, lsb, unit)
+
+    @property
+    def value(self) -> float:
+        """Offset that the number adds, in `unit`."""
+        return self.lsb * self.number
+
+    @property
+    def remainder(self) -> float:
+        """Part of the bias that rounding to integers leaves, in `unit`."""
+        return self.bias + (self.number - (self.before or 0)) * self.lsb
+
+    def __str__(self) -> str:
+        u = "" if self.u is None else f" (u {self.u:.2g})"
+        return f"{self.number} = {self.value:+.4g} {self.unit}{u}"
+
+
+def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
+    """Numbers that remove the bias from the part's outputs.
+
+    Raises
+    ------
+    FitError
+        The sensor has no such registers, the session does not determine a bias, or one is too large.
+    """
+    where = calibration.provenance
+    if where.sensor not in VARIANTS or where.counts:
+        raise FitError(
+            f"offset registers belong to an ADIS16350, 54 or 55; this session is of a {where.sensor} sensor"
+        )
+    lsb_mg = VARIANTS[where.sensor].accel_mg_per_lsb
+    words = []
+    for k, axis in enumerate(AXES[: calibration.axes]):
+        if f"bias_{axis}" not in calibration:
+            raise FitError(
+                f"the session does not determine bias_{axis}: measure the opposite positions too "
+                "(180° and 270°)"
+            )
+        bias = calibration[f"bias_{axis}"]
+        words.append(OffsetWord.of(f"{axis.upper()}ACCL_OFF", bias, where.offsets_lsb, k, lsb_mg, "mg"))
+    return tuple(words)
+
+
+def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:
+    """Numbers that remove the zero rates from the gyros' outputs; `FitError` if one is too large."""
+    return tuple(
+        OffsetWord.of(
+            f"{axis.upper()}GYRO_OFF",
+            gyro[f"gyro_bias_{axis}"],
+            gyro.offsets_lsb,
+            k,
+            GYRO_OFFSET_DPS,
+            "°/s",
+        )
+        for k, axis in enumerate(AXES)
+    )
+
+
+def offset_words_in(path: str | Path) -> tuple[OffsetWord, ...]:
+    """Words of gyros and accelerometers by a calibration's file or a session, as far as it gives them.
+
+    Raises
+    ------
+    DataError
+        The file is neither.
+    FitError
+        It gives no offsets.
+    """
+    try:
+        calibration = load_calibration(path)
+        words = () if calibration.gyro is None else gyro_offset_words(calibration.gyro)
+        try:
+            return (*words, *offset_words(calibration))
+        except FitError:
+            if words:
+                return words
+            raise FitError(
+                "the calibration gives no offsets: neither biases nor zero rates of a part"
+            ) from None
+    except (DataError, FitError) as error:
+        try:
+            gyro = load_gyro_calibration(path)
+        except AdisGonioError:
+            raise error from None
+        return gyro_offset_words(gyro)
+
+
+def registers_text(calibration: Calibration) -> str:
+    """Lines `NAME=NUMBER` as `adis-gonio registers` takes them, with the corrected biases as comments.
+
+    Raises
+    ------
+    FitError
+        As `offset_words`.
+    """
+    where, gyro = calibration.provenance, calibration.gyro
+    lines = [
+        f"# Offsets that remove the bias of an {where.sensor}, part {where.serial or 'not stated'}, "
+        f"by {where.software}, from {where.source or 'a session'} (data {where.sha256[:16]}).",
+        "# Write them: adis-gonio registers URL $(grep -v '^#' THIS_FILE)  # and --save for flash",
+        "# The part adds them to its outputs; coefficients exported before hold for the old offsets only.",
+    ]
+    words = offset_words(calibration)
+    if words[0].before is None:
+        lines.append("# The session does not state the contents of the registers: the numbers assume 0.")
+    lines += _lines(words, "bias", 3)
+    if gyro is not None:
+        if gyro.source != where.source:
+            lines.append(f"# Gyros from {gyro.source or 'a session not stated'}.")
+        if gyro.offsets_lsb is None and words[0].before is not None:
+            lines.append("# The contents of their registers are not stated: the numbers assume 0.")
+        lines += _lines(gyro_offset_words(gyro), "zero rate", 4)
+    return "\n".join(lines) + "\n"
+
+
+def _lines(words: Sequence[OffsetWord], label: str, digits: int) -> list[str]:
+    lines = []
+    for word in words:
+        u = "unknown" if word.u is None else f"{word.u:.2g} {word.unit}"
+        held = "" if word.before is None else f", {word.before} before"
+        bias, left = (f"{value:+.{digits}f} {word.unit}" for value in (word.bias, word.remainder))
+        lines += [f"# {label} {bias} (u {u}), {left} left{held}", f"{word.name}={word.number}"]
+    return lines

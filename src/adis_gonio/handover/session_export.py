@@ -1,0 +1,244 @@
+"""Export a session or a calibration in one of the formats of `formats.py`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError
+from adis_gonio.base.jsonable import finite
+from adis_gonio.base.output import write_utf8
+from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.calibration_document import calibration_in
+from adis_gonio.calibrate.coefficients import json_text
+from adis_gonio.handover.c_header import DEFAULT_NAME
+from adis_gonio.handover.formats import BY_NAME
+from adis_gonio.model.effects import AXES
+from adis_gonio.model.records import Dwell, Session
+from adis_gonio.record.loading import Overrides, load_session
+from adis_gonio.record.provenance import changed_registers
+from adis_gonio.record.samples_writer import session_dict
+from adis_gonio.tracing.trace_calibrations import (
+    gyro_calibration_of,
+    gyros_alone,
+    load_gyro_calibration,
+    with_gyros,
+)
+
+ROWS = 100_000
+"""Fewest rows of a row group, so that many short dwells do not make many small groups."""
+
+
+def write_parquet(session: Session, path: str | Path) -> None:
+    """Write all samples with the columns of the samples CSV; missing values are null.
+
+    The metadata key `adis_gonio` has the session without its samples as JSON; each column has its unit.
+
+    Raises
+    ------
+    NotInstalledError
+        pyarrow is not installed.
+    DataError
+        The session has no dwell, or dwells with different columns.
+    OSError
+        The file cannot be written.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise NotInstalledError("Parquet needs pyarrow: pip install 'adis-gonio[parquet]'") from None
+    dwells = session.sampled
+    if not dwells:
+        raise DataError(f"{session.source or 'session'}: the session has no dwell to write")
+    about = session_dict(session)
+    del about["dwells"]
+    units = _units(session, dwells[0])
+    if session.free_turn:  # as in the CSV: one continuous recording
+        del units["position"]
+    schema = pa.schema(
+        [
+            pa.field(name, _type(pa, name), metadata={"unit": unit} if unit else None)
+            for name, unit in units.items()
+        ],
+        metadata={"adis_gonio": json.dumps(about, ensure_ascii=False)},
+    )
+    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+        for columns in _groups(session, dwells, list(units)):
+            arrays = [pa.array(columns[name], _type(pa, name), from_pandas=True) for name in units]
+            writer.write_table(pa.table(arrays, schema=schema))
+
+
+def _type(pa: Any, name: str) -> Any:
+    kinds = {"position": pa.int64(), "approach": pa.int8(), "use": pa.string()}
+    return kinds.get(name, pa.float64())
+
+
+def _units(session: Session, first: Dwell) -> dict[str, str]:
+    """Columns of the first dwell with their units."""
+    by_kind = {"a": session.accel_unit, "g": session.gyro_unit}
+    own = {"time_s": "s", "angle_deg": "deg", "temp_c": "degC", "supply_v": "V"}
+    return {
+        name: own.get(name, by_kind.get(name[0], "") if name[1:] in AXES else "")
+        for name in first.columns()
+    }
+
+
+def _groups(session: Session, dwells: Sequence[Dwell], names: list[str]) -> Iterator[dict[str, Any]]:
+    waiting: list[dict[str, Any]] = []
+    rows = 0
+    for dwell in dwells:
+        columns = dwell.columns()
+        if session.free_turn:
+            del columns["position"]
+        if set(columns) != set(names):
+            odd = sorted(set(columns) ^ set(names))[0]
+            raise DataError(
+                f"{session.source or 'session'}: position {dwell.position}: some dwells lack '{odd}'"
+            )
+        waiting.append(columns)
+        rows += len(dwell)
+        if rows >= ROWS:
+            yield _joined(waiting, names)
+            waiting, rows = [], 0
+    if waiting:
+        yield _joined(waiting, names)
+
+
+def _joined(waiting: list[dict[str, Any]], names: list[str]) -> dict[str, Any]:
+    return {name: np.concatenate([columns[name] for columns in waiting]) for name in names}
+
+
+@dataclass(frozen=True)
+class ExportSource:
+    """Source of an export: a session with its method, or the file of a calibration.
+
+    Attributes
+    ----------
+    path : Path
+    method : str or None
+        Method of the fit; None for the best one.
+    traced : bool
+        True for the coefficients of the traced model.
+    samples : bool
+        True for every sample in JSON.
+    name : str
+        Prefix of every name in a C header.
+    overrides : Overrides or None
+        Corrections of the session's metadata.
+    gyros : Path or None
+        Session or calibration of the part's gyros, used instead of the gyros of this session.
+    """
+
+    path: Path
+    method: str | None = None
+    traced: bool = False
+    samples: bool = False
+    name: str = DEFAULT_NAME
+    overrides: Overrides | None = None
+    gyros: Path | None = None
+
+    def check(self, kind: str) -> None:
+        """Raise `UsageError` for options that have no meaning for a format."""
+        samples_only = BY_NAME[kind].holds == "samples"
+        if samples_only and (self.method is not None or self.traced):
+            raise UsageError(f"--method and --trace go with coefficients: {kind} has the samples only")
+        if samples_only and self.gyros is not None:
+            raise UsageError(f"--gyros goes with coefficients: {kind} has the samples only")
+        if self.samples and kind != "json":
+            raise UsageError("--samples goes with --format json")
+        if self.method is not None and self.traced:
+            raise UsageError("--method and --trace exclude each other: a trace has its own model")
+        if self.name != DEFAULT_NAME and not BY_NAME[kind].named:
+            raise UsageError("--name goes with --format c-header")
+
+    def write(self, kind: str, path: Path) -> list[str]:
+        """Write a format to a new or empty file; return remarks on its content.
+
+        If the registers changed during the session, only the data are written, since a calibration would
+        hold for no state of the registers.
+
+        Raises
+        ------
+        UsageError, DataError, FitError, NotInstalledError, OSError
+            As its parts.
+        """
+        self.check(kind)
+        chosen = BY_NAME[kind]
+        if chosen.holds == "coefficients":
+            options = {"name": self.name} if chosen.named else {}
+            write_utf8(path, chosen.function()(self._calibration(), **options))
+            return []
+        session = self._session(kind)
+        if chosen.holds == "document":
+            write_utf8(path, self._json(session))
+        else:
+            chosen.function()(session, path)
+        return changed_registers(session)
+
+    def _session(self, kind: str) -> Session:
+        if calibration_in(self.path) is not None:
+            raise DataError(f"{self.path}: is a calibration without samples: {kind} needs a session")
+        return load_session(self.path, self.overrides)
+
+    def _calibration(self) -> Calibration:
+        calibration = calibration_in(self.path)
+        if calibration is None:
+            session = load_session(self.path, self.overrides)
+            changed = changed_registers(session)
+            if changed:
+                raise FitError(
+                    f"{self.path}: {'; '.join(changed)}: a calibration would hold for no state of the"
+                    " registers; record the session again, or export its data (csv, parquet, json)"
+                )
+            try:
+                own = self._result(session).calibration()
+            except FitError as error:
+                raise FitError(f"{error}{gyros_alone(session)}") from None
+            return self._with_gyros(own, session)
+        if self.method is not None or self.traced:
+            raise UsageError(
+                f"{self.path}: is a calibration already: --method and --trace go with a session"
+            )
+        return self._with_gyros(calibration)
+
+    def _with_gyros(self, calibration: Calibration, session: Session | None = None) -> Calibration:
+        if self.gyros is not None:
+            return replace(
+                calibration,
+                gyro=load_gyro_calibration(self.gyros, calibration.provenance, traced=self.traced),
+            )
+        return calibration if session is None else with_gyros(calibration, session, traced=self.traced)
+
+    def _result(self, session: Session) -> Any:
+        if self.traced:
+            from adis_gonio.tracing.trace import trace
+
+            return trace(session)
+        from adis_gonio.fitting import fit
+
+        return fit(session, method=self.method)
+
+    def _json(self, session: Session) -> str:
+        """JSON of the calibration, if the session determines one, the fit or trace, and the session."""
+        about = session_dict(session)
+        if not self.samples:
+            del about["dwells"]
+        result = self._result(session)
+        document: dict[str, Any] = {"coefficients": result.as_dict(), "session": about}
+        if changed_registers(session):
+            return json_text(finite(document))
+        try:
+            calibration = result.calibration()
+        except FitError:  # the coefficients then hold the known parameters
+            with suppress(DataError, FitError):
+                document["gyro"] = gyro_calibration_of(session, traced=self.traced).as_dict()
+        else:
+            document = {**self._with_gyros(calibration, session).as_dict(), **document}
+        return json_text(finite(document))

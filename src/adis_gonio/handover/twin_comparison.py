@@ -1,0 +1,271 @@
+"""Comparison of measured data with the digital twin: residuals, Allan deviation, spectrum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats, solvable
+from adis_gonio.base.errors import DataError
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.fitting.allan.noise_processes import overlapping
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
+from adis_gonio.handover.digital_twin import period_of, simulate_like
+from adis_gonio.model.records import Session
+from adis_gonio.page.document import Figure, Section, Table
+from adis_gonio.page.svg import Role, Series, plot
+from adis_gonio.tracing.trace_result import TraceResult
+
+
+@dataclass(frozen=True)
+class TwinComparison(JsonRecord):
+    """Comparison of a measured session with its twin.
+
+    Attributes
+    ----------
+    residual_measured, residual_twin : (r,) float
+        Whitened residuals of the readings under one model, in their standard uncertainty.
+    p_residual : float
+        Kolmogorov-Smirnov test of equal distributions.
+    p_variance : float
+        Two-sided F test of equal χ² per degree of freedom.
+    tau_s : (t,) float
+        Averaging times of the Allan deviations.
+    allan_measured_mg, allan_twin_mg : (t, axes) float
+    frequency_hz : (f,) float
+    density_measured, density_twin : (f, axes) float
+        One-sided amplitude densities within the dwells, mg/√Hz.
+    """
+
+    document_keys = (
+        *("agrees", "residual_sd_measured", "residual_sd_twin", "p_residual", "p_variance"),
+        *("allan_ratio", "density_ratio"),
+    )
+
+    residual_measured: Floats
+    residual_twin: Floats
+    p_residual: float
+    p_variance: float
+    tau_s: Floats
+    allan_measured_mg: Floats
+    allan_twin_mg: Floats
+    frequency_hz: Floats
+    density_measured: Floats
+    density_twin: Floats
+
+    @property
+    def agrees(self) -> bool:
+        """True if residuals agree (1 %), and Allan deviations and densities within a factor of 1.5."""
+        return min(self.p_residual, self.p_variance) >= 0.01 and all(
+            abs(np.log(ratio)) < np.log(1.5) for ratio in (self.allan_ratio, self.density_ratio)
+        )
+
+    @property
+    def allan_ratio(self) -> float:
+        """Measured over twin, geometric mean over averaging times and axes."""
+        return _ratio(self.allan_measured_mg, self.allan_twin_mg)
+
+    @property
+    def density_ratio(self) -> float:
+        """Measured over twin, geometric mean over frequencies and axes."""
+        return _ratio(self.density_measured, self.density_twin)
+
+    @property
+    def residual_sd_measured(self) -> float:
+        """Standard deviation of the measured session's residuals."""
+        return float(np.std(self.residual_measured))
+
+    @property
+    def residual_sd_twin(self) -> float:
+        """Standard deviation of the twin's residuals."""
+        return float(np.std(self.residual_twin))
+
+
+@solvable
+def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
+    """Compare a session with its twin under one model, refitted to both from the values of the trace."""
+    from scipy import stats
+
+    ours, theirs = readings_of(measured), readings_of(twin)
+    fits = [
+        Fit.begin(data).with_terms(traced.terms, traced.values.terms).refit() for data in (ours, theirs)
+    ]
+    residual = [_residual(fitted) for fitted in fits]
+    if not all(part.size for part in residual):
+        raise DataError(
+            "there are no more readings than parameters, so that there is no residual to compare"
+        )
+    same = stats.ks_2samp(residual[0].tolist(), residual[1].tolist())
+    samples = [_samples(session, data) for session, data in ((measured, ours), (twin, theirs))]
+    periods = [period_of(session.dwells) for session in (measured, twin)]
+    # Both curves at the averaging times and frequencies of the measured one.
+    tau_s, allan = _common([_allan(part, period) for part, period in zip(samples, periods, strict=True)])
+    frequency_hz, density = _common(
+        [_density(part, period) for part, period in zip(samples, periods, strict=True)]
+    )
+    return TwinComparison(
+        residual_measured=residual[0],
+        residual_twin=residual[1],
+        p_residual=float(same.pvalue),
+        p_variance=_p_variance(*fits),
+        tau_s=tau_s,
+        allan_measured_mg=allan[0],
+        allan_twin_mg=allan[1],
+        frequency_hz=frequency_hz,
+        density_measured=density[0],
+        density_twin=density[1],
+    )
+
+
+def _residual(fitted: Fit) -> Floats:
+    rows = fitted.residual.ravel()
+    # Directions that a free attitude absorbs have no residual.
+    return np.asarray(rows[np.abs(rows) > 1e-9], np.float64)
+
+
+def _p_variance(ours: Fit, theirs: Fit) -> float:
+    from scipy import stats
+
+    if ours.dof <= 0 or theirs.dof <= 0:
+        return 1.0
+    ratio = (ours.chi2 / ours.dof) / max(theirs.chi2 / theirs.dof, 1e-300)
+    # Two-sided probability of the F distribution.
+    below = float(stats.f.cdf(ratio, ours.dof, theirs.dof))
+    return 2 * min(below, 1 - below)
+
+
+def _samples(session: Session, data: Readings) -> list[Floats]:
+    """Samples of every dwell minus their mean, in mg."""
+    parts = [data.unit.mg(dwell.accel) for dwell in session.dwells if len(dwell)]
+    return [part - part.mean(axis=0) for part in parts]
+
+
+def _allan(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
+    """Overlapping Allan deviation, pooled over dwells, at octaves of the averaging time."""
+    times, deviation = overlapping(samples)
+    return period_s * np.array(times, dtype=float), deviation
+
+
+def _density(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
+    """Amplitude density by Welch's method, averaged over dwells and then over thirds of an octave."""
+    from scipy import signal
+
+    length = int(min(1024, np.median([len(part) for part in samples])))
+    parts = [part for part in samples if len(part) >= length]
+    power: Floats = np.array([])
+    for part in parts:
+        frequency, own = signal.welch(part, 1 / period_s, nperseg=length, axis=0)
+        power = own if not power.size else power + own
+    power, frequency = power[1:] / len(parts), frequency[1:]
+    # Mean power in bands of a third of an octave.
+    edges = frequency[0] * 2.0 ** (np.arange(0, 40) / 3)
+    band = np.searchsorted(edges, frequency, side="right")
+    kept = np.unique(band)
+    return (
+        np.array([frequency[band == b].mean() for b in kept]),
+        np.sqrt(np.array([power[band == b].mean(axis=0) for b in kept])),
+    )
+
+
+def _common(curves: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, list[Floats]]:
+    """Interpolate the second curve (log-log) at the places of the first one, over their common range."""
+    (place, ours), (other, theirs) = curves
+    inside = (place >= other[0] * 0.999) & (place <= other[-1] * 1.001)
+    at = np.log(place[inside])
+    least = 1e-9 * max(float(theirs.max(initial=0.0)), 1e-99)  # bands without any noise
+    logs = [np.interp(at, np.log(other), np.log(np.maximum(column, least))) for column in theirs.T]
+    moved = np.stack([np.exp(column) for column in logs], axis=1)
+    return place[inside], [ours[inside], moved]
+
+
+def _ratio(measured: Floats, twin: Floats) -> float:
+    both = (measured > 0) & (twin > 0)  # a spectrum of quantization alone has empty bands
+    return float(np.exp(np.mean(np.log(measured[both] / twin[both])))) if both.any() else 1.0
+
+
+_AXES = "xyz"
+
+
+def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Section | None:
+    """Simulate a session by its own model and compare; None if the trace has no model.
+
+    Raises
+    ------
+    DataError
+        As `simulate_like`: dwells of a single averaged sample have no noise to copy.
+    """
+    if not traced.fits:
+        return None
+    twin = simulate_like(session, traced.fits[-1], seed=seed)
+    found = compare(session, twin, traced.fits[-1])
+    verdict = (
+        "They agree: the model and the noise explain the measured data."
+        if found.agrees
+        else "They differ: neither the model nor the measured noise explains all of the session."
+    )
+    return Section(
+        title="The digital twin against the measured data",
+        words=(
+            "The traced model was the world of a simulated sensor, which was measured in the positions and"
+            " at the times of the session. " + verdict,
+        ),
+        folded=True,
+        figures=tuple(_figures(found)),
+        tables=(_table(found),),
+    )
+
+
+def _figures(found: TwinComparison) -> list[Figure]:
+    pairs = (
+        (
+            found.tau_s,
+            found.allan_measured_mg,
+            found.allan_twin_mg,
+            "averaging time / s",
+            "Allan deviation / mg",
+        ),
+        (
+            found.frequency_hz,
+            found.density_measured,
+            found.density_twin,
+            "frequency / Hz",
+            "density / mg/√Hz",
+        ),
+    )
+    figures = []
+    for x, ours, theirs, x_label, y_label in pairs:
+        for k in range(ours.shape[1]):
+            series = [
+                Series(x, ours[:, k], "measured", role="before"),
+                Series(x, theirs[:, k], "twin", role="after", style="line"),
+            ]
+            title = f"{y_label.split(' /')[0]} of {_AXES[k]}"
+            svg = plot(series, x_label, y_label, title=title, x_log=True, y_log=True)
+            figures.append(Figure(svg, f"{title}, within the dwells."))
+    series = [
+        _share_below(found.residual_measured, "measured", "before"),
+        _share_below(found.residual_twin, "twin", "after"),
+    ]
+    title = "Distribution of the residuals"
+    svg = plot(series, "residual / its standard uncertainty", "share below", title=title)
+    return [*figures, Figure(svg, f"{title} of the readings.")]
+
+
+def _share_below(values: Floats, label: str, role: Role) -> Series:
+    share = (np.arange(len(values)) + 0.5) / len(values)
+    return Series(np.sort(values), share, label, role=role, style="steps")
+
+
+def _table(found: TwinComparison) -> Table:
+    rows = (
+        ("residuals, standard deviation: measured", f"{found.residual_sd_measured:.2f}"),
+        ("residuals, standard deviation: twin", f"{found.residual_sd_twin:.2f}"),
+        ("same distribution (Kolmogorov-Smirnov), p", f"{found.p_residual:.3f}"),
+        ("same variance (F), p", f"{found.p_variance:.3f}"),
+        ("Allan deviation, measured over twin", f"{found.allan_ratio:.2f}"),
+        ("spectral density, measured over twin", f"{found.density_ratio:.2f}"),
+    )
+    return Table(("figure", "value"), rows, numeric=(1,))

@@ -1,0 +1,513 @@
+"""Effects of the stage, of the approach to a position, of single dwells, and of samples within dwells.
+
+The terms of the stage turn the part: they are angles, added to ψ = α − θ, and appear in a reading
+multiplied by its tangential slope. If the part is remounted by an angle on the table, and readings at the
+same direction of gravity in the part are compared, the terms of the sensor are unchanged, but a term of the
+stage with n cycles a turn has advanced by n times that angle. One cycle therefore changes its sign by a
+remounting of 180° (the reversal pair that separates table and sensor), two cycles need 90°.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
+from adis_gonio.model.effects.base import (
+    MEMORY,
+    OF_DWELL,
+    ONE_TURN,
+    AxisEffect,
+    Conditions,
+    CourseEffect,
+    Effect,
+    Enters,
+    LinearAxisEffect,
+    Parameter,
+    StageEffect,
+    by_letters,
+    decay,
+)
+from adis_gonio.model.records import MG_PER_G
+
+BETWEEN = "measure at angles between the angles of this session"
+_STAGE = "belongs to the stage, not to the sensor"
+LEAST_CYCLES = 3
+"""Smallest number of cycles of `stage_periodic`; one and two cycles are other effects."""
+_ROUNDING = 1e-9
+"""Least size of a harmonic: less is the rounding of an angle."""
+_SAME_PHASE = 1e-6
+"""Largest difference of a mean phase factor from 1: a scatter of 1.4 mrad, the rounding of angles."""
+
+
+def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
+    """True if two numbers of cycles a turn give equal functions at these angles, except for a phase.
+
+    If the phase of e^{i(m ∓ n)θ} is constant over the angles, m cycles are an alias of n cycles. A constant
+    has 0 cycles.
+    """
+    return bool(of_one_phase(np.array([cycles - others, cycles + others]), angle_rad).any())
+
+
+def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool_]:
+    """True for numbers of cycles a turn (m,) with one phase at all of these angles."""
+    length = np.abs(np.exp(1j * cycles[:, None] * angle_rad).mean(axis=1))
+    return np.asarray(length > 1 - _SAME_PHASE)
+
+
+class StageEccentricity(StageEffect):
+    """One cycle a turn: e/R with e the eccentricity and R the radius of the divided circle."""
+
+    name = "stage_eccentricity"
+    cause = "The divided circle of the stage is not centred on its axis: one cycle a turn."
+    formula = "ψ += ecc_sin · sin θ + ecc_cos · cos θ"
+    separated_by = (
+        "Gives mean and second harmonics on both axes together, like `quadratic`, `cross_axis` and "
+        "`bias`: remount the part by 180°, the stage's term changes its sign and the sensor's stay."
+    )
+    remedy = ONE_TURN
+    not_corrected = _STAGE
+    needs = ("angle_rad",)
+    coefficients = (
+        Parameter("ecc_sin", "deg", -2.0, 2.0, 0.01),
+        Parameter("ecc_cos", "deg", -2.0, 2.0, 0.01),
+    )
+
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """First harmonic of the declared angle."""
+        angle = conditions.covariate("angle_rad")
+        return np.sin(angle), np.cos(angle)
+
+
+class StageEllipticity(StageEffect):
+    """Two cycles a turn."""
+
+    name = "stage_ellipticity"
+    cause = "The divided circle of the stage is oval, or its bearing is: two cycles a turn."
+    formula = "ψ += ell_sin · sin 2θ + ell_cos · cos 2θ"
+    separated_by = (
+        "Gives first and third harmonics on both axes together, like `scale`, Δφ and `cubic`: remount "
+        "the part by 90° (180° does not help: two cycles), or compare the stage with a polygon."
+    )
+    remedy = "remount the part turned by 90° and repeat some angles"
+    not_corrected = _STAGE
+    needs = ("angle_rad",)
+    coefficients = (
+        Parameter("ell_sin", "deg", -2.0, 2.0, 0.01),
+        Parameter("ell_cos", "deg", -2.0, 2.0, 0.01),
+    )
+
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """Second harmonic of the declared angle."""
+        angle = conditions.covariate("angle_rad")
+        return np.sin(2 * angle), np.cos(2 * angle)
+
+
+@dataclass(frozen=True)
+class StagePeriodic(StageEffect):
+    """Any whole number of cycles a turn from three on.
+
+    Attributes
+    ----------
+    cycles : int
+        Cycles a turn; one is `stage_eccentricity`, two are `stage_ellipticity`.
+
+    Notes
+    -----
+    At N equally spaced angles n cycles, N − n, N + n, … give one column: a session shows n up to N/2, and a
+    number that is found may be any number that folds to it (`alike`).
+    """
+
+    cycles: int = 3
+
+    name = "stage_periodic"
+    cause = "A worm, a gear or the division of the stage repeats its error a whole number of times a turn."
+    formula = "ψ += per_sin · sin cycles·θ + per_cos · cos cycles·θ"
+    separated_by = (
+        "Gives harmonics cycles ± 1 on both axes together: `cubic` shares cos 3t with two and four cycles; "
+        "remount the part by half a cycle, the stage's term changes its sign. Numbers of cycles that fold "
+        "together at equally spaced angles: measure at angles between them."
+    )
+    remedy = BETWEEN
+    not_corrected = _STAGE
+    needs = ("angle_rad",)
+    coefficients = (
+        Parameter("per_sin", "deg", -2.0, 2.0, 0.01),
+        Parameter("per_cos", "deg", -2.0, 2.0, 0.01),
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.cycles < LEAST_CYCLES:
+            raise UsageError(
+                f"{self.name}: cycles is {self.cycles}, it can be {LEAST_CYCLES} or more; one cycle a turn "
+                "is stage_eccentricity, two are stage_ellipticity"
+            )
+
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """Harmonic `cycles` of the declared angle."""
+        turned = self.cycles * conditions.covariate("angle_rad")
+        # At 2·cycles equally spaced angles one of the two contains only rounding errors.
+        waves = (np.sin(turned), np.cos(turned))
+        return tuple(np.where(np.abs(wave) > _ROUNDING, wave, 0.0) for wave in waves)
+
+
+class Backlash(StageEffect):
+    """The play between the two directions of approach; half of it to either side."""
+
+    name = "backlash"
+    cause = "Play in the drive of the stage: the angle depends on the direction of approach."
+    formula = "ψ += backlash · approach/2"
+    separated_by = (
+        "`hysteresis` shifts an axis alike at every angle, backlash only if its reading changes with "
+        "the angle: approach several positions from both sides."
+    )
+    remedy = "approach several positions from both sides"
+    not_corrected = _STAGE
+    needs = ("approach",)
+    coefficients = (Parameter("backlash", "deg", -5.0, 5.0, 0.02),)
+
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """Half of the direction of approach."""
+        return (0.5 * conditions.covariate("approach"),)
+
+
+@dataclass(frozen=True)
+class PositionSlip(StageEffect):
+    """One dwell is at another angle than declared.
+
+    Attributes
+    ----------
+    dwell : int
+        Number of the dwell in the order of recording, from 0.
+    """
+
+    dwell: int = 1
+
+    name = "position_slip"
+    cause = "One position differs from its declared angle: the part or the stage slipped, or was misread."
+    formula = "ψ += slip in dwell `dwell`"
+    separated_by = (
+        "Readings of all axes move along the circle; `outlier_dwell` moves them in any direction, so that "
+        "the modulus changes: repeat the position."
+    )
+    remedy = "repeat the position"
+    not_corrected = OF_DWELL
+    needs = ("order",)
+    coefficients = (Parameter("slip", "deg", -190.0, 190.0, 0.1),)
+
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """One in the dwell, zero elsewhere."""
+        return ((conditions.covariate("order") == self.dwell).astype(float),)
+
+
+class Hysteresis(LinearAxisEffect):
+    """The zero depends on the direction of approach; half of the loop's width to either side."""
+
+    name = "hysteresis"
+    cause = "Stress of the last move stays in the sensor or its mount and shifts the zero of an axis."
+    formula = "a_i += hysteresis_i · approach/2"
+    separated_by = (
+        "`backlash` turns the part and so moves a reading only if it changes with the angle: approach "
+        "several positions from both sides; with one direction throughout it is a `bias`."
+    )
+    remedy = "approach several positions from both sides"
+    not_corrected = MEMORY
+    needs = ("approach",)
+    coefficients = (Parameter("hysteresis", "mg", -200.0, 200.0, 0.5),)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """Half of the direction of approach."""
+        return (0.5 * conditions.covariate("approach"),)
+
+
+class Creep(CourseEffect):
+    """Part of the response to a load is late, so that the reading creeps after each change of the load.
+
+    With τ da_late/dt = a − a_late, and a_late = a at the beginning of the session, the term is
+    creep_i (a_late − a) per g: after a change of the load by Δa the reading lacks creep·Δa, and the lack
+    decays with τ. It is zero under a constant load, so that it does not compete with the gain. A gain
+    that changes with the load itself is `quadratic` or `cubic`; a gain that drifts *after* loading is this.
+    `settling` is equal in every dwell and ends within it; `hysteresis` depends only on the direction of the
+    last move.
+    """
+
+    name = "creep"
+    cause = "The spring or the mount of an axis continues to yield after a change of its load."
+    formula = "a_i += creep_i · (a_late,i − a_i)/1000, τ da_late,i/dt = a_i − a_late,i"
+    separated_by = (
+        "It follows the loads of all dwells before, in proportion: turn by 180°, repeat the position for "
+        "several τ, and turn back. `settling` begins again with every dwell, `bias_drift` and `warm_up` do "
+        "not depend on earlier loads, `hysteresis` does not decay."
+    )
+    remedy = "turn by 180°, dwell there for several time constants, and turn back"
+    not_corrected = MEMORY
+    needs = ("load_history",)
+    covariates = ("previous_angle",)
+    amplitude = Parameter("creep", "mg/g", -100.0, 100.0, 1.0)
+    shape = Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True)
+
+    def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
+        """(a_late − a)/1000 (n,) of each axis, and its derivative with respect to τ."""
+        late = [(column, *conditions.late_load(column, shape)) for column in self.columns_of(ideal)]
+        return [((load - ideal[:, k]) / MG_PER_G, by_tau / MG_PER_G) for k, load, by_tau in late]
+
+
+class AxisTilt(Effect):
+    """The axis of rotation is out of the horizontal by ε.
+
+    Gravity then has G cos ε in the plane of rotation and G sin ε along the axis of rotation. With ρ the
+    modulus of the ideal in-plane reading and a_z the reading along the axis (zero in a planar session),
+
+        a_xy becomes (a_xy/ρ)(ρ cos ε − a_z sin ε),  a_z becomes a_z cos ε + ρ sin ε:
+
+    a rotation that keeps the modulus. The in-plane angle does not depend on ε: both axes lose the fraction
+    ε²/2 of their gain (0.15 mg at 1°), which is `gravity` or a common `scale`; only z shows ε in first
+    order (17.5 mg at 1°). A part mounted with an axis tilted by λ out of the plane of rotation also reads G
+    sin ε · λ, a constant, which is `bias`. x and y alone therefore cannot identify it.
+    """
+
+    name = "axis_tilt"
+    covariates = ("reading",)
+    cause = "The axis of rotation is not horizontal, so that gravity leaves the plane of rotation."
+    formula = "a_x, a_y += (cos ε − 1) a_x, a_y; a_z += ρ sin ε (for a_z = 0), ρ² = a_x² + a_y²"
+    separated_by = (
+        "In x and y it is a common gain (`gravity`, `scale`), in z a `bias`: level the axis by a spirit "
+        "level, or remount the part with z reversed; the term in z changes its sign, a bias does not."
+    )
+    remedy = "level the stage's axis with a spirit level"
+    not_corrected = _STAGE
+    by_axis = False
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Angle ε above the horizontal, towards positive readings of z."""
+        return (Parameter("tilt", "deg", -45.0, 45.0, 0.5),)
+
+    @staticmethod
+    def _parts(ideal: Floats) -> tuple[Floats, Floats, Floats]:
+        """Unit vector in the plane (n, 2), its modulus (n, 1) and the reading along the axis (n, 1)."""
+        rho = np.hypot(ideal[:, 0], ideal[:, 1])[:, None]
+        unit = np.divide(ideal[:, :2], rho, out=np.zeros((len(rho), 2)), where=rho > 0)
+        along = ideal[:, 2:3] if ideal.shape[1] > 2 else np.zeros_like(rho)
+        return unit, rho, along
+
+    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """Rotated minus ideal readings, (n, axes) in mg."""
+        tilt = np.deg2rad(values[0])
+        unit, rho, along = self._parts(ideal)
+        # 2 sin²(ε/2) is 1 − cos ε without its cancellation at small angles.
+        loss, rise = 2 * np.sin(tilt / 2) ** 2, np.sin(tilt)
+        added = np.hstack([unit * (-rho * loss - along * rise), rho * rise - along * loss])
+        seen: Floats = added[:, : ideal.shape[1]]
+        return seen
+
+    def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
+        """Derivative (n, axes, 1) in mg per degree; zero in x and y at ε = 0 and a_z = 0."""
+        tilt = np.deg2rad(values[0])
+        unit, rho, along = self._parts(ideal)
+        in_plane = unit * (-rho * np.sin(tilt) - along * np.cos(tilt))
+        by_radian = np.hstack([in_plane, rho * np.cos(tilt) - along * np.sin(tilt)])
+        by_degree: Floats = np.deg2rad(by_radian[:, : ideal.shape[1], None])
+        return by_degree
+
+
+@dataclass(frozen=True)
+class SampleEffect(AxisEffect):
+    """An effect that changes the samples of its axes, and the readings only through the samples."""
+
+    enters = Enters.SAMPLES
+    within_dwell = True
+
+    def samples_mg(
+        self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
+    ) -> Floats:
+        """Copy of the samples (n, axes) in mg with changed columns for `axes`."""
+        changed = samples_mg.copy()
+        columns = self.columns_of(samples_mg)
+        changed[:, columns] = self.change(values, samples_mg[:, columns], conditions, rng)
+        return changed
+
+    @abstractmethod
+    def change(
+        self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
+    ) -> Floats:
+        """Changed samples of the axes of the effect, (n, len(axes)) in mg."""
+
+
+class Saturation(SampleEffect):
+    """Samples are clipped at ± the limit."""
+
+    name = "saturation"
+    covariates = ("reading",)
+    cause = "The output stops at the end of the range."
+    formula = "sample_i = clip(sample_i, −limit, limit)"
+    separated_by = (
+        "Samples pile up at one extreme value; a `quantization` piles them up on every step, a smooth "
+        "nonlinearity nowhere. At rest it needs vibration or bias of 0.7 g: see the samples, not the mean."
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The limit: 1.7 g is the range of the ADIS16354, its word ends at 3.83 g."""
+        return (Parameter("limit", "mg", 1.0, 20000.0, 1700.0, shape=True),)
+
+    def change(
+        self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
+    ) -> Floats:
+        """Clipped samples."""
+        return np.clip(own_mg, -values[0], values[0])
+
+
+class Quantization(SampleEffect):
+    """Samples are multiples of a step."""
+
+    name = "quantization"
+    covariates = ("reading",)
+    cause = "The converter gives whole steps; if noise is below a step the mean follows a staircase."
+    formula = "sample_i = lsb · round(sample_i/lsb)"
+    separated_by = (
+        "The distances of the samples are multiples of one step; with noise of a step or more the mean is "
+        "free of it: turn the filter down, or tilt by a fraction of a step (0.027° at the horizontal)."
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The step; 0 is none."""
+        return (Parameter("lsb", "mg", 0.0, 100.0, 0.4672),)
+
+    def change(
+        self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
+    ) -> Floats:
+        """Rounded samples."""
+        step = float(values[0])
+        return np.round(own_mg / step) * step if step > 0 else own_mg
+
+
+class Tone(SampleEffect):
+    """One spectral line, of one phase on all axes."""
+
+    name = "tone"
+    covariates = ("reading",)
+    cause = "A machine or the mains shakes the table: a spectral line within the dwells."
+    formula = "sample_i += tone_i · sin(2π f t + phase)"
+    separated_by = (
+        "A line in the spectrum that white or flicker noise has not; samples at a rate f_s show "
+        "k f_s ± f at the same place, and a line that moves with the rate is such an alias: record at two "
+        "rates. `vibration_rectification` may follow its strength."
+    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Amplitudes, frequency and phase (at time 0 of the session)."""
+        return (
+            *by_letters((Parameter("tone", "mg", -2000.0, 2000.0, 5.0),), self.axes),
+            Parameter("frequency", "Hz", 1e-3, 2000.0, 50.0, shape=True),
+            Parameter("phase", "deg", -360.0, 360.0, 0.0, shape=True),
+        )
+
+    def change(
+        self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
+    ) -> Floats:
+        """Samples with the line."""
+        *amplitudes, frequency, phase = values
+        turn = 2 * np.pi * frequency * conditions.time_s + np.deg2rad(phase)
+        line: Floats = np.sin(turn)[:, None] * np.array(amplitudes)
+        return own_mg + line
+
+
+class NoiseChange(SampleEffect):
+    """White noise is added to the noise of the sensor from a moment on."""
+
+    name = "noise_change"
+    covariates = ("reading",)
+    cause = "From a moment on the samples scatter more: a loose contact, a machine, a supply."
+    formula = "sample_i += extra_i · N(0, 1) for t ≥ start"
+    separated_by = (
+        "The variance within dwells changes and the mean does not; `tone` puts it into one line of the "
+        "spectrum, `outlier_dwell` moves a mean, `vibration_rectification` moves the mean with it."
+    )
+    not_corrected = OF_DWELL
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Standard deviations of the added noise, and the moment in the time of the session."""
+        return (
+            *by_letters((Parameter("extra", "mg", 0.0, 1000.0, 5.0),), self.axes),
+            Parameter("start", "s", 0.0, 1e6, 60.0, shape=True),
+        )
+
+    def change(
+        self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
+    ) -> Floats:
+        """Samples with the added noise."""
+        joined = (conditions.time_s >= values[-1])[:, None]
+        noise: Floats = joined * rng.standard_normal(own_mg.shape) * values[:-1]
+        return own_mg + noise
+
+
+class Settling(CourseEffect):
+    """Each dwell begins with an equal exponential.
+
+    For readings of equally long dwells it is a constant, so it is searched within the dwells: rows of
+    `Conditions` are then samples. The mean of exp(−t/τ) over a dwell is not exp(−mean t/τ).
+    """
+
+    name = "settling"
+    covariates = ("reading",)
+    cause = "After each move the sensor, its mount or the stage settles exponentially."
+    formula = "a_i += settling_i · exp(−t/τ), t from the end of the move"
+    separated_by = (
+        "It begins again with every dwell, which `bias_drift` and `warm_up` do not; in the readings it is "
+        "a `bias`: look at the samples, or wait longer in some dwells."
+    )
+    remedy = "wait longer before some of the dwells"
+    needs = ("time_in_dwell_s",)
+    within_dwell = True
+    amplitude = Parameter("settling", "mg", -1000.0, 1000.0, 2.0)
+    shape = Parameter("tau", "s", 1e-3, 3600.0, 1.0, shape=True)
+
+    def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
+        """exp(−t/τ) and its derivative by τ."""
+        return decay(conditions.covariate("time_in_dwell_s"), shape)
+
+
+@dataclass(frozen=True)
+class OutlierDwell(LinearAxisEffect):
+    """One dwell deviates by any amount.
+
+    Attributes
+    ----------
+    dwell : int
+        Number of the dwell in the order of recording, from 0.
+    """
+
+    dwell: int = 1
+
+    name = "outlier_dwell"
+    cause = "One dwell was disturbed: a touch, a shock, a failure of the supply."
+    formula = "a_i += offset_i in dwell `dwell`"
+    separated_by = (
+        "`position_slip` keeps the modulus of the reading, an outlier need not; a jump of the bias stays "
+        "for all later dwells: repeat the position."
+    )
+    remedy = "repeat the position"
+    not_corrected = OF_DWELL
+    needs = ("order",)
+    coefficients = (Parameter("offset", "mg", -4000.0, 4000.0, 5.0),)
+    elsewhere: ClassVar[dict[str, type[Effect]]] = {}
+    """Classes of the effect for other parts, with other units of the readings."""
+
+    @classmethod
+    def of_part(cls, part: str) -> type[Effect] | None:
+        """Class for the readings of a part."""
+        return super().of_part(part) or cls.elsewhere.get(part)
+
+    def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
+        """One in the dwell, zero elsewhere."""
+        return ((conditions.covariate("order") == self.dwell).astype(float),)

@@ -1,0 +1,412 @@
+"""The search for a plan: candidate positions, criteria on the information matrix, exchange of positions.
+
+The information M (p, p) covers start angle, gains, Δφ and biases in natural units (1 rad, 1, local
+gravity), then of the amplitudes of the possible effects, each in its typical size on a bench, with the
+prior of `advice` (`TYPICALS` of them) about zero. V = M⁻¹ is the covariance, V_b its part of the base
+model.
+
+| name | maximised | known as |
+|---|---|---|
+| `angle` | −max over the turn of ln gᵀ V_b g, g the slope of the shown angle | G-optimality |
+| `parameters` | −ln det V_b, divided by the number of parameters | D-optimality; D_s with effects |
+| `tell-apart` | min over amplitudes of ln(1/V_ee − 1/prior²), plus their mean/100 | maximin D_s, s = 1 |
+
+1/V_ee − 1/prior² is the information on one amplitude that neither the base model nor another effect takes
+away: the square of the number of standard uncertainties by which an effect of typical size is detected.
+Smith 1918, Kiefer and Wolfowitz 1960 (G and D); Atkinson, Donev and Tobias 2007 (D_s); Chaloner and
+Verdinelli 1995 (with a prior).
+
+Coordinate exchange (Meyer and Nachtsheim, Technometrics 37, 1995) after Fedorov (1972): each dwell in turn
+takes the best position given the other dwells; then the dwells are exchanged in pairs, because the order
+matters for the shared noise and for changes with time. Two consecutive dwells never have the same angle,
+because a stage that was not turned repeats its error.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats, wrap_degrees
+from adis_gonio.base.budget import check
+from adis_gonio.base.errors import UsageError
+from adis_gonio.fitting.determination import natural_units
+from adis_gonio.fitting.estimation.fit import Fit, Values
+from adis_gonio.fitting.estimation.readings import Readings, from_means
+from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.uncertainty import ShownAngle
+from adis_gonio.model.effects import AXES, Conditions, effect
+from adis_gonio.plan.prediction import Bench, expected_readings, ideal_mg, planned_terms
+from adis_gonio.record.plans import Approach, Plan, Position
+from adis_gonio.tracing.proposals import TYPICALS
+
+Best = Literal["angle", "parameters", "tell-apart"]
+MEANING: dict[Best, str] = {
+    "angle": "u of the angle by the fitted parameters, worst place of the turn, in degrees",
+    "parameters": "generalised u of the parameters, (det V)^(1/2p) in natural units",
+    "tell-apart": "least separation of a typical effect from all others, in standard uncertainties",
+}
+"""Meaning of `Criterion.figure`, for each criterion."""
+Choice = NDArray[np.intp]
+"""Index of a candidate position for each dwell, (n,)."""
+_MEAN_WEIGHT = 0.01
+"""Weight of the mean separation next to the smallest one; it decides between equal smallest ones."""
+_NOTHING = 1e-12
+"""Information that counts as none."""
+_LOOSE = 1.0
+"""Prior standard deviation of a base parameter in natural units, negligible against any session."""
+_HIDDEN = 1e-6
+"""Share of a column outside the base model below which no plan shows the effect."""
+_LEAST_GAIN = 1e-7
+"""Smallest rise of a criterion that is not rounding."""
+_MOST_SWEEPS = 50
+_WORK = 240
+"""Dwells of all ascents together; for long plans only the best starts are used."""
+_PAIRS = 300
+"""Exchanges of two dwells that are tried in a row; more pairs are sampled."""
+SIMPLER = 1e-3
+"""Fall of a criterion, a logarithm of variance, that is accepted for a simpler order."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A criterion on information matrices of one shape.
+
+    Attributes
+    ----------
+    name : {"angle", "parameters", "tell-apart"}
+    base : int
+        Number of parameters of the base model.
+    gradient : (m, base) float
+        Derivative of the shown angle in degrees by the base parameters, around the turn.
+    precision : (p,) float
+        Precision of the prior.
+    """
+
+    name: Best
+    base: int
+    gradient: Floats
+    precision: Floats
+
+    def __call__(self, information: Floats) -> Floats:
+        """Scores (k,) of information matrices (k, p, p), which include the prior; larger is better."""
+        covariance = np.asarray(np.linalg.inv(information))
+        # Logarithms make the scores additive and independent of the units.
+        if self.name == "angle":
+            return np.asarray(-np.log(self._angle_variance(covariance)))
+        if self.name == "parameters":
+            own = covariance[:, : self.base, : self.base]
+            return np.asarray(-np.linalg.slogdet(own)[1] / self.base)
+        apart = np.log(self.separations(information) ** 2 + _NOTHING)
+        return np.asarray(apart.min(axis=1) + _MEAN_WEIGHT * apart.mean(axis=1))
+
+    def _angle_variance(self, covariance: Floats) -> Floats:
+        """Largest variance (k,) of the shown angle around the turn, gᵀ V_b g for each gradient g."""
+        own = covariance[:, : self.base, : self.base]
+        return np.asarray(np.einsum("mp,kpq,mq->km", self.gradient, own, self.gradient).max(axis=1))
+
+    def separations(self, information: Floats) -> Floats:
+        """Standard uncertainties (k, q) by which each amplitude of typical size is detected."""
+        # Diagonal of each covariance matrix, for the amplitudes.
+        variance = np.einsum("kpp->kp", np.linalg.inv(information))[:, self.base :]
+        return np.asarray(np.sqrt(np.maximum(1 / variance - self.precision[self.base :], 0.0)))
+
+    def figure(self, information: Floats) -> float:
+        """The criterion in the units of `MEANING`."""
+        stack = information[None]
+        if self.name == "angle":
+            return float(np.sqrt(self._angle_variance(np.asarray(np.linalg.inv(stack)))[0]))
+        if self.name == "parameters":
+            return float(np.exp(-0.5 * self(stack)[0]))
+        return float(self.separations(stack)[0].min())
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Effect of each of m candidate positions on each of n dwells.
+
+    Attributes
+    ----------
+    angle_deg, approach : (m,) float
+        The positions.
+    columns : (n, m, 2, p) float
+        ∂reading/∂parameter in mg: base parameters in natural units, amplitudes in typical ones.
+    noise : (m, 2, 2) float
+        Covariance of a reading in mg² without the shared part: its own noise and the fixture's.
+    own : (n, 2) float
+        Further variance of each dwell, by its time.
+    shared : (2 n, 2 n) float
+        Covariance of the part that dwells share, dwell by dwell and axis by axis.
+    base : int
+        Number of parameters of the base model and biases, the first of the p.
+    gradient : (k, base) float
+        Derivative of the shown angle in degrees by the base parameters, around the turn.
+    """
+
+    angle_deg: Floats
+    approach: Floats
+    columns: Floats
+    noise: Floats
+    own: Floats
+    shared: Floats
+    base: int
+    gradient: Floats
+
+    @property
+    def dwells(self) -> int:
+        """Dwells of a plan."""
+        return len(self.columns)
+
+    @property
+    def precision(self) -> Floats:
+        """Precision of the prior, (p,)."""
+        precision = np.full(self.columns.shape[3], 1 / TYPICALS**2)
+        precision[: self.base] = 1 / _LOOSE**2
+        return precision
+
+    def criterion(self, best: Best) -> Criterion:
+        """Return the criterion with this name."""
+        return Criterion(best, self.base, self.gradient, self.precision)
+
+    def _covariance(self, choice: Choice) -> Floats:
+        """Covariance (2 n, 2 n) of the readings of a plan."""
+        n = len(choice)
+        covariance = self.shared.copy()
+        each = np.arange(n)
+        # Add each dwell's own noise to the 2 × 2 blocks on the diagonal.
+        own = self.noise[choice] + self.own[:, :, None] * np.eye(2)
+        covariance.reshape(n, 2, n, 2)[each, :, each, :] += own
+        return covariance
+
+    def information(self, choice: Choice) -> Floats:
+        """Information (p, p) of a plan with position choice[k] in dwell k, including the prior."""
+        n, p = self.dwells, self.columns.shape[3]
+        # Rows of the plan's Jacobian, J; the information is Jᵀ C⁻¹ J.
+        rows = self.columns[np.arange(n), choice].reshape(2 * n, p)
+        solved = np.linalg.solve(self._covariance(choice), rows)
+        return np.asarray(rows.T @ solved + np.diag(self.precision))
+
+    def exchanged(self, choice: Choice, dwell: int) -> Floats:
+        """Information (m, p, p) with each position in turn in one dwell.
+
+        With correlated readings the information is the sum of the information of all other readings and the
+        information of this reading given the others: with B = C_ir C_rr⁻¹,
+        (J_i − B J_r)ᵀ (C_ii − B C_ri)⁻¹ (J_i − B J_r).
+        """
+        n, p = self.dwells, self.columns.shape[3]
+        rows = self.columns[np.arange(n), choice].reshape(2 * n, p)
+        # Mask of the two rows of this dwell.
+        here = np.zeros(2 * n, dtype=bool)
+        here[2 * dwell : 2 * dwell + 2] = True
+        covariance = self._covariance(choice)
+        across = self.shared[np.ix_(~here, here)]
+        # C_rr⁻¹ applied to J_r and to C_ri at once.
+        solved = np.linalg.solve(
+            covariance[np.ix_(~here, ~here)], np.concatenate([rows[~here], across], axis=1)
+        )
+        rest = rows[~here].T @ solved[:, :p] + np.diag(self.precision)
+        # J_i − B J_r and C_ii − B C_ri for each candidate position, (m, 2, p) and (m, 2, 2).
+        innovation = self.columns[dwell] - across.T @ solved[:, :p]
+        own = self.noise + np.diag(self.own[dwell]) + self.shared[np.ix_(here, here)]
+        given = own - across.T @ solved[:, p:]
+        return np.asarray(rest + innovation.transpose(0, 2, 1) @ np.linalg.solve(given, innovation))
+
+    def plan(self, name: str, choice: Choice) -> Plan:
+        """Return the plan of a choice.
+
+        If no effect depends on the side of approach, all positions are approached from below: an unexpected
+        backlash of the stage then changes only the start angle.
+        """
+        positions = tuple(
+            Position(float(self.angle_deg[k]), _side(float(self.approach[k]))) for k in choice.tolist()
+        )
+        return Plan(name, positions)
+
+    def nearest(self, plan: Plan) -> Choice:
+        """Return the choice nearest to another plan with the same number of positions."""
+        choice = []
+        for position in plan.positions:
+            # The nearest angle; among equal angles the one with the right side of approach.
+            off = np.abs(wrap_degrees(self.angle_deg - (position.angle_deg or 0.0)))
+            choice.append(int((off + 1e-3 * (self.approach != position.approach)).argmin()))
+        return np.array(choice, dtype=np.intp)
+
+
+def _side(approach: float) -> Approach:
+    return -1 if approach < 0 else 1
+
+
+def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float) -> Candidates:
+    """Return positions on a grid of angles and at even spacing, from both sides if an effect needs that.
+
+    Raises
+    ------
+    UsageError
+        An effect that the positions do not influence, or that no plan can show.
+    """
+    # The grid and the even spacing, without duplicates.
+    even = 360.0 * np.arange(dwells) / dwells
+    angles = np.unique(np.round(np.concatenate([np.arange(0.0, 360.0 - 1e-9, grid_deg), even]), 9))
+    up = Plan("even", tuple(Position(float(a), _side((-1.0) ** k)) for k, a in enumerate(even)))
+    readings = expected_readings(up, bench)
+    terms = planned_terms(readings, beware)
+    sided = any("approach" in term.effect.needs for term in terms)
+    sides = [1.0, -1.0] if sided else [0.0]
+    place, side = np.tile(angles, len(sides)), np.repeat(sides, len(angles))
+    fit = _fit_everywhere(bench, readings, place, np.where(side == 0, 1.0, side))
+    natural = natural_units(fit.data)
+    # Columns of the base model in natural units, then of each effect in its typical size.
+    columns = [fit.columns * natural]
+    for term in terms:
+        typical = np.array([term.effect.parameters[k].typical for k in term.amplitudes])
+        columns.append(fit.candidate(term) * np.abs(typical))
+        _refuse_hidden(term, columns[0], columns[-1])
+    m, n, base = len(place), len(readings), len(natural)
+    # Change of a reading by the angle; it carries the fixture's error into the noise.
+    tangent = fit.tangent[:m, :, 0]
+    flicker = readings.flicker
+    assert flicker is not None  # expected readings state it, even if it is zero
+    white = float(readings.own_covariance[0, 0, 0] - flicker[0, 0])
+    slow = np.zeros((2 * n, 1)) if readings.slow is None else readings.slow.reshape(2 * n, -1)
+    return Candidates(
+        angle_deg=place,
+        approach=side,
+        columns=np.concatenate(columns, axis=2).reshape(dwells, m, 2, -1),
+        noise=white * np.eye(2) + readings.fixture_rad**2 * tangent[:, :, None] * tangent[:, None, :],
+        own=flicker,
+        shared=np.asarray(slow @ slow.T),
+        base=base,
+        gradient=ShownAngle.around(fit).gradient,
+    )
+
+
+def _fit_everywhere(bench: Bench, readings: Readings, place: Floats, side: Floats) -> Fit:
+    """Base model and biases of a perfect part at every position (m,) in every dwell, dwell by dwell."""
+    n, m = len(readings), len(place)
+    angle = np.radians(np.tile(place, n))
+    conditions = Conditions(
+        time_s=np.repeat(readings.conditions.time_s, m),
+        angle_rad=angle,
+        order=np.repeat(np.arange(n, dtype=float), m),
+        approach=np.tile(side, n),
+    )
+    data = from_means(
+        ideal_mg(angle, bench),
+        np.tile(np.eye(2), (n * m, 1, 1)),
+        conditions,
+        gravity_mg=readings.gravity_mg,
+        fixture_rad=readings.fixture_rad,
+        fitted=np.ones(len(readings.model.parameters), dtype=bool),
+    )
+    bias = NamedTerm("bias", (), 0.0, effect("bias", AXES[:2]))
+    base = data.model.nominal
+    base[data.model.index("alpha")] = np.radians(bench.start_deg)
+    return Fit(data, (bias,), Values(base, np.zeros(n * m), (np.zeros(2),)), with_prior=False)
+
+
+def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
+    """Raise a `UsageError` if a column of the term lies in the span of the base model."""
+    rows = columns.reshape(-1, columns.shape[2])
+    within = base.reshape(len(rows), -1)
+    size = np.maximum(np.linalg.norm(within, axis=0), 1e-300)
+    # Residual of the term's columns after a projection onto the base model.
+    outside = rows - (within / size) @ np.linalg.lstsq(within / size, rows, rcond=1e-10)[0]
+    if (np.linalg.norm(outside, axis=0) <= _HIDDEN * np.linalg.norm(rows, axis=0)).any():
+        raise UsageError(
+            f"beware: {term.name} lies in the model that every session fits, so that no plan can show it: "
+            "leave it out"
+        )
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """The best plan found, with its score."""
+
+    choice: Choice
+    score: float
+
+
+def search(
+    ground: Candidates, criterion: Criterion, starts: Sequence[Choice], rng: np.random.Generator
+) -> SearchResult:
+    """Return the best plan reached from several starts, in the simplest order that is as good.
+
+    Parameters
+    ----------
+    starts : sequence of (n,) int
+        Plans to begin with; the result is at least as good as each of them.
+    rng : numpy.random.Generator
+        Generator for the order of the exchanges.
+    """
+    climb = _Climb(ground, criterion, rng)
+    highest = sorted(starts, key=lambda start: -climb.score(start))
+    ascents = max(_WORK // ground.dwells, 1)
+    best = max((climb.from_(start) for start in highest[:ascents]), key=lambda found: found.score)
+    # These positions in the order of their angles, forwards or backwards.
+    order = np.lexsort((ground.approach[best.choice], ground.angle_deg[best.choice]))
+    simple = best.choice[order]
+    for one in (simple, simple[::-1]):
+        score = climb.score(one)
+        if score >= best.score - SIMPLER and not climb.repeats(one):
+            return SearchResult(one, score)
+    return best
+
+
+@dataclass
+class _Climb:
+    ground: Candidates
+    criterion: Criterion
+    rng: np.random.Generator
+
+    def score(self, choice: Choice) -> float:
+        return float(self.criterion(self.ground.information(choice)[None])[0])
+
+    def repeats(self, choice: Choice) -> bool:
+        """True if two consecutive dwells have the same angle."""
+        return bool((np.diff(self.ground.angle_deg[choice]) == 0).any())
+
+    def from_(self, start: Choice) -> SearchResult:
+        """Exchange positions and dwells until the score no longer rises."""
+        found = SearchResult(start.copy(), self.score(start))
+        for _ in range(_MOST_SWEEPS):
+            before = found.score
+            found = self._swap(self._exchange(found))
+            if found.score < before + _LEAST_GAIN:
+                break
+        return found
+
+    def _exchange(self, found: SearchResult) -> SearchResult:
+        """Give each dwell in turn the best position."""
+        choice, score = found.choice.copy(), found.score
+        for dwell in self.rng.permutation(len(choice)).tolist():
+            check()
+            scores = self.criterion(self.ground.exchanged(choice, dwell))
+            # Positions at the angle of the dwell before or after are not allowed.
+            angle = self.ground.angle_deg
+            for near in (dwell - 1, dwell + 1):
+                if 0 <= near < len(choice):
+                    scores[angle == angle[choice[near]]] = -np.inf
+            best = int(scores.argmax())
+            if scores[best] > score + _LEAST_GAIN:
+                choice[dwell], score = best, float(scores[best])
+        return SearchResult(choice, score)
+
+    def _swap(self, found: SearchResult) -> SearchResult:
+        """Swap pairs of dwells if that is better."""
+        choice, score = found.choice.copy(), found.score
+        pairs = np.array(list(itertools.combinations(range(len(choice)), 2)))
+        for one, two in self.rng.permutation(pairs)[:_PAIRS].tolist():
+            check()
+            trial = choice.copy()
+            trial[[one, two]] = trial[[two, one]]
+            if self.repeats(trial):
+                continue
+            reached = self.score(trial)
+            if reached > score + _LEAST_GAIN:
+                choice, score = trial, reached
+        return SearchResult(choice, score)

@@ -1,0 +1,410 @@
+"""Simulated sensors and boards for tests of host code.
+
+A sensor is the driver over a simulated chip, with access to its stage and world. A board has the project's
+firmware and a chip behind a serial port that any program can open: it speaks the wire protocol of
+`firmware_proto/PROTOCOL.md` on a pseudo-terminal or a TCP port of this machine, in real time, so that a
+host program in any language can use it like a real board.
+
+Not simulated
+    The modem lines (a pty and a socket have none: opening the port does not reset the board), the baud rate
+    (bytes leave at the rate of `SimulatedFirmware`, whatever the host sets), USB.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import threading
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal, cast, get_args
+
+from adis_gonio.base import Closing
+from adis_gonio.base.errors import CannotOpenError, UsageError
+from adis_gonio.device.bus.opening import BusUrl
+from adis_gonio.device.sensor.driver import Adis16354
+from adis_gonio.sim.bus import SimBus, SimStage
+from adis_gonio.sim.bus import open_from_url as _open_bus
+from adis_gonio.sim.chip import SimulatedChip
+from adis_gonio.sim.testing.faults import NO_FAULTS, BusFaults, Faults, FaultyBus, FaultyStream
+from adis_gonio.sim.testing.firmware import SimulatedFirmware
+from adis_gonio.sim.testing.pins import ChipPins, WorkClock
+from adis_gonio.sim.world import World
+
+DEFAULT_URL = "sim:?seed=1"
+
+
+class SimulatedSensor(Adis16354):
+    """The driver on a simulated chip; open one by `open_simulated` or by the fixture `simulated_sensor`.
+
+    Host code calls the methods of the driver; a test also uses `stage`, `world`, `chip`, `truth` and
+    `faulty`. Time is virtual: moves, dwells and waits cost nothing.
+    """
+
+    @property
+    def faulty(self) -> FaultyBus:
+        """The bus, which corrupts frames by its `faults`; `faulty.seen` counts the faults."""
+        return cast(FaultyBus, self.bus)
+
+    @property
+    def _simulated(self) -> SimBus:
+        return cast(SimBus, self.faulty.inner)
+
+    @property
+    def stage(self) -> SimStage:
+        """Moves the part: `move_to(angle_deg, approach)` in the plane, `orient((x, y, z))` in space."""
+        return self._simulated.stage
+
+    @property
+    def world(self) -> World:
+        """The world around the part; `bring_to` heats it or sets the supply."""
+        return self._simulated.world
+
+    @property
+    def chip(self) -> SimulatedChip:
+        """The chip behind the pins."""
+        return self._simulated.chip
+
+    def truth(self) -> dict[str, float]:
+        """Hidden parameters by the names that a fit uses; units as `World.truth`."""
+        return self.world.truth()
+
+
+def simulated_bus(url: str = DEFAULT_URL) -> SimBus:
+    """Open a simulated bus.
+
+    Parameters
+    ----------
+    url : str
+        URL of the simulator: `sim:?seed=3&delta_k=0.01&effects=quadratic:k2_x=2`.
+
+    Raises
+    ------
+    UsageError
+        The URL belongs to another bus, or has an unknown option.
+    """
+    parsed = BusUrl.parse(url)
+    if parsed.scheme != "sim":
+        raise UsageError(f"'{url}': a test double is simulated; give a URL such as {DEFAULT_URL}")
+    return _open_bus(parsed)
+
+
+def open_simulated(
+    url: str = DEFAULT_URL, *, check: bool = True, bus_faults: BusFaults = NO_FAULTS
+) -> SimulatedSensor:
+    """Open a simulated sensor; use it as a context manager.
+
+    Parameters
+    ----------
+    url : str
+        See `simulated_bus`; the URL gives the variant.
+    check : bool
+        As `open_sensor`.
+    bus_faults : BusFaults
+        Faults; they begin after opening, so that opening never fails.
+
+    Raises
+    ------
+    UsageError
+        As `simulated_bus`.
+    """
+    bus = simulated_bus(url)
+    faulty = FaultyBus(bus)
+    sensor = SimulatedSensor(faulty, bus.world.variant, check=check)
+    faulty.faults = bus_faults
+    return sensor
+
+
+Transport = Literal["pty", "tcp"]
+
+_BUFFER = 65536
+_LONGEST_WAIT_S = 0.05
+_END_S = 60.0
+_UNREAD = 1 << 20
+"""Bytes that wait for a host which does not read; more than that are lost, as in an adapter."""
+
+
+class SimulatedBoard(Closing):
+    """The firmware behind a pty or a TCP port, at work in a thread; use it as a context manager.
+
+    Parameters
+    ----------
+    firmware : SimulatedFirmware
+        Firmware on a `WorkClock`; `open_board` makes one from a URL.
+    faults : Faults
+        Faults of the line: `drop`, `duplicate`, `flip`, `delay`, `chunk` and `hang`.
+    transport : {"pty", "tcp"}
+        A pseudo-terminal needs POSIX.
+    world : World
+        World of the chip, if a test moves it.
+
+    Attributes
+    ----------
+    path : str
+        Name that a program opens: a device such as `/dev/pts/3`, or a URL of pyserial such as
+        `socket://127.0.0.1:41234`.
+    host, port : str, int
+        Address for plain sockets; empty for a pty.
+    stage : BoardStage
+        Moves the part.
+
+    Raises
+    ------
+    UsageError
+        No such transport.
+    CannotOpenError
+        The machine has no free pseudo-terminal or port.
+    """
+
+    def __init__(
+        self,
+        firmware: SimulatedFirmware,
+        faults: Faults | None = None,
+        *,
+        transport: Transport = "pty",
+        world: World | None = None,
+    ) -> None:
+        if transport not in get_args(Transport):
+            raise UsageError(f"no transport '{transport}': {' or '.join(get_args(Transport))}")
+        if not isinstance(firmware.pins.clock, WorkClock):
+            raise UsageError("a board lives in real time: give its firmware a WorkClock")
+        self.firmware = firmware
+        self.faults = faults or Faults()
+        self._world = world
+        self._clock = firmware.pins.clock
+        try:
+            self._line: _Pty | _Tcp = _Pty() if transport == "pty" else _Tcp()
+        except (OSError, ImportError) as error:
+            raise CannotOpenError(
+                f"no {transport} on this machine for a simulated board: {error}"
+            ) from None
+        self.path, self.host, self.port = self._line.path, self._line.host, self._line.port
+        self.lock = threading.Lock()
+        self.stage = BoardStage(self)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._pump, name="simulated board", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Bus URL that opens it with this package: `open_sensor(board.url)`."""
+        return f"serial:{self.path}"
+
+    @property
+    def chip(self) -> SimulatedChip:
+        """The chip on the board."""
+        return self.firmware.pins.chip
+
+    @property
+    def world(self) -> World:
+        """The world around the chip."""
+        if self._world is None:
+            raise UsageError("this board was made without its world; open_board brings one")
+        return self._world
+
+    def truth(self) -> dict[str, float]:
+        """Hidden parameters by the names that a fit uses; units as `World.truth`."""
+        with self.lock:
+            return self.world.truth()
+
+    def now_s(self) -> float:
+        """The board's time in s, not before the time of the chip. Hold `lock` if the two must agree."""
+        return max(self._clock.now_s(), self.chip.time_s)
+
+    def close(self) -> None:
+        """Remove the port; may be called twice."""
+        self._stop.set()
+        self._thread.join(_END_S)
+        self._line.close()
+
+    unplug = close
+
+    # -- the thread ----------------------------------------------------------------------------------
+
+    def _pump(self) -> None:
+        there, back = FaultyStream(self.faults), FaultyStream(self.faults)
+        unread = bytearray()
+        while not self._stop.is_set():
+            there.faults = back.faults = self.faults
+            try:
+                data = self._line.receive(self._wait_s(there, back), writes=bool(unread))
+                if data:
+                    there.put(data, self._clock.wall_s())
+                with self.lock:
+                    self._work(there, back)
+                unread += back.take(self._clock.wall_s(), _BUFFER)
+                del unread[:-_UNREAD]
+                del unread[: self._line.send(bytes(unread))]
+            except OSError:
+                return
+
+    def _wait_s(self, there: FaultyStream, back: FaultyStream) -> float:
+        now = self._clock.wall_s()
+        times = [t for t in (there.next_s(), back.next_s(), self.firmware.next_event_s()) if t is not None]
+        return min([_LONGEST_WAIT_S, *(max(0.0, t - now) for t in times)])
+
+    def _work(self, there: FaultyStream, back: FaultyStream) -> None:
+        """Run the firmware up to the present time."""
+        now, firmware = self._clock.wall_s(), self.firmware
+        firmware.run(now)
+        data = there.take(now, _BUFFER)
+        if data and not self.faults.hangs(now):
+            firmware.feed(data)
+        elif firmware.next_event_s() is None:
+            firmware.pins.data_ready_edges()  # so that a request never finds a chip far behind
+        while firmware.out:
+            ready_s, packet = firmware.out.popleft()
+            back.put(packet, max(ready_s, now))
+
+
+class BoardStage:
+    """The stage under a board: a call returns when its move ends on the wall clock."""
+
+    def __init__(self, board: SimulatedBoard) -> None:
+        self._board = board
+
+    @property
+    def angle_deg(self) -> float:
+        """Declared angle; NaN after a move in space."""
+        return self._board.world.stage.angle_deg
+
+    def move_to(self, angle_deg: float, approach: int = 0) -> None:
+        """Turn to a declared angle in degrees, arriving from below (+1), above (-1) or the short way."""
+        board = self._board
+        with board.lock:
+            end_s = board.world.stage.move_to(board.now_s(), angle_deg, approach)
+        self._wait_until(end_s)
+
+    def orient(self, vector: Sequence[float]) -> None:
+        """Turn until an ideal sensor reads along a vector (3,); level with Z up is (0, 0, -1)."""
+        import numpy as np
+
+        board = self._board
+        with board.lock:
+            end_s = board.world.stage.orient(board.now_s(), np.asarray(vector, np.float64))
+        self._wait_until(end_s)
+
+    def _wait_until(self, end_s: float) -> None:
+        clock = self._board._clock
+        while (left := end_s - clock.wall_s()) > 0:
+            clock.sleep_s(left)
+
+
+def open_board(
+    url: str = DEFAULT_URL,
+    *,
+    transport: Transport | None = None,
+    line_faults: Faults | None = None,
+    boot_s: float = 0.0,
+) -> SimulatedBoard:
+    """A board with a chip in the world that a URL of the simulator describes.
+
+    Parameters
+    ----------
+    url : str
+        Such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`; the same URL gives `open_simulated` a part
+        with the same hidden parameters.
+    transport : {"pty", "tcp"}
+        By default a pseudo-terminal if the system has them.
+    line_faults : Faults
+        See `SimulatedBoard`; each board takes a copy with new dice, because a mark may apply to many tests.
+    boot_s : float
+        Silence at the beginning, like a board that boots.
+
+    Raises
+    ------
+    UsageError, CannotOpenError
+        As `simulated_bus` and `SimulatedBoard`.
+    """
+    bus = simulated_bus(url)
+    firmware = SimulatedFirmware(ChipPins(bus.chip, WorkClock()), boot_s=boot_s)
+    if line_faults is not None:
+        line_faults = replace(line_faults, seen=Counter())
+    if transport is None:
+        transport = "pty" if hasattr(os, "openpty") else "tcp"
+    return SimulatedBoard(firmware, line_faults, transport=transport, world=bus.world)
+
+
+class _Pty:
+    """The board's end of a pseudo-terminal; its methods raise `OSError` if the line is gone."""
+
+    host, port = "", 0
+
+    def __init__(self) -> None:
+        import tty
+
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+
+    def receive(self, wait_s: float, *, writes: bool) -> bytes:
+        """Bytes that have arrived; waits at most so long for input, or with `writes` for room."""
+        ready = select.select([self._master], [self._master] if writes else [], [], wait_s)
+        return os.read(self._master, 4096) if ready[0] else b""
+
+    def send(self, data: bytes) -> int:
+        """Send as many bytes as possible; return their number."""
+        if not data:
+            return 0
+        try:
+            return os.write(self._master, data[:4096])
+        except BlockingIOError:
+            return 0
+
+    def close(self) -> None:
+        for end in (self._slave, self._master):
+            with contextlib.suppress(OSError):
+                os.close(end)
+        self._slave = self._master = -1
+
+
+class _Tcp:
+    """A port of this machine; one host at a time, and the next when that has gone."""
+
+    def __init__(self) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.host, self.port = self._listener.getsockname()[:2]
+        self.path = f"socket://{self.host}:{self.port}"
+        self._client: socket.socket | None = None
+
+    def receive(self, wait_s: float, *, writes: bool) -> bytes:
+        asked = self._client or self._listener
+        readable, _, _ = select.select([asked], [asked] if writes and self._client else [], [], wait_s)
+        if not readable:
+            return b""
+        if self._client is None:
+            self._client, _ = self._listener.accept()
+            self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._client.setblocking(False)
+            return b""
+        try:
+            data = self._client.recv(4096)
+        except OSError:
+            data = b""
+        if not data:
+            self._hang_up()
+        return data
+
+    def send(self, data: bytes) -> int:
+        if self._client is None:
+            return len(data)  # no host is connected
+        try:
+            return self._client.send(data) if data else 0
+        except BlockingIOError:
+            return 0
+        except OSError:
+            self._hang_up()
+            return len(data)
+
+    def close(self) -> None:
+        self._hang_up()
+        self._listener.close()
+
+    def _hang_up(self) -> None:
+        if self._client is not None:
+            self._client.close()
+            self._client = None

@@ -1,0 +1,33 @@
+"""Tutorials and how-to pages: their commands and Python examples run in the order printed."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from adis_gonio.faces.cli import main
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+@pytest.mark.parametrize(
+    "name", ["first_calibration", "bringup", "plans", "gyros", "many_sessions", "noise"], ids=str
+)
+def test_the_commands_of_the_page_run(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = 0
+    for language, block in re.findall(
+        r"^```(sh|python)\n(.*?)^```$", (DOCS / f"{name}.md").read_text("utf-8"), re.M | re.S
+    ):
+        if language == "python":
+            exec(compile(block, f"{name}.md", "exec"), {})
+            continue
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            if words[0] == "mkdir":
+                Path(words[1]).mkdir()
+            elif words[0] == "adis-gonio":
+                assert main(words[1:]) == 0, line
+                run += 1
+    assert run >= 2

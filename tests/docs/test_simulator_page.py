@@ -1,0 +1,51 @@
+"""The page on the simulator: its figures are those that are drawn, its names exist, its commands run."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from adis_gonio.faces.cli import main
+from adis_gonio.record.loading import load_session
+from adis_gonio.sim import World, WorldSettings
+from adis_gonio.sim.gyros import FIGURES, realistic_gyros, stream_of
+
+PAGE = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text(encoding="utf-8")
+COMMANDS = re.search(r"```sh\n(.*?)```", PAGE, re.S)[1].splitlines()
+
+
+def test_every_figure_that_is_drawn_stands_in_the_table_with_its_source():
+    rows = re.findall(r"^\| `(\w+)`(?:, …)? \| (.*?) \| (.*?) \| ([ABCD]) \|$", PAGE, re.M)
+    assert rows == [(f.setting.format(f.axes[0]), f.described, f.source, f.confidence) for f in FIGURES]
+
+
+def test_every_name_on_the_page_is_a_setting_or_stands_in_the_truth():
+    known = {*WorldSettings.names(), *World().truth()}
+    named = set(
+        re.findall(r"\b(?:gyro|g|die|hand|mark|accel_place|origin|earth|move)_[a-z0-9_]*[a-z0-9]", PAGE)
+    )
+    named |= set(re.findall(r"\b(?:precision_)?autonull_s\b", PAGE))
+    assert len(named) > 30
+    assert named - known - {"gyro_faults", "g_sensitivity"} == set()
+
+
+def test_the_python_example_draws_a_world():
+    (block,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    space = {}
+    exec(block, space)
+    assert space["settings"].gyro_scale_x != 1.0
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_commands_run(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = shlex.split(command)[1:]
+    assert main([*words, "--dwell", "1"]) == 0
+    truth = load_session(words[words.index("-o") + 1]).facts["truth"]
+    if "realistic" in command:
+        assert truth["g_sensitivity_yz"] == realistic_gyros(stream_of(7))["gyro_g_sensitivity_yz_dps_per_g"]
+    if "tempco" in command:
+        assert truth["gyro_bias_temperature_y"] == 0.05
+    if "--effect" in command:
+        assert truth["g_sensitivity.g_sensitivity_yz"] == 0.15
