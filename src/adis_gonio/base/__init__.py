@@ -33,7 +33,10 @@ def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
 
 
 class Closing(abc.ABC):
-    """Context manager that closes itself at the end of the block, also after an exception."""
+    """Context manager with a method `close`, which is called at the end of the block.
+
+    It is also called after an exception.
+    """
 
     @abc.abstractmethod
     def close(self) -> None:

@@ -27,7 +27,7 @@ def wrap_radians(angle_rad: Angle) -> Angle:
 
 
 def mean_direction(angle_rad: Floats) -> float:
-    """Angle in radians of the sum of unit vectors at the angles (n,)."""
+    """Mean of the angles (n,) in radians: the direction of the sum of their unit vectors."""
     return float(np.angle(np.exp(1j * angle_rad).sum()))
 
 
@@ -38,12 +38,12 @@ def central_differences(
     directions: Floats | None = None,
     subtract: Callable[[Floats, Floats], Floats] = np.subtract,
 ) -> Floats:
-    """Derivatives of a function along k directions: (f(x + h d) − f(x − h d)) / 2h.
+    """Derivatives of a function at x along k directions d, by (f(x + h d) − f(x − h d)) / 2h.
 
     Parameters
     ----------
     at : (...,) float
-        Place x.
+        Point x at which the derivatives are computed.
     step : float or (k,) float
         Step h, of each direction if an array.
     directions : (k, ...) float, optional
@@ -69,7 +69,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def unsolvable(name: str, error: Exception) -> FitError:
-    """Return the `FitError` for a file or command with numbers that give a singular matrix."""
+    """Make the `FitError` for numbers that give a singular matrix; `name` is the file or command."""
     return FitError(
         f"{name}: no fit is possible with these numbers ({error}): check the times, the units and the"
         " stated uncertainties"
@@ -77,7 +77,7 @@ def unsolvable(name: str, error: Exception) -> FitError:
 
 
 def solvable(compute: F) -> F:
-    """Let a function of a session raise `FitError` instead of numpy's `LinAlgError`.
+    """Decorator of a function that computes with a session: it raises `FitError` instead of `LinAlgError`.
 
     Values that are finite one by one can still give a matrix without an inverse, such as times that differ
     by many orders of magnitude.
@@ -98,5 +98,8 @@ MAD_TO_SD = 1.482602218505602
 
 
 def robust_sd(values: Floats) -> float:
-    """Standard deviation from the median absolute deviation, for a normal distribution."""
+    """Estimate the standard deviation of values from their median absolute deviation.
+
+    Outliers hardly affect it. The factor is for a normal distribution.
+    """
     return float(MAD_TO_SD * np.median(np.abs(values - np.median(values))))

@@ -20,16 +20,16 @@ T = TypeVar("T")
 
 
 class OutOfTimeError(Exception):
-    """The time is over within a stage; `attempt` catches it."""
+    """Raised by `check` in a stage of work if the time is over; `attempt` catches it."""
 
 
 def _silent(_what: object) -> None:
-    """Report nothing."""
+    """Default callback, which does nothing."""
 
 
 @dataclass
 class Budget:
-    """Time for a piece of work.
+    """Time limit for a piece of work, with callbacks that report its progress.
 
     Attributes
     ----------
@@ -56,20 +56,20 @@ class Budget:
 
     @property
     def elapsed_s(self) -> float:
-        """Seconds since its creation."""
+        """Seconds since this budget was created."""
         return self.clock() - self._begun
 
     @property
     def over(self) -> bool:
-        """True once a stage was omitted or the limit is reached."""
+        """True if no further stage may begin: the limit is reached or a stage was already omitted."""
         return bool(self.left_out) or self.elapsed_s >= self.limit_s
 
     def limited(self, limit_s: float) -> Budget:
-        """A new budget with the same callbacks."""
+        """Make a budget with another limit and the callbacks of this one."""
         return replace(self, limit_s=limit_s, left_out=[])
 
     def leave_out(self, what: str) -> None:
-        """Record a stage that ended early."""
+        """Record the name of a stage that ended early or did not begin."""
         if what not in self.left_out:
             self.left_out.append(what)
 
@@ -79,7 +79,7 @@ _current: ContextVar[Budget | None] = ContextVar("budget", default=None)
 
 @contextmanager
 def within(budget: Budget) -> Iterator[Budget]:
-    """Use a budget within the block."""
+    """Make a budget the current one within a `with` block."""
     before = _current.set(budget)
     try:
         yield budget
@@ -88,18 +88,21 @@ def within(budget: Budget) -> Iterator[Budget]:
 
 
 def current() -> Budget:
-    """The present budget, or a budget without limit."""
+    """Return the budget of the surrounding `within` block, or a budget without limit."""
     return _current.get() or Budget()
 
 
 def spent() -> bool:
-    """True if work must continue with its best result so far."""
+    """True if the time of the current budget is over.
+
+    The caller then continues with its best result so far.
+    """
     budget = _current.get()
     return budget is not None and budget.over
 
 
 def check() -> None:
-    """End the stage if the time is over.
+    """Raise an exception that ends the stage if the time of the current budget is over.
 
     Raises
     ------
@@ -111,7 +114,7 @@ def check() -> None:
 
 
 def attempt(stage: str, work: Callable[[], T], otherwise: T) -> T:
-    """Result of `work`, or `otherwise` if the time is over before it ends."""
+    """Return the result of `work`, or `otherwise` if the time is over before `work` ends."""
     budget = current()
     budget.tell(stage)
     try:

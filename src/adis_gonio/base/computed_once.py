@@ -1,4 +1,4 @@
-"""Results of functions of an immutable object, computed once and kept with the object."""
+"""Cache for results of functions of an immutable object, which is stored in this object."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ T = TypeVar("T")
 
 
 class ComputedOnce:
-    """Base class of frozen dataclasses that keep expensive results of functions in other modules."""
+    """Base class of frozen dataclasses that cache the results of functions applied to them."""
 
     @cached_property
     def _results(self) -> dict[tuple[Hashable, ...], Any]:
         return {}
 
     def once(self, function: Callable[..., T], *arguments: Hashable) -> T:
-        """Return `function(self, *arguments)`, computed at the first call with these arguments."""
+        """Return `function(self, *arguments)`; later calls with equal arguments reuse the first result."""
         key = (function, *arguments)
         if key not in self._results:
             self._results[key] = function(self, *arguments)

@@ -1,4 +1,4 @@
-"""The tree of errors, ordered by the person who has to act.
+"""All error classes of the package, grouped by the person who has to act.
 
 Every message is one line: it names the file, row, register, option or port, and the action to take.
 `exit_code` is the exit status of the command line: 1 if the job failed, 2 if the call was wrong.
@@ -26,7 +26,7 @@ from __future__ import annotations
 
 
 def one_line(text: str) -> str:
-    """Return the words of a text with one space between them and `?` for each unprintable letter.
+    """Convert a text to one printable line: single spaces, and `?` for each unprintable letter.
 
     Text of a file or a device must not control a terminal. Undecodable bytes of a file name are kept.
     """
@@ -35,7 +35,7 @@ def one_line(text: str) -> str:
 
 
 class AdisGonioError(Exception):
-    """Base of every error that this package raises on purpose; its text is one printable line."""
+    """Base class of all errors that this package raises on purpose; the text is one printable line."""
 
     exit_code = 1
 
@@ -44,7 +44,7 @@ class AdisGonioError(Exception):
 
 
 class UsageError(AdisGonioError, ValueError):
-    """The call was wrong: an option, an argument, a URL."""
+    """The user made a mistake in a call: an option, an argument or a URL is wrong."""
 
     exit_code = 2
 
@@ -54,63 +54,63 @@ class DataError(AdisGonioError, ValueError):
 
 
 class NotInstalledError(AdisGonioError):
-    """A library of an extra is missing; the message names the extra to install."""
+    """An optional library is not installed; the message names the extra of this package to install."""
 
 
 class BusError(AdisGonioError):
-    """Base class of failures between the host and the chip's pins."""
+    """Base class of errors in the communication between the host and the chip."""
 
 
 class CannotOpenError(BusError):
-    """The device is not there, is busy, or permission is missing."""
+    """The device cannot be opened: it is missing, in use, or access to it is not permitted."""
 
 
 class ProtocolError(BusError):
-    """The answer of the bridge violates its protocol."""
+    """The bridge sent an answer that violates its protocol."""
 
 
 class BusTimeoutError(BusError, TimeoutError):
-    """The bridge did not answer in its time."""
+    """The bridge did not answer within the time limit."""
 
 
 class BusClosedError(BusError):
-    """The bus was used after it had been closed."""
+    """The bus was used after it was closed."""
 
 
 class CapabilityError(BusError):
-    """The bus lacks the requested capability."""
+    """The bus does not have the requested capability, such as a GPIO line."""
 
 
 class ChipError(AdisGonioError):
-    """Base class of errors of the sensor itself."""
+    """Base class of errors that the sensor chip itself causes or reports."""
 
 
 class SilentChipError(ChipError):
-    """Nothing drives the data line: all replies are zeros or ones."""
+    """The chip does not answer: all replies consist of zeros or of ones."""
 
 
 class VariantError(ChipError):
-    """The sensor's readings do not fit the variant that was opened."""
+    """The sensor's readings do not agree with the chip variant that the user named."""
 
 
 class VerifyError(ChipError):
-    """A value read back is not the value written."""
+    """A register has another value after a write than the written value."""
 
 
 class StatusError(ChipError):
-    """STATUS reports a fault; the message carries its bits in words."""
+    """The chip's STATUS register reports a fault; the message describes its bits in words."""
 
 
 class FitError(AdisGonioError):
-    """The fit cannot give the requested result."""
+    """No fit can give the requested result from this session."""
 
 
 class SingularError(FitError):
-    """The session does not determine a parameter; the message names the direction and by how much."""
+    """The session does not determine a parameter; the message names the undetermined combination."""
 
 
 class SessionError(AdisGonioError):
-    """A session cannot go on, or its archive cannot be read or written."""
+    """A session cannot continue, or its archive cannot be read or written."""
 
 
 class OutputError(AdisGonioError):
@@ -118,4 +118,4 @@ class OutputError(AdisGonioError):
 
 
 class FleetError(AdisGonioError):
-    """No worker for a fleet: no process can be started, or no scheduler answers."""
+    """A fleet has no worker: no process can be started, or no scheduler answers."""

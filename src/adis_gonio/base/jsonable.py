@@ -16,7 +16,7 @@ LARGEST_INTEGER = 2**63 - 1
 
 
 HIDDEN = {"hidden": True}
-"""Metadata of a field that is not in the document."""
+"""Metadata of a dataclass field that is omitted from the JSON document."""
 OPTIONAL = {"optional": True}
 """Metadata of a field that is omitted if its value is its default, None or not finite."""
 INLINE = {"inline": True}
@@ -28,12 +28,12 @@ KEYED_BY_NAME = {"keyed_by_name": True}
 
 
 def key(name: str) -> dict[str, str]:
-    """Metadata of a field with a key that differs from its name."""
+    """Metadata for a dataclass field that has the key `name` in the JSON document."""
     return {"key": name}
 
 
 class JsonRecord:
-    """Base class of dataclasses with a JSON document made from their fields and metadata.
+    """Base class of dataclasses that convert to a JSON object by their fields and metadata.
 
     Attributes
     ----------
@@ -45,17 +45,17 @@ class JsonRecord:
     document_keys: ClassVar[tuple[str, ...]] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document of this record."""
+        """The JSON object of this record."""
         return _document(self, self.document_keys)
 
 
 def json_object(**entries: Any) -> dict[str, Any]:
-    """Document with these entries, each by `finite` in types that JSON has."""
+    """Make a JSON object of these entries; `finite` converts each value to a JSON type."""
     return {name: finite(entry) for name, entry in entries.items()}
 
 
 def finite(value: Any) -> Any:
-    """Value in types that JSON has: records become objects, and numbers that are not finite become null."""
+    """Convert a value to JSON types: records become objects, and NaN and infinity become null."""
     if isinstance(value, Mapping):
         return {str(name): finite(entry) for name, entry in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -86,7 +86,7 @@ def _document(record: Any, names: Iterable[str] = ()) -> dict[str, Any]:
 
 
 def json_value(text: str, **options: Any) -> Any:
-    """Value of an untrusted JSON text.
+    """Parse a JSON text from an untrusted source.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from adis_gonio.base.uncertainty import Value
 
 NO_BREAK = "\u00a0"
-"""Space at which no line ends."""
+"""Non-breaking space: no line ends here."""
 DASH = "–"
 """Text for a missing value."""
 UNKNOWN = "u unknown"
@@ -36,7 +36,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def format_number(value: float | None, digits: int = 3) -> str:
-    """Value to some significant digits; a dash for None."""
+    """Format a value with a number of significant digits; None becomes a dash."""
     if value is None or not math.isfinite(value):
         return DASH
     if value == 0:
@@ -48,7 +48,10 @@ def format_number(value: float | None, digits: int = 3) -> str:
 
 
 def format_fixed(value: float | None, decimals: int, *, sign: bool = False) -> str:
-    """Value to some decimals, with its plus if `sign`; `1.2e−11` beyond nine decimals, a dash for None."""
+    """Format a value with a number of decimals, and with a plus sign if `sign`; None becomes a dash.
+
+    More than nine decimals are shown as a power of ten, such as `1.2e−11`.
+    """
     if value is None or not math.isfinite(value):
         return DASH
     kind = f".{decimals}f" if decimals <= 9 else ".1e"
@@ -56,17 +59,19 @@ def format_fixed(value: float | None, decimals: int, *, sign: bool = False) -> s
 
 
 def use_minus(text: str) -> str:
-    """Number as text with the minus sign in place of the hyphen."""
+    """Replace the hyphen in a formatted number by the minus sign."""
     return text.replace("-", "−")
 
 
 def count_decimals(u: float) -> int:
-    """Decimals that show two digits of an uncertainty."""
+    """Number of decimals that show an uncertainty `u` with two significant digits."""
     return max(0, 1 - math.floor(math.log10(u))) if u > 0 else 6
 
 
 def format_uncertain(value: float, u: float | None, unit: str = "") -> str:
-    """Value ± uncertainty, both to two digits of the uncertainty, such as `1.08 ± 0.13 mg`.
+    """Format value ± uncertainty with two digits of the uncertainty, such as `1.08 ± 0.13 mg`.
+
+    Without an uncertainty (None, NaN) the text ends in `u unknown`. An uncertainty of zero is omitted.
 
     Without an uncertainty (None, NaN) the text ends in `u unknown`; one of zero is left out.
     """
@@ -84,13 +89,13 @@ def format_uncertain(value: float, u: float | None, unit: str = "") -> str:
 
 
 def format_unit(unit: str) -> str:
-    """A unit of names and documents as people read it: ° for deg, °/s/g for dps/g, nothing for 1."""
+    """Format a unit from names and documents for people: deg as °, dps/g as °/s/g, 1 as nothing."""
     degrees = unit.replace("dps", "°/s").replace("degC", "°C").replace("deg", "°")
     return {"1": "", "us": "µs"}.get(unit, degrees)
 
 
 def with_unit(text: str, unit: str) -> str:
-    """Text with its unit; `1` is none, degrees are a sign."""
+    """Append a unit to text; the unit `1` adds nothing, and degrees become the sign °."""
     unit = format_unit(unit)
     if unit == "°":
         return f"({text})°" if "±" in text else f"{text}°"
@@ -98,13 +103,13 @@ def with_unit(text: str, unit: str) -> str:
 
 
 def label_quantity(name: str, unit: str) -> str:
-    """Symbol and unit as in the head of a column, such as `Δφ / °`."""
+    """Heading of a table column: the quantity's symbol and its unit, such as `Δφ / °`."""
     unit = format_unit(unit)
     return NAMES.get(name, name) + (f" / {unit}" if unit else "")
 
 
 def format_p(p: float) -> str:
-    """`p = 0.004`, or `p < 10⁻¹²` for smaller ones."""
+    """Format a p-value: `p = 0.004`, or `p < 10⁻¹²` for smaller values."""
     if p < 1e-12:
         return f"p{NO_BREAK}<{NO_BREAK}10⁻¹²"
     if p < 1e-3:
@@ -113,7 +118,7 @@ def format_p(p: float) -> str:
 
 
 def format_percent(fraction: float) -> str:
-    """Percentage that is never rounded to 0 or 100."""
+    """Format a fraction as a percentage; values strictly between 0 and 100 are not rounded to these."""
     if fraction >= 0.9995:
         return f">{NO_BREAK}99.9{NO_BREAK}%"
     if fraction < 0.0005:
@@ -123,7 +128,7 @@ def format_percent(fraction: float) -> str:
 
 
 def format_reduction(before: float | None, after: float | None) -> str:
-    """` (36 times less)`, or nothing for a reduction by less than 15 %."""
+    """Format a reduction from `before` to `after`, such as ` (36 times less)`; empty if below 15 %."""
     if before is None or after is None or after <= 0 or before < 1.15 * after:
         return ""
     ratio = before / after
@@ -131,7 +136,7 @@ def format_reduction(before: float | None, after: float | None) -> str:
 
 
 def format_duration(seconds: float) -> str:
-    """`40 s`, `1 min 30 s`, `25 min`, `1 h 05 min`: from ten minutes on without seconds."""
+    """Format a duration such as `40 s`, `1 min 30 s` or `1 h 05 min`; no seconds from ten minutes on."""
     minutes, rest = divmod(round(seconds), 60)
     if minutes >= 10:
         hours, minutes = divmod(round(seconds / 60), 60)
@@ -141,18 +146,18 @@ def format_duration(seconds: float) -> str:
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:
-    """`1 dwell`, `4 dwells`; `plural` is for irregular nouns."""
+    """Format a number with its noun, such as `1 dwell` or `4 dwells`; `plural` is for irregular nouns."""
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
 def name_positions(positions: Sequence[int], most: int = 8) -> str:
-    """`position 7`, or `positions 3, 4, 9 and 2 more` for more than `most`."""
+    """Format position numbers: `position 7`, or `positions 3, 4, 9 and 2 more` if more than `most`."""
     more = f" and {len(positions) - most} more" if len(positions) > most else ""
     return f"position{'' if len(positions) == 1 else 's'} {', '.join(map(str, positions[:most]))}{more}"
 
 
 def format_ranges(numbers: Sequence[int]) -> str:
-    """Numbers with three or more neighbours as a range, such as `1–4, 7, 9, 10`."""
+    """Format a list of integers such as `1–4, 7, 9, 10`: three or more consecutive ones form a range."""
     rows: list[list[int]] = []
     for number in sorted(set(numbers)):
         if rows and number == rows[-1][-1] + 1:
@@ -163,13 +168,13 @@ def format_ranges(numbers: Sequence[int]) -> str:
 
 
 def join_words(words: Sequence[str], last: str = "and") -> str:
-    """`a`, `a and b`, `a, b and c`."""
+    """Join words to an enumeration: `a`, `a and b`, or `a, b and c`."""
     return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 @dataclass(frozen=True)
 class QuantityRow:
-    """One quantity as texts: name, unit, value, u, U, k."""
+    """Table row of one quantity, as texts: name, unit, value, u, U, k."""
 
     name: str
     unit: str
@@ -180,7 +185,10 @@ class QuantityRow:
 
     @classmethod
     def of(cls, name: str, value: Value) -> QuantityRow:
-        """Value, u and U to two digits of u; `u unknown` without an uncertainty."""
+        """Format a quantity as a row; value, u and U have as many decimals as show two digits of u.
+
+        Without an uncertainty, u is the text `u unknown`.
+        """
         shown, unit = NAMES.get(name, name), format_unit(value.unit)
         if value.u is None or value.U is None or value.k is None:
             return cls(shown, unit, format_number(value.value, 6), UNKNOWN, DASH, DASH)
@@ -190,7 +198,7 @@ class QuantityRow:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """All texts."""
+        """The texts of the row as a tuple, one for each column."""
         return (self.name, self.unit, self.value, self.u, self.expanded, self.k)
 
 

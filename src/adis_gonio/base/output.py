@@ -12,19 +12,19 @@ from adis_gonio.base.errors import OutputError, UsageError
 
 
 def ends_in(path: str | Path, *endings: str) -> bool:
-    """True if a file name has one of these endings, in capitals or not."""
+    """True if a file name has one of these endings, in capital or small letters."""
     return Path(path).name.lower().endswith(endings)
 
 
 def exists_error(path: str | Path, cure: str = "choose another name") -> UsageError:
-    """Error for a file that must not be overwritten; `cure` is the advice."""
+    """Make the error for a file that exists and must not be overwritten; `cure` is advice to the user."""
     return UsageError(f"{path}: exists already; {cure} (nothing was changed)")
 
 
 def check_output(
     path: str | Path, *, force: bool = False, cure: str = "choose another name, or --force to replace it"
 ) -> Path:
-    """Check before the work that an output file can be written after it.
+    """Check, before a long computation, that its output file can be written afterwards.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def write_utf8(path: Path, text: str) -> int:
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Temporary path that replaces `path` when the block ends without an exception.
+    """Yield a temporary path; its file replaces `path` if the block ends without an exception.
 
     After any exception (a full disk, Ctrl-C) it is removed and `path` is unchanged. It has the ending of
     `path`, because some writers choose a format by it. For a symbolic link the target is replaced; a
@@ -101,7 +101,10 @@ def _special(path: Path) -> bool:
 
 
 def _created_beside(target: Path) -> Path:
-    """Create an empty file with the permissions of the file that it replaces, or default ones."""
+    """Create an empty temporary file in the folder of `target`, and return its path.
+
+    It has the permissions of `target`, or default permissions if `target` does not exist.
+    """
     for number in count():
         beside = target.with_name(f".{os.getpid()}-{number}.part-{target.name}")
         try:
@@ -115,7 +118,10 @@ def _created_beside(target: Path) -> Path:
 
 
 def _flushed(path: Path) -> None:
-    """Write the content to the disk before the rename: a power cut leaves the old or the new file."""
+    """Write the content of a file to the disk.
+
+    It happens before the file is renamed, so that a power cut leaves either the old or the new file.
+    """
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
@@ -125,5 +131,5 @@ def _unwritten(path: Path, error: OSError) -> OutputError:
 
 
 def _about(error: OSError, beside: Path, target: Path) -> bool:
-    """True for an error of this file, False for an error of another file."""
+    """True if an error concerns the output file or its temporary file, False for another file."""
     return error.filename is None or Path(os.fsdecode(error.filename)) in (beside, target)

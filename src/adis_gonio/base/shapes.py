@@ -1,4 +1,4 @@
-"""Types and ranges of values from a file: each shape checks one value and names its mistake.
+"""Checks of the types and ranges of values from a file: each shape is a check, and names the mistake.
 
 A shape is a function of one value that raises `ShapeError`. The error's message begins with the way to
 the value, such as `.positions[3].angle_deg is 'x': expected a number from -1e+06 to 1e+06`, so that the
@@ -14,16 +14,16 @@ from typing import Any
 Shape = Callable[[Any], None]
 
 LONGEST_TEXT = 100_000
-"""Most characters of a note of an operator."""
+"""Largest number of characters of a text, such as an operator's note."""
 _SHOWN = 40
 
 
 class ShapeError(ValueError):
-    """A value has another type than declared, or lies outside its range."""
+    """A value does not have its declared type or is outside its allowed range."""
 
 
 def shown(value: Any) -> str:
-    """Value in at most 40 characters of one line."""
+    """Format a value for an error message, as one line of at most 40 characters."""
     if isinstance(value, int) and value.bit_length() > 64:
         return f"an integer of {value.bit_length()} bits"  # Python refuses to print very long integers
     text = ascii(value) if isinstance(value, str) and not value.isprintable() else repr(value)
@@ -35,7 +35,7 @@ def _refuse(value: Any, expected: str) -> ShapeError:
 
 
 def number(low: float, high: float) -> Shape:
-    """Number from `low` to `high`; neither a truth value nor NaN."""
+    """Make a check that a value is a number from `low` to `high`; booleans and NaN fail."""
 
     def check(value: Any) -> None:
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
@@ -45,7 +45,7 @@ def number(low: float, high: float) -> Shape:
 
 
 def whole(low: int, high: int) -> Shape:
-    """Integer from `low` to `high`."""
+    """Make a check that a value is an integer from `low` to `high`."""
 
     def check(value: Any) -> None:
         if type(value) is not int or not low <= value <= high:
@@ -55,25 +55,25 @@ def whole(low: int, high: int) -> Shape:
 
 
 def text(value: Any) -> None:
-    """Text of at most `LONGEST_TEXT` characters."""
+    """Check that a value is a text of at most `LONGEST_TEXT` characters."""
     if not isinstance(value, str) or len(value) > LONGEST_TEXT:
         raise _refuse(value, f"a text of at most {LONGEST_TEXT} characters")
 
 
 def truth_value(value: Any) -> None:
-    """Boolean."""
+    """Check that a value is a boolean."""
     if type(value) is not bool:
         raise _refuse(value, "true or false")
 
 
 def blob(value: Any) -> None:
-    """Bytes."""
+    """Check that a value is a bytes object."""
     if not isinstance(value, bytes):
         raise _refuse(value, "bytes")
 
 
 def moment(value: Any) -> None:
-    """Time of the wall clock: ISO 8601 with its offset from UTC."""
+    """Check that a value is a date and time as ISO 8601 text with an offset from UTC."""
     text(value)
     try:
         if datetime.fromisoformat(value).tzinfo is not None:
@@ -84,11 +84,11 @@ def moment(value: Any) -> None:
 
 
 def anything(value: Any) -> None:
-    """Any value, for entries without computations."""
+    """Accept any value; for entries that no computation uses."""
 
 
 def choice(*allowed: str | int | None) -> Shape:
-    """One of some texts or integers."""
+    """Make a check that a value is one of the `allowed` texts or integers."""
 
     def check(value: Any) -> None:
         if (
@@ -103,7 +103,7 @@ def choice(*allowed: str | int | None) -> Shape:
 
 
 def nullable(shape: Shape) -> Shape:
-    """Null, or a value of a shape."""
+    """Make a check that a value is None or passes the check `shape`."""
 
     def check(value: Any) -> None:
         if value is not None:
@@ -113,7 +113,7 @@ def nullable(shape: Shape) -> Shape:
 
 
 def list_of(shape: Shape, least: int, most: int) -> Shape:
-    """List of `least` to `most` values of a shape."""
+    """Make a check for a list of `least` to `most` values that all pass the check `shape`."""
 
     def check(value: Any) -> None:
         if not isinstance(value, list) or not least <= len(value) <= most:
@@ -126,7 +126,7 @@ def list_of(shape: Shape, least: int, most: int) -> Shape:
 
 
 def mapping_of(shape: Shape) -> Shape:
-    """Object with any names and values of one shape."""
+    """Make a check for an object with any names, in which each value passes the check `shape`."""
 
     def check(value: Any) -> None:
         if not isinstance(value, dict):
@@ -140,7 +140,7 @@ def mapping_of(shape: Shape) -> Shape:
 def fields(
     required: Mapping[str, Shape], optional: Mapping[str, Shape] | None = None, others: Shape | None = None
 ) -> Shape:
-    """Object with named values.
+    """Make a check for an object with named values, each with a check for its value.
 
     Parameters
     ----------

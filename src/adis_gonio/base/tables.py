@@ -16,11 +16,14 @@ if TYPE_CHECKING:
 
 Row = Mapping[str, Any]
 Entries = Iterable[tuple[str, Row]]
-"""Names and their entries in a document; two effects may share a name."""
+"""Pairs of a parameter's name and its entry in a JSON document; two effects may share a name."""
 
 
 def align_columns(rows: Sequence[Sequence[str]], texts: int = 2, indent: int = 2) -> list[str]:
-    """Lines of plain text from rows and their head; the first `texts` columns to the left, others right."""
+    """Format table rows, head included, as lines of plain text with aligned columns.
+
+    The first `texts` columns are aligned to the left, the others to the right.
+    """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         " " * indent
@@ -33,18 +36,21 @@ def align_columns(rows: Sequence[Sequence[str]], texts: int = 2, indent: int = 2
 
 
 def fold_text(text: str, width: int, indent: int = 0) -> list[str]:
-    """Lines of at most `width` columns."""
+    """Wrap text to lines of at most `width` columns, each indented."""
     margin = " " * indent
     return textwrap.wrap(text, width, initial_indent=margin, subsequent_indent=margin) or [""]
 
 
 def lines_of(entries: Entries) -> list[str]:
-    """Indented lines, one for each parameter of a document."""
+    """Format the parameters of a JSON document as indented lines: name, value, u and unit."""
     return [f"  {name}: {format_uncertain(one['value'], one['u'], one['unit'])}" for name, one in entries]
 
 
 def html_table(title: str, entries: Entries) -> str:
-    """Parameters of a document as a plain table with its title, for notebooks; everything escaped."""
+    """Format the parameters of a JSON document as an HTML table with a title, for notebooks.
+
+    All texts are escaped.
+    """
     rows = [{"parameter": name, **one} for name, one in entries]
     columns = list(dict.fromkeys(name for row in rows for name in row))
     head = "".join(f"<th>{html.escape(name)}</th>" for name in columns)
@@ -59,17 +65,22 @@ def html_table(title: str, entries: Entries) -> str:
 
 
 class ParameterTable(JsonRecord):
-    """Base class of a result that shows its parameters as a table in notebooks and as a data frame."""
+    """Base class of results with parameters, which notebooks show as a table.
+
+    It also converts the parameters to a pandas data frame.
+    """
 
     def caption_and_parameters(self) -> tuple[str, Entries]:
-        """Caption of the table, and its rows by name."""
+        """Caption of the table, and the parameters by name, one for each row."""
         return repr(self), self.as_dict()["parameters"].items()
 
     def _repr_html_(self) -> str:
         return html_table(*self.caption_and_parameters())
 
     def to_pandas(self) -> pd.DataFrame:
-        """Data frame with a row for each parameter: value, u, unit, and for fits dof, k, U (extra: pandas).
+        """Convert the parameters to a pandas data frame with one row for each (needs the extra `pandas`).
+
+        The columns are value, u and unit, and for fits also dof, k and U.
 
         An unknown number is NaN.
 
@@ -84,7 +95,7 @@ class ParameterTable(JsonRecord):
 
 
 def frame(columns: Mapping[str, Any] | Sequence[Row]) -> pd.DataFrame:
-    """Data frame of columns or rows.
+    """Make a pandas data frame from columns by name, or from a list of rows.
 
     Raises
     ------

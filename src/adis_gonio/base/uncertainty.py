@@ -1,4 +1,4 @@
-"""Values with their uncertainty, and the levels and coverage factors by which results are judged.
+"""Values with their uncertainty, and the significance levels and coverage factors of all results.
 
 JCGM 100:2008 (GUM), G.4.1 (Welch–Satterthwaite) and G.3.2 (Student's distribution). A changed level changes
 answers. Numbers of the search of the trace are in `adis_gonio.tracing.thresholds`, limits of a bring-up in
@@ -29,29 +29,32 @@ OUTLYING = 0.01
 DRIFTING = 0.05
 """Probability of a false drift, over all quantities of a sensor (Bonferroni)."""
 SLOW_NOISE = 0.025
-"""One-sided level of a noise process: its interval of 95 % leaves zero."""
+"""One-sided p-value below which a noise process is present: its 95 % interval excludes zero."""
 LINE_IN_NOISE = 1e-4
 """Probability that noise alone shows a spectral line in a record at rest."""
 LINK_REFUSED = 1e-3
 """p-value below which links by gyros contradict gravity."""
 COMMON_DIVISOR = 1e-6
-"""Probability that differences of words have a common divisor by chance."""
+"""Probability below which a common divisor of differences between samples is not chance."""
 POSITION_QUESTIONED = 1e-4
 """Probability that a correct position is questioned: one in a hundred tumbles of 100."""
 CREDIBLE_SET = 0.95
-"""Least probability of a set of names in one session."""
+"""Smallest total probability of the credible set of names for one session."""
 POPULATION_SET = 0.99
-"""Least probability of a set of names in a population of sessions."""
+"""Smallest total probability of the credible set of names for a population of sessions."""
 
 
 COVERED = 0.95
 """Probability of the interval of an expanded uncertainty U."""
 NORMAL_95 = 1.959963984540054
-"""Coverage factor at unlimited degrees of freedom."""
+"""Coverage factor for 95 % if the degrees of freedom are unlimited."""
 
 
 def coverage_factor(dof: float) -> float:
-    """Coverage factor k of 95 %: Student's quantile at `dof`, at least 1 degree of freedom."""
+    """Coverage factor k for 95 %: the quantile of Student's distribution with `dof` degrees of freedom.
+
+    Fewer than 1 degree of freedom counts as 1.
+    """
     if math.isinf(dof):
         return NORMAL_95
     from scipy.special import stdtrit
@@ -60,7 +63,10 @@ def coverage_factor(dof: float) -> float:
 
 
 def wilson(hits: float, n: int, z: float = NORMAL_95) -> tuple[float, float]:
-    """Wilson's interval (1927) of a probability, by default of 95 %; 0 to 1 if n is 0."""
+    """Confidence interval (Wilson, 1927) of the probability of an event with `hits` in `n` trials.
+
+    It has a confidence of 95 % by default, and is 0 to 1 if n is 0.
+    """
     if n == 0:
         return 0.0, 1.0
     share = hits / n
@@ -70,14 +76,17 @@ def wilson(hits: float, n: int, z: float = NORMAL_95) -> tuple[float, float]:
 
 
 def effective_dof(parts: Sequence[tuple[float, float]]) -> float:
-    """Degrees of freedom of a sum of variances, each with its own: (Σ v)² / Σ (v²/ν); inf if unlimited."""
+    """Effective degrees of freedom of a sum of variances: (Σ v)² / Σ (v²/ν) (Welch–Satterthwaite).
+
+    Each part is (variance v, degrees of freedom ν). The result may be infinite.
+    """
     total = sum(variance for variance, _ in parts)
     doubt = sum(variance**2 / dof for variance, dof in parts if math.isfinite(dof) and variance > 0)
     return total**2 / doubt if doubt > 1e-12 * total**2 else math.inf
 
 
 def expanded(u: float | None, dof: float, factor: float | None = None) -> tuple[float | None, float | None]:
-    """(k, U), with k = `factor` if given; (None, None) if u is not known."""
+    """Coverage factor k (`factor` if given) and expanded uncertainty U = k·u; None if u is unknown."""
     if u is None or not math.isfinite(u):
         return None, None
     k = coverage_factor(dof) if factor is None else factor
@@ -85,7 +94,7 @@ def expanded(u: float | None, dof: float, factor: float | None = None) -> tuple[
 
 
 def factor_over(variances: Floats, dof: float) -> float:
-    """Coverage factor of 95 % for errors with different variances (m,), relative to the root of their mean.
+    """Coverage factor for 95 % of errors with different variances (m,), relative to their rms value.
 
     Each error has Student's distribution with `dof`; if the variances differ much, the mixture has longer
     tails than each of them.
@@ -107,7 +116,7 @@ def factor_over(variances: Floats, dof: float) -> float:
 
 @dataclass(frozen=True)
 class Value:
-    """A value, its standard uncertainty (None: not determined), unit and effective degrees of freedom."""
+    """A value with its standard uncertainty (None if not determined), unit and degrees of freedom."""
 
     value: float
     u: float | None
@@ -117,21 +126,21 @@ class Value:
     """Coverage factor, if the distribution is not Student's with `dof`."""
 
     def __str__(self) -> str:
-        """Value ± standard uncertainty with unit, such as `1.08 ± 0.13 mg`."""
+        """Format the value with its standard uncertainty and unit, such as `1.08 ± 0.13 mg`."""
         return format_uncertain(self.value, self.u, self.unit)
 
     @property
     def k(self) -> float | None:
-        """Coverage factor of 95 %: `factor`, or from `dof` if it is None; None without an uncertainty."""
+        """Coverage factor for 95 %: `factor`, or computed from `dof`; None without an uncertainty."""
         return expanded(self.u, self.dof, self.factor)[0]
 
     @property
     def U(self) -> float | None:  # noqa: N802 (GUM)
-        """Expanded uncertainty k·u: value ± U covers 95 %."""
+        """Expanded uncertainty U = k·u: the interval value ± U has a coverage of 95 %."""
         return expanded(self.u, self.dof, self.factor)[1]
 
     def as_dict(self) -> dict[str, Any]:
-        """`{"value", "u", "dof", "k", "U", "unit"}`; `dof` is None if unlimited or unknown."""
+        """JSON object with the keys value, u, dof, k, U and unit; `dof` is None if unlimited or unknown."""
         k, expanded_u = expanded(self.u, self.dof, self.factor)
         return {
             "value": finite_or_none(self.value),
@@ -144,15 +153,15 @@ class Value:
 
 
 def finite_or_none(value: float | None) -> float | None:
-    """Return None for an infinity or NaN, which JSON does not have."""
+    """Return a number, or None for infinity or NaN, which JSON cannot represent."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 @dataclass(frozen=True)
 class Detectable(JsonRecord):
-    """Smallest amplitude that the session can show; None if it cannot show any.
+    """Smallest amplitude of an effect that the session can detect; None if it can detect none.
 
-    The JSON document is one value of `detectable`.
+    Its JSON document is one value of `detectable` in a result.
     """
 
     amplitude: float | None

@@ -1,4 +1,4 @@
-"""Advisors: the dwells so far decide which positions are measured next.
+"""Advisors, which propose the next positions to measure by the dwells so far.
 
 A runner asks its advisor whenever its plan is done. `TraceAdvisor` traces the session so far and asks for
 the positions that are expected to separate the remaining explanations. It ends when the model is adequate
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 MOST_EXTRA = 24
 """Default limit of positions beyond the plan."""
 FEW = 24
-"""From this number of dwells, only positions that would decide are requested for an inadequate model."""
+"""With fewer dwells and an inadequate model, positions are proposed even if they may decide nothing."""
 AT_ONCE = 4
 """Limit of positions in one round; their results decide the next positions."""
 
 
 @dataclass(frozen=True)
 class Advice:
-    """Answer of an advisor.
+    """Positions that an advisor proposes, or the reason why it proposes none.
 
     Attributes
     ----------
@@ -50,10 +50,10 @@ class Advice:
 
 
 class Advisor(Protocol):
-    """Source of further positions."""
+    """Interface of objects that propose further positions during a session."""
 
     def advise(self, session: Session, visited: int, reachable: Callable[[Position], bool]) -> Advice:
-        """Choose the next positions.
+        """Choose the next positions to measure.
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class Advisor(Protocol):
 
 
 class TraceAdvisor:
-    """Asks for the measurements that a trace of the session proposes.
+    """Advisor that traces the session and proposes the measurements that the trace recommends.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class TraceAdvisor:
         self.dwells = 0
 
     def advise(self, session: Session, visited: int, reachable: Callable[[Position], bool]) -> Advice:
-        """Trace the session, and ask for the measurements that it proposes."""
+        """Trace the session, and propose the measurements that the trace recommends."""
         from adis_gonio.tracing.advice import sentences
         from adis_gonio.tracing.proposals import LEAST_SEPARATION
         from adis_gonio.tracing.trace import trace
@@ -118,7 +118,7 @@ class TraceAdvisor:
 
 
 def summarise_trace(result: TraceResult, dwells: int) -> dict[str, Any]:
-    """Summary of a trace, for comparison before and after further positions."""
+    """JSON summary of a trace, for comparison with a trace after further positions."""
     return {
         "dwells": dwells,
         "adequate": result.adequate,
@@ -148,7 +148,7 @@ def _position(measurement: NextDwell) -> Position:
 def _reason_to_end(
     result: TraceResult, wanted: list[NextDwell], within: list[NextDwell], visited: int
 ) -> str:
-    """Reason why no further position is requested."""
+    """Reason why no further position is proposed."""
     from adis_gonio.tracing.advice import sentences
 
     if within:
@@ -172,7 +172,7 @@ def _reason_to_end(
 
 
 def _open_names(result: TraceResult) -> str:
-    """Effects of the model that another known effect could replace, each with the most probable one."""
+    """Pairs of an effect of the model and the most probable known effect that could replace it, as text."""
     from adis_gonio.model.effects import catalogue
 
     known = catalogue().keys() - {step.effect for step in result.steps}

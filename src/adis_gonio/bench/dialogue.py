@@ -23,14 +23,16 @@ PAUSE_STEP_S = 0.1
 """Time between two checks for remarks during a pause, on the wall clock."""
 
 KEPT_S = 120.0
-"""Scans during a question are kept so long if turns are recorded: enough for a turn and its rests."""
+"""If turns are recorded, the scans of this many last seconds of a question are kept.
+
+This is enough for a turn and the rests before and after it."""
 
 WAIT_STEP_S = 1.0
 """Time between two checks of the clock and the operator during a wait."""
 
 
 class Reply(StrEnum):
-    """Answers to a question."""
+    """Possible answers of the operator to a question."""
 
     CONFIRM = "confirm"
     SKIP = "skip"
@@ -59,7 +61,7 @@ class Remark:
 
 
 class Operator:
-    """The operator's side of a session; every method may be called from any thread.
+    """Gives the answers and remarks of the operator to a session; may be used from any thread.
 
     Attributes
     ----------
@@ -76,13 +78,13 @@ class Operator:
         self.going_on = threading.Event()
 
     def open_question(self, answers: frozenset[Reply]) -> None:
-        """Allow answers to a question; answers to an earlier question are discarded."""
+        """Open a question with these possible answers; late answers to earlier questions are discarded."""
         while not self._answers.empty():
             self._answers.get_nowait()
         self._allowed = answers
 
     def take_answer(self) -> Reply | None:
-        """Take the answer to the open question; None if there is none yet."""
+        """Remove and return the answer to the open question; None if there is none yet."""
         try:
             answer = self._answers.get_nowait()
         except queue.Empty:
@@ -91,12 +93,12 @@ class Operator:
         return answer
 
     def take_remarks(self) -> Iterator[Remark]:
-        """Take all new remarks."""
+        """Remove and yield the remarks that the operator has made since the last call."""
         while not self._remarks.empty():
             yield self._remarks.get_nowait()
 
     def answer(self, answer: Reply | str) -> None:
-        """Answer the open question by the name of an answer, such as one of `GuardRaised.answers`.
+        """Answer the open question by the name of a reply, such as one of `GuardRaised.answers`.
 
         Raises
         ------
@@ -112,11 +114,11 @@ class Operator:
         self._answers.put(Reply(answer))
 
     def confirm(self) -> None:
-        """Confirm that the part is in the requested position, or that the stage may go there."""
+        """Confirm that the sensor is in the requested position, or that the stage may go there."""
         self.answer(Reply.CONFIRM)
 
     def skip(self) -> None:
-        """Skip this position."""
+        """Skip the position that is asked for."""
         self.answer(Reply.SKIP)
 
     def repeat(self) -> None:
@@ -124,7 +126,7 @@ class Operator:
         self.answer(Reply.REPEAT)
 
     def undo(self) -> None:
-        """Withdraw the newest dwell; it stays in the archive, and its position is asked again."""
+        """Withdraw the newest dwell; it stays in the archive, and its position is asked for again."""
         self.answer(Reply.UNDO)
 
     def keep(self) -> None:
@@ -132,19 +134,19 @@ class Operator:
         self.answer(Reply.KEEP)
 
     def retake(self) -> None:
-        """Take the position again at which a guard stopped."""
+        """Request the position again that a guard has questioned."""
         self.answer(Reply.RETAKE)
 
     def reverse(self) -> None:
-        """Reverse the whole session: the stage counts angles the other way."""
+        """Change the sign of all angles of the session, because the stage counts them the other way."""
         self.answer(Reply.REVERSE)
 
     def accept(self) -> None:
-        """Accept an offer."""
+        """Accept an offer, such as further positions."""
         self.answer(Reply.ACCEPT)
 
     def decline(self) -> None:
-        """Decline an offer."""
+        """Decline an offer, such as further positions."""
         self.answer(Reply.DECLINE)
 
     def stop(self) -> None:
@@ -157,18 +159,18 @@ class Operator:
         self.pausing.set()
 
     def unpause(self) -> None:
-        """Continue after a pause: the question is asked again."""
+        """Continue the session after a pause: the open question is asked again."""
         self.pausing.clear()
         self.going_on.set()
 
     def note(self, text: str) -> None:
-        """Record a remark in the session, with its time and place."""
+        """Record a remark in the session, with the time and the present position."""
         if text.strip():
             self._remarks.put(Remark(text.strip(), utc_now()))
 
 
 class Questions:
-    """Asks the operator and takes the answers.
+    """Asks the operator questions during a session and takes the answers.
 
     Attributes
     ----------
@@ -186,7 +188,7 @@ class Questions:
         self._scanned: list[Block] = []
 
     def take_scanned(self) -> list[Block]:
-        """Take the scans read during the last question, if turns are recorded.
+        """Return the scans read during the last question as one block, if turns are recorded.
 
         They are one block, because many short blocks would make the file half as large again.
         """
@@ -194,7 +196,7 @@ class Questions:
         return [join(seen)] if seen else []
 
     def _keep(self, block: Block) -> None:
-        """Keep scans of the present turn."""
+        """Remember scans of the present turn, at most the last `KEPT_S` seconds."""
         if not self.bench.settings.turns or not len(block):
             return
         self._scanned.append(block)
@@ -203,23 +205,23 @@ class Questions:
 
     @property
     def stopped(self) -> bool:
-        """True if the session is to end."""
+        """True if the operator has asked to end the session."""
         return self._operator.stopping.is_set()
 
     @property
     def interrupted(self) -> bool:
-        """True if the session is to end or to pause."""
+        """True if the operator has asked to end or to pause the session."""
         return self.stopped or self._operator.pausing.is_set()
 
     @property
     def why_interrupted(self) -> str:
-        """Reason for a dwell that was interrupted by this."""
+        """Reason for the archive why a dwell was interrupted: stopped or paused by the operator."""
         return f"{'stopped' if self.stopped else 'paused'} by the operator"
 
     def ask(
         self, question: Event, answers: set[Reply], default: Reply, place: int | None = None
     ) -> Generator[Event, None, Reply]:
-        """Ask a question until it is answered; after a pause it is asked again."""
+        """Ask a question and wait for the answer; after a pause the question is asked again."""
         if self.ledger.last_place is not None and not isinstance(question, GuardRaised):
             answers = answers | {Reply.REPEAT, Reply.UNDO}
         newest: Floats | None = None
@@ -244,7 +246,10 @@ class Questions:
             self.bench.close_stream()
 
     def _look(self, before: Floats | None) -> Floats:
-        """Newest accelerations (n, 3) during a question, at most one window of samples."""
+        """Read scans and return the newest accelerations (n, 3), at most one window of them.
+
+        `before` are the accelerations of the last call.
+        """
         newest = np.empty((0, 3)) if before is None else before
         for block in self.bench.scans():
             self.knowledge.see(block)
@@ -263,7 +268,7 @@ class Questions:
     def ask_guard(
         self, guard: Guard, place: int, shown: Guard | None = None
     ) -> Generator[Event, None, Reply]:
-        """Ask the question of a guard, with the message of `shown` if given; record the answer."""
+        """Ask the question of a guard and record the answer; `shown` may replace the displayed message."""
         shown, position = shown or guard, self.ledger.plan.positions[place]
         raised = GuardRaised(
             guard.kind, shown.message, place, position, shown.values, guard.answers, guard.default
@@ -275,7 +280,7 @@ class Questions:
         return answer
 
     def handle_pause(self, place: int | None) -> Iterator[Event]:
-        """Record the operator's remarks, and pause if this was requested."""
+        """Record the operator's remarks and, if a pause was requested, wait for its end."""
         yield from self.remarks(place)
         if not self._operator.pausing.is_set():
             return
@@ -290,13 +295,13 @@ class Questions:
         yield Unpaused(place)
 
     def remarks(self, place: int | None) -> Iterator[Event]:
-        """Record the operator's remarks."""
+        """Write the operator's new remarks to the archive."""
         for remark in self._operator.take_remarks():
             self.ledger.note("remark", {"text": remark.text, "utc": remark.utc, "place": place})
             yield Noted(remark.text)
 
     def wait(self, place: int, length_s: float) -> Generator[Event, None, bool]:
-        """Wait before a dwell; True if the operator stopped or paused the session."""
+        """Wait `length_s` before a dwell; True if the operator stopped or paused the session meanwhile."""
         end_s = self.bench.now_s + length_s
         while length_s > 0 and (left := end_s - self.bench.now_s) > 0:
             if self.interrupted:

@@ -50,7 +50,7 @@ from adis_gonio.record.stillness import Look
 
 @dataclass
 class Recording:
-    """Scans of one attempt, in order; scans between `begin` and `stop` are the dwell.
+    """Scans of one attempt to record a dwell; the scans from `begin` on, for `dwell_s`, are the dwell.
 
     The dwell begins `settle_s` after the end of the first still window and lasts `dwell_s`. It is complete
     when a still window covers its last sample.
@@ -62,7 +62,7 @@ class Recording:
     earlier : sequence of Block
         Scans of the turn before the attempt, which are kept with it.
     rested_mg : (3,) float or None
-        Reading of the part when the dwell began.
+        Reading of the sensor when the dwell began.
     """
 
     place: int
@@ -88,24 +88,24 @@ class Recording:
 
     @property
     def begun(self) -> bool:
-        """True if the dwell has begun."""
+        """True if the dwell has begun, after the sensor has settled."""
         return self.begin is not None
 
     @property
     def is_still(self) -> bool:
-        """True if the part is still; before the dwell begins it has to settle."""
+        """True if the sensor is still, although it may not have settled yet."""
         return self._still_s is not None
 
     @property
     def samples(self) -> int:
-        """Samples of the dwell so far."""
+        """Number of samples of the dwell so far."""
         if self.begin is None:
             return 0
         return (self._count if self._stop is None else self._stop) - self.begin
 
     @property
     def lost(self) -> int:
-        """Scans lost within the dwell, in all blocks with a sample of the dwell."""
+        """Number of scans lost within the dwell, in all blocks with a sample of the dwell."""
         if self.begin is None or not self.samples:
             return 0
         first = bisect_right(self._ends, self.begin) - 1
@@ -114,16 +114,16 @@ class Recording:
 
     @property
     def waited_s(self) -> float:
-        """Time from the first scan to the newest scan."""
+        """Time from the first scan to the newest scan, in s."""
         return self._samples_time(self._count - 1) - self._samples_time(0) if self._count else 0.0
 
     @property
     def elapsed_s(self) -> float:
-        """Length of the dwell so far."""
+        """Length of the dwell so far, in s."""
         return min(self._samples_time(self._count - 1) - self._begin_s, self.dwell_s) if self.begun else 0.0
 
     def add(self, block: Block) -> None:
-        """Take the next scans."""
+        """Add the next block of scans."""
         if not len(block):
             return
         self._blocks.append(block)
@@ -133,17 +133,17 @@ class Recording:
             self._find_stop()
 
     def moving(self, why: str) -> None:
-        """Note that a window before the dwell moves."""
+        """Note that the sensor moved in a window before the dwell, and why it counts as moving."""
         self._still_s = None
         self.why_moving = why
 
     def still(self, end: int) -> None:
-        """Note that a window that ends before sample `end` is still."""
+        """Note that the sensor was still in a window that ends before sample `end`."""
         if self._still_s is None:
             self._still_s = self._samples_time(end - 1)
 
     def try_begin(self) -> bool:
-        """Begin the dwell if the part has settled; True if this call began it."""
+        """Begin the dwell if the sensor has settled; True if this call began it."""
         if self.begun or self._still_s is None:
             return False
         first = self._first_sample(self._still_s + self.settle_s)
@@ -155,7 +155,10 @@ class Recording:
         return True
 
     def complete(self, checked: int) -> bool:
-        """True if the dwell has its last sample and windows up to sample `checked` were still."""
+        """True if the last sample was read, and the sensor was checked to be still up to it.
+
+        `checked` is the number of samples that were checked.
+        """
         return self._stop is not None and checked >= self._stop
 
     def scans(self) -> Block:
@@ -165,7 +168,7 @@ class Recording:
     def attempt(
         self, outcome: Outcome, ended_bus_s: float, reason: str = "", status: int | None = None
     ) -> Attempt:
-        """Attempt for the archive."""
+        """Make the record of this attempt for the archive."""
         return Attempt(
             self.place,
             self.position,
@@ -181,7 +184,7 @@ class Recording:
 
     @property
     def _count(self) -> int:
-        """Samples so far."""
+        """Number of samples so far."""
         return self._ends[-1]
 
     def _find_stop(self) -> None:
@@ -203,7 +206,7 @@ class Recording:
         return float(self._blocks[at].time_s[sample - self._ends[at]])
 
     def _pieces(self) -> list[tuple[Phase, Block]]:
-        """Blocks, split at both ends of the dwell; lost scans of a split block count in the dwell."""
+        """Split the blocks at both ends of the dwell; lost scans of a split block count in the dwell."""
         begin = self._count if self.begin is None else self.begin
         stop = self._count if self._stop is None else self._stop
         pieces: list[tuple[Phase, Block]] = []
@@ -227,7 +230,7 @@ MOST_RESTARTS = 5
 """Number of interruptions of one dwell after which the operator is asked."""
 
 WINDOWS_TO_STILLNESS = 4
-"""Windows that the watch needs for its first result, in addition to the time-out."""
+"""Number of windows before the detector of stillness gives its first result; added to the time-out."""
 
 WARMING_S = 600.0
 """Wait after the program has set another temperature, in s."""
@@ -235,14 +238,14 @@ WARMING_S = 600.0
 
 @dataclass(frozen=True)
 class _Broken:
-    """Reason for the interruption of a dwell, and the question about it, if any."""
+    """Reason why a dwell was interrupted, and the question to the operator about it, if any."""
 
     reason: str
     guard: Guard | None = None
 
 
 class DwellRecorder(Recorder):
-    """Records dwells, one after another."""
+    """Records dwells: moves the stage, waits for stillness, reads the scans, asks about disturbances."""
 
     def __init__(self, questions: Questions) -> None:
         super().__init__(questions)
@@ -252,7 +255,7 @@ class DwellRecorder(Recorder):
         self._stops: Counter[int] = Counter()
 
     def take(self, place: int) -> Iterator[Event]:
-        """Record the dwell of a place; it is restarted if it is disturbed.
+        """Record the dwell of a position in the plan; it is restarted if it is disturbed.
 
         Raises
         ------
@@ -285,7 +288,7 @@ class DwellRecorder(Recorder):
         yield from self._complete(recording)
 
     def _gave_up(self, recording: Recording, reason: str, restarts: int) -> Guard | None:
-        """Question after repeated disturbances; None if the part never came to rest.
+        """Make the question after repeated disturbances; None if the sensor never came to rest.
 
         Raises
         ------
@@ -300,7 +303,7 @@ class DwellRecorder(Recorder):
         return None if recording.timed_out else shock_guard(reason, restarts)
 
     def _go_to(self, recording: Recording) -> Generator[Event, None, bool]:
-        """Set conditions and stage for a position, if possible; False if the operator interrupted."""
+        """Set temperature, supply and stage for a position; False if the operator interrupted."""
         place, position, bench = recording.place, recording.position, self._bench
         if bench.sets_conditions and bench.wants_conditions(position):
             wanted = {"temperature_c": position.temperature_c, "supply_v": position.supply_v}
@@ -335,7 +338,7 @@ class DwellRecorder(Recorder):
     def _record_or_keep(
         self, recording: Recording, rested_mg: Floats | None
     ) -> Generator[Event, None, _Broken | None]:
-        """Record a dwell; after an error the scans so far are archived."""
+        """Record a dwell; if an error ends it, the scans so far are archived."""
         try:
             return (yield from self._record(recording, rested_mg))
         except BaseException as error:
@@ -345,7 +348,7 @@ class DwellRecorder(Recorder):
     def _record(
         self, recording: Recording, rested_mg: Floats | None
     ) -> Generator[Event, None, _Broken | None]:
-        """Wait for stillness, then record; return None when complete, else the interruption."""
+        """Wait for stillness, then record the dwell; return None, or the reason for its interruption."""
         bench, questions, knowledge = self._bench, self._questions, self._knowledge
         watch = knowledge.watch()
         patience_s = bench.settings.still_timeout_s + WINDOWS_TO_STILLNESS * bench.window * bench.period_s
@@ -376,7 +379,7 @@ class DwellRecorder(Recorder):
         return _Broken(BROKEN_STREAM)
 
     def _look_event(self, recording: Recording, look: Look) -> Watching | DwellProgress:
-        """Event of a look while the dwell is waited for, or under way."""
+        """Make the event that shows the newest window, before the dwell or during it."""
         view, target_deg = self._knowledge.view, recording.position.angle_deg
         if not recording.begun:
             waits_for = "the part to settle" if recording.is_still else f"rest: {recording.why_moving}"
@@ -398,7 +401,7 @@ class DwellRecorder(Recorder):
         )
 
     def _disturbance(self, recording: Recording, look: Look) -> _Broken | None:
-        """Update the recording by a window; return the disturbance of a dwell that had begun, if any."""
+        """Judge a window; return the disturbance if it interrupts a dwell that had begun."""
         auto = self._questions.auto
         if look.state == "stuck":
             if auto:
@@ -450,7 +453,10 @@ class DwellRecorder(Recorder):
             yield running
 
     def _note_turn(self, number: int) -> None:
-        """Record the gyros' integral since the dwell before; the archive lacks samples during questions."""
+        """Record the turn by the gyros since the dwell before.
+
+        It cannot be computed from the archive, which lacks the samples during questions.
+        """
         judge, done = self._knowledge.judge, self._ledger.done
         watched = None if judge is None else judge.last_turn()
         if watched is not None and watched[0] in done:
@@ -462,14 +468,14 @@ class DwellRecorder(Recorder):
     # -- guards ---------------------------------------------------------------------------------------
 
     def _note_doubts(self, number: int) -> bool:
-        """Record the doubts about a complete dwell; True if there are any."""
+        """Record the guards that the operator overruled at a complete dwell; True if there are any."""
         for guard in self._doubts:
             self._ledger.note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
         self._stops.clear()
         return bool(self._doubts)
 
     def _ask(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
-        """Ask the operator the question of a guard; True if the dwell continues or is kept."""
+        """Ask the operator the question of a guard; True if the dwell is kept or continues."""
         ledger = self._ledger
         self._stops[place] += 1
         shown = add_repeat_hint(guard, self._stops[place] if ledger.done else 1)
@@ -489,7 +495,10 @@ class DwellRecorder(Recorder):
     def _settled(
         self, recording: Recording, mean_mg: Floats, rested_mg: Floats | None
     ) -> Generator[Event, None, Guard | None]:
-        """Guard against the position of the part at rest; without an operator it becomes a problem."""
+        """Check the position of the sensor at rest; return the guard that doubts it, if any.
+
+        Without an operator the doubt is recorded as a problem instead.
+        """
         judge, limits, place = self._knowledge.judge, self._knowledge.limits, recording.place
         recording.rested_mg = mean_mg
         if judge is None or limits is None:
@@ -509,7 +518,7 @@ class DwellRecorder(Recorder):
         return None
 
     def _within(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
-        """Ask about faults within a dwell; without an operator they are problems."""
+        """Ask about faults within a complete dwell; without an operator they are recorded as problems."""
         ledger, place = self._ledger, recording.place
         told = {problem.kind for problem in found}
         for guard in judge_dwell(scans, found):
@@ -540,7 +549,7 @@ class DwellRecorder(Recorder):
 
 
 def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
-    """Problems of a dwell for the operator; STATUS is None if the sensor has no such register."""
+    """List the faults of a dwell for the operator; `status` is None without a register STATUS."""
     messages = () if status is None else status.messages
     found = [Problem("status", f"STATUS: {message}", place) for message in messages]
     alarms = find_alarms(scans)

@@ -30,7 +30,7 @@ GuardKind = Literal[
 
 @dataclass(frozen=True)
 class Event:
-    """Base class of all events."""
+    """Base class of all events, by which a session informs its front end."""
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form, with the name of the event as `event`."""
@@ -76,7 +76,7 @@ class Configured(Event):
 
 @dataclass(frozen=True)
 class NoiseMeasured(Event):
-    """The limits of stillness are known from the sensor's noise.
+    """The noise of the sensor was measured, which sets the limits of stillness.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class NoiseMeasured(Event):
 
 @dataclass(frozen=True)
 class PositionAsked(Event):
-    """The part has to be placed in a position. Answers: confirm, skip, repeat, undo, stop.
+    """The sensor is to be put into a position. Answers: confirm, skip, repeat, undo, stop.
 
     Attributes
     ----------
@@ -121,14 +121,14 @@ class PositionAsked(Event):
 
 @dataclass(frozen=True)
 class StageMoved(Event):
-    """The program has moved the stage."""
+    """The program has moved the stage to a position."""
 
     position: Position
 
 
 @dataclass(frozen=True)
 class Watching(Event):
-    """A look at the sensor outside a dwell.
+    """Newest readings of the sensor outside a dwell.
 
     Attributes
     ----------
@@ -217,7 +217,7 @@ class DwellDone(Event):
 
 @dataclass(frozen=True)
 class DwellInterrupted(Event):
-    """A dwell was interrupted; its samples are in the archive, marked as such."""
+    """A dwell was interrupted; its samples are in the archive, marked as interrupted."""
 
     place: int
     position: Position
@@ -269,7 +269,7 @@ class GuardRaised(Event):
 
 @dataclass(frozen=True)
 class TurnMeasured(Event):
-    """Turn of the part since the position before.
+    """Turn of the sensor since the position before, measured by gyro and gravity.
 
     Attributes
     ----------
@@ -345,7 +345,7 @@ class TurnDone(Event):
 
 @dataclass(frozen=True)
 class Running(Event):
-    """Parameters of a fit of the dwells so far.
+    """Parameters fitted to the dwells so far.
 
     Attributes
     ----------
@@ -367,7 +367,7 @@ class Paused(Event):
 
 @dataclass(frozen=True)
 class Unpaused(Event):
-    """The session continues: the question is asked again."""
+    """The session continues after a pause: the open question is asked again."""
 
     place: int | None
 
@@ -381,7 +381,7 @@ class Noted(Event):
 
 @dataclass(frozen=True)
 class Withdrawn(Event):
-    """A dwell was withdrawn; it stays in the archive, marked as such."""
+    """A dwell was withdrawn from the session; it stays in the archive, marked as withdrawn."""
 
     place: int
     position: Position
@@ -439,7 +439,7 @@ class Advising(Event):
 
 @dataclass(frozen=True)
 class Advised(Event):
-    """Answer of the advisor; if it asks for positions, `ExtensionOffered` follows.
+    """Result of asking the advisor; if it proposes positions, `ExtensionOffered` follows.
 
     Attributes
     ----------
@@ -461,7 +461,7 @@ class Advised(Event):
 
 @dataclass(frozen=True)
 class Waiting(Event):
-    """A wait before a dwell, as the plan requires."""
+    """Progress of a wait before a dwell that the plan requires."""
 
     place: int
     elapsed_s: float

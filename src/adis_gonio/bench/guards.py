@@ -1,9 +1,9 @@
-"""Guards: errors on the bench, and the position of the part by gravity, gyros and declared angles.
+"""Guards detect errors at the bench: wrong positions, by gravity, gyros and angles, and bad dwells.
 
 Each judgement gives a `Guard`, a question with its numbers, or None. The limits follow from the sensor's
-noise, the part's data sheet and the fixture (`expectation`), so that a good part is not questioned.
-`Judge` compares declared angles, gravity and the integral of the gyros by `adis_gonio.fitting.slips`, so
-that a recorded session has the same likelihood.
+noise, the sensor's data sheet and the fixture (`expectation`), so that a good sensor is not questioned.
+`Judge` compares declared angles, gravity and the integral of the gyros by `adis_gonio.fitting.slips`,
+which is also used for recorded sessions.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ RETAKE: tuple[str, ...] = ("retake", "keep", "skip")
 
 @dataclass(frozen=True)
 class Guard:
-    """A question to the operator.
+    """A question to the operator about a position or a dwell that seems wrong.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Guard:
 
     @property
     def contradicts(self) -> bool:
-        """True if either the position of the part or an earlier dwell is wrong."""
+        """True if either the position of the sensor or an earlier dwell must be wrong."""
         return self.kind in ("not_moved", "reversed", "wrong_axis", "wrong_angle")
 
 
@@ -95,7 +95,7 @@ def add_repeat_hint(guard: Guard, times: int) -> Guard:
 
 @dataclass(frozen=True)
 class Reading:
-    """Angles of the part when it has come to rest at a position in the plane.
+    """Angles of the sensor at rest in a position of the plane, which `judge_turn` compares.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Reading:
     off, off_reversed : Off
         Deviations from the requested angle, with the sense of the session and with the opposite sense.
     turn : GyroIntegral or None
-        Turn by the gyros.
+        Turn measured by the gyros since the dwell before.
     sense : int
         -1 in a reversed session.
     """
@@ -121,7 +121,7 @@ class Reading:
 
 
 def judge_turn(reading: Reading) -> Guard | None:
-    """Check that the part was turned as requested in the plane; None if it was."""
+    """Check that the sensor was turned in the plane as requested; None if it was."""
     if reading.off.allowed:
         return None
     values = {
@@ -167,7 +167,7 @@ def _reversed(reading: Reading, values: dict[str, float], seen: str) -> Guard:
 
 
 def _other_axis(turn: GyroIntegral) -> str | None:
-    """Axis of the largest turn, if it is not z and the turn exceeds the gyros' uncertainty."""
+    """Axis of the largest turn, if it is not z and the turn exceeds the gyros' uncertainty; else None."""
     size = np.abs(turn.angle_deg)
     most = int(np.argmax(size))
     if most == 2 or size[most] <= math.degrees(SHIFT_MG / 1000.0) + K * turn.u_deg:
@@ -176,7 +176,7 @@ def _other_axis(turn: GyroIntegral) -> str | None:
 
 
 def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | None:
-    """Check that the axis of rotation, the part's Z, is horizontal."""
+    """Check that the axis of rotation (the sensor's Z) is horizontal; None if it is."""
     z = float(accel_mg[2])
     limit = gravity_mg * math.sin(math.radians(TILT_LIMIT_DEG)) + K * bias_mg
     if abs(z) <= limit:
@@ -192,7 +192,7 @@ def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | 
 
 
 def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
-    """Check that the part is placed as drawn at the first position; any start angle is allowed."""
+    """Check that the sensor is placed as drawn at the first position; any start angle is allowed."""
     x, y = float(accel_mg[0]), float(accel_mg[1])
     angle = -sense * math.degrees(math.atan2(y, x))
     off = wrap_degrees(angle - asked_deg)
@@ -208,10 +208,10 @@ def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
 def judge_pose(
     accel_mg: Floats, asked: Floats | None, before_mg: Floats | None, before_asked: Floats | None
 ) -> Guard | None:
-    """Check that a free attitude is new, and not the opposite of the suggested one.
+    """Check that an attitude in space is new, and not upside down; None if it is plausible.
 
-    A part that was not moved is checked first, since this spoils the result: it is often also upside down,
-    which is allowed.
+    A sensor that was not moved is found first, since this would spoil the result. Such a sensor often also
+    seems upside down, which would be allowed.
     """
     if before_mg is not None:
         turned = angle_between_deg(accel_mg, before_mg)
@@ -237,14 +237,14 @@ def judge_pose(
 
 
 def angle_between_deg(a: Sequence[float] | Floats, b: Sequence[float] | Floats) -> float:
-    """Angle between two directions."""
+    """Angle between two directions in degrees, 0 to 180."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     cosine = float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b)))
     return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
 
 
 def judge_shift(accel_mg: Floats, before_mg: Floats, limit_mg: Floats) -> Guard | None:
-    """Check that the part rests in the place in which it was before a dwell was disturbed."""
+    """Check that the sensor rests as it did before a dwell was disturbed; None if it does."""
     shift = np.abs(accel_mg - before_mg)
     limit = np.maximum(limit_mg, SHIFT_MG)
     k = int(np.argmax(shift / limit))
@@ -257,13 +257,13 @@ def judge_shift(accel_mg: Floats, before_mg: Floats, limit_mg: Floats) -> Guard 
 
 
 def drift_guard(why: str, values: dict[str, float] | None = None) -> Guard:
-    """Guard of a part that has moved after a dwell began."""
+    """Make the question for a sensor that has moved since a dwell began."""
     message = f"{why}: the part or the stage has moved on; clamp it and take the position again"
     return Guard("drift", message, values or {})
 
 
 def shock_guard(why: str, times: int) -> Guard:
-    """Guard of a dwell that was disturbed repeatedly."""
+    """Make the question for a dwell that was disturbed several times."""
     return Guard(
         "shock",
         f"{counted(times, 'dwell')} in a row were disturbed: {why}; find the cause of the disturbance",
@@ -272,12 +272,12 @@ def shock_guard(why: str, times: int) -> Guard:
 
 
 def stuck_guard(why: str) -> Guard:
-    """Guard of an axis that does not change."""
+    """Make the question for an axis with constant readings."""
     return Guard("stuck", why, answers=("retake", "skip"), spoils=True)
 
 
 def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
-    """Guards of a complete dwell: its faults, and steps of its temperature and supply."""
+    """Questions about a complete dwell: its faults, and sudden changes of temperature and supply."""
     guards = []
     kinds: dict[str, GuardKind] = {"supply": "supply", "alarm": "over_range"}
     found = [problem for problem in problems if problem.kind in kinds]
@@ -309,7 +309,10 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
 
 
 def greatest_step(time_s: Floats, values: Floats) -> float:
-    """Largest change within a second, by means over half a second or over quarters of a shorter dwell."""
+    """Largest change of a value within a second, estimated from short means.
+
+    The means are over half a second, or over quarters of a shorter dwell.
+    """
     width_s = min(STEP_WINDOW_S / 2, float(time_s[-1] - time_s[0]) / 4)
     if width_s <= 0:
         return 0.0
@@ -325,7 +328,7 @@ SCALE_ERROR = 0.01
 INSTABILITY_DPS = 0.015
 """Change of a gyro's bias between dwells (the simulator's default, D)."""
 G_SENSITIVITY_DPS = 0.05 * math.sqrt(2)
-"""Gyro g-sensitivity, 0.05 °/s/g (CHIP, B), times the change of gravity's part at a quarter turn."""
+"""Gyro g-sensitivity, 0.05 °/s/g (CHIP, B), times the change of gravity in g by a quarter turn."""
 GYRO_NOISE_DPS = 0.6
 """Noise of a sample (CHIP, B); the average over the turn has less."""
 
@@ -337,11 +340,11 @@ class GyroIntegral:
     Attributes
     ----------
     angle_deg : (3,) float
-        Angles about x, y, z of the part, right-handed about the drawn axes.
+        Angles about x, y, z of the sensor, right-handed about the drawn axes.
     u_deg : float
         Standard uncertainty of each angle.
     zero_u_deg : float
-        Part of it from noise and the zero rate, without the gain.
+        Contribution of noise and zero rate to it, without the scale factor.
     """
 
     angle_deg: Floats
@@ -370,7 +373,7 @@ class Turning:
         self._broken = False
 
     def rest(self, dwell: Block) -> None:
-        """Begin the next turn: the mean of the ended dwell is the gyros' zero rate."""
+        """End a dwell and begin the next turn; the mean of the dwell is the gyros' zero rate."""
         rates = _rates(dwell)
         self._broken = rates is None or not len(dwell)
         if rates is None or not len(dwell):
@@ -380,7 +383,7 @@ class Turning:
         self._angle, self._travel, self._length_s = np.zeros(3), 0.0, 0.0
 
     def see(self, block: Block) -> None:
-        """Integrate the next samples; samples of the ended dwell are skipped."""
+        """Integrate the rates of the next samples; samples of the ended dwell are skipped."""
         rates = _rates(block)
         if self._bias is None or rates is None or not len(block):
             return
@@ -401,7 +404,7 @@ class Turning:
         self._last_s, self._last = float(time_s[-1]), turning[-1]
 
     def turn(self) -> GyroIntegral | None:
-        """Turn so far; None if it was not followed without a gap."""
+        """Angles turned since the last dwell; None if samples were missing for too long."""
         if self._bias is None or self._broken or not self._length_s:
             return None
         wander = math.hypot(INSTABILITY_DPS, G_SENSITIVITY_DPS) * self._length_s
@@ -417,7 +420,7 @@ def _rates(block: Block) -> Floats | None:
 
 @dataclass(frozen=True)
 class PartPosition:
-    """Position of the part in a dwell, or its present position.
+    """Position of the sensor in a dwell, or its present position.
 
     Attributes
     ----------
@@ -438,7 +441,10 @@ class PartPosition:
 
 
 def diagnose_positions(positions: Sequence[PartPosition], spread: PriorKnowledge, sense: int) -> Diagnosis:
-    """Diagnosis of all positions by their three angles; the last one is the present position."""
+    """Find the positions that are wrong, by declared angle, gravity and gyro together.
+
+    The last of `positions` is the present one.
+    """
     positions = positions[-LARGEST:]
     n = len(positions)
     reading = math.hypot(spread.reading_mg, UNMODELLED_MG)
@@ -476,7 +482,7 @@ def diagnose_positions(positions: Sequence[PartPosition], spread: PriorKnowledge
 def add_diagnosis(
     guard: Guard | None, found: Diagnosis, positions: Sequence[PartPosition], sense: int
 ) -> Guard | None:
-    """Add the diagnosis to a guard, or make a guard if only the diagnosis questions the position."""
+    """Add the diagnosis to a guard, or make a guard if only the diagnosis doubts the position."""
     here = min(len(positions), LARGEST) - 1
     last = next((one for one in found.findings if here in (one.position, *one.others)), None)
     if last is None:
@@ -517,7 +523,7 @@ def _diagnosis_text(
 
 @dataclass(frozen=True)
 class _Taken:
-    """A dwell: its position, its mean (3,) in mg, and whether it was doubted and kept."""
+    """A recorded dwell: position, mean reading (3,) in mg, and if a guard was overruled (`doubted`)."""
 
     place: int
     position: Position
@@ -529,14 +535,14 @@ class _Taken:
 
 
 class Judge:
-    """Judges the position of the part, dwell by dwell.
+    """Judges the position of the sensor at each dwell by the dwells before it.
 
     Parameters
     ----------
     planar : bool
         False if attitudes are free.
     spread : PriorKnowledge
-        Tolerances of a good part; its fixture has a finite uncertainty.
+        Tolerances of a good sensor; its fixture has a finite uncertainty.
     sense : {1, -1}
         -1 in a reversed session.
     longest_gap_s : float
@@ -554,7 +560,7 @@ class Judge:
         self._rebuild()
 
     def settled(self, position: Position, accel_mg: Floats) -> Guard | None:
-        """Guard against the position in which the part has come to rest; None if it is plausible."""
+        """Check the position in which the sensor has come to rest; None if it is plausible."""
         if not self._planar or position.angle_deg is None:
             return self._pose(position, accel_mg)
         level = judge_level(accel_mg, self._spread.gravity_mg, self._spread.bias_mg)
@@ -582,7 +588,7 @@ class Judge:
         )
 
     def turned(self, place: int, position: Position, accel_mg: Floats) -> TurnMeasured | None:
-        """Turn since the dwell before; None before the first dwell."""
+        """Turn from the last dwell to the present position; None before the first dwell."""
         if not self._taken:
             return None
         before, turn = self._taken[-1], self.turning.turn()
@@ -603,16 +609,19 @@ class Judge:
         self.turning.rest(scans)
 
     def last_turn(self) -> tuple[int, GyroIntegral] | None:
-        """Turn before the newest dwell, and the place at which it began; None if it was not followed."""
+        """Turn before the newest dwell, and the place where it began; None if it was not followed."""
         last = self._taken[-1] if self._taken else None
         return None if last is None or last.turn is None or last.since is None else (last.since, last.turn)
 
     def forget_turn(self) -> None:
-        """Forget the turn since the last dwell, which was not followed."""
+        """Discard the turn since the last dwell, because it was not followed completely."""
         self.turning = Turning(self._longest_gap_s)
 
     def withdraw(self, place: int) -> None:
-        """Forget the dwell of a place; if it is the last one, its position is kept for the next turn."""
+        """Forget the dwell of a place.
+
+        If it is the newest dwell, the next turn is still measured from its position.
+        """
         last = self._taken[-1].place == place if self._taken else False
         kept = [entry for entry in self._taken if entry.place != place]
         if last:
@@ -621,25 +630,25 @@ class Judge:
         self._rebuild()
 
     def reverse(self) -> None:
-        """Reverse the sense of the whole session, with the dwells so far."""
+        """Change the sign of all angles of the session, including the dwells so far."""
         self.sense = -self.sense
         self._rebuild()
 
     def angle_deg(self, accel_mg: Floats) -> float | None:
-        """Live angle by gravity in the sense of the stage, within ±180°; None for free attitudes."""
+        """Present angle by gravity, in the stage's sense, within ±180°; None if attitudes are free."""
         return self._expected.angle_deg(accel_mg) if self._planar else None
 
     def tolerance_deg(self, accel_mg: Floats, angle_deg: float) -> float | None:
-        """Largest deviation from a stage angle that is not questioned; None before the first dwell.
+        """Largest deviation from a stage angle that no guard doubts; None before the first dwell.
 
-        It becomes smaller when dwells have shown the part's gains, biases and misalignment.
+        It becomes smaller when dwells have shown the sensor's gains, biases and misalignment.
         """
         if not self._planar or not self._expected.begun:
             return None
         return self._expected.off(accel_mg, angle_deg).limit_deg
 
     def _positions(self, position: Position, accel_mg: Floats) -> list[PartPosition]:
-        """Positions of the part in all dwells, and its present position."""
+        """List the positions of the sensor in all dwells, and its present position last."""
         positions: list[PartPosition] = []
         before: _Taken | None = None
         for taken in self._taken:
@@ -665,7 +674,7 @@ class Judge:
         self._other.add(taken.mean_mg, angle)
 
     def _asked_deg(self, position: Position) -> float:
-        """Turn from the dwell before to a position, by the shorter way."""
+        """Requested turn in degrees from the last dwell to a position, by the shorter way."""
         before = self._taken[-1].position.angle_deg or 0.0
         asked = wrap_degrees((position.angle_deg or 0.0) - before)
         return 180.0 if asked == -180.0 else asked

@@ -1,6 +1,6 @@
 """Instructions for the operator: sense of rotation, directions of the axes, and the next move.
 
-The conventions are the model of the plane (U_x = G cos(α − θ), U_y = G sin(α − θ + Δφ)) and the part's
+The conventions are the model of the plane (U_x = G cos(α − θ), U_y = G sin(α − θ + Δφ)) and the sensor's
 arrows: an axis reads +1 g if its drawn arrow points down (lying level with Z up, Z reads −1 g).
 """
 
@@ -38,7 +38,7 @@ SPACE = (
 
 
 def turn_to_do(turns: int) -> str:
-    """Instruction for a free turn of so many full turns, in one line."""
+    """Instruction to the operator for a free turn of this many full turns, in one line."""
     if turns > 1:
         ways = f"{turns} times all around in the time, on and on, or forth and back if a cable requires it"
     else:
@@ -50,7 +50,7 @@ def turn_to_do(turns: int) -> str:
 
 
 def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
-    """Instruction for whole turns on a table, in one line."""
+    """Instruction to the operator for whole turns on a table, in one line."""
     turns = round(abs(turned_deg) / 360)
     times = "once" if turns == 1 else f"{turns} times"
     way = "counter-clockwise" if turned_deg > 0 else "clockwise"
@@ -62,7 +62,7 @@ def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
 
 
 def face(position: Position | None) -> str:
-    """Arrow that points up or down, such as `X arrow up`; empty if the position has no direction."""
+    """Name of the axis that points up or down, such as `X arrow up`; empty without a direction."""
     if position is None or position.direction is None:
         return ""
     along, axis = max(zip(position.direction, "XYZ", strict=True), key=lambda pair: abs(pair[0]))
@@ -70,7 +70,7 @@ def face(position: Position | None) -> str:
 
 
 def drawing(plan: Plan) -> tuple[str, ...]:
-    """Drawing of the part at the first position, as lines of text (ASCII and the degree sign)."""
+    """Drawing of the sensor at the first position, as lines of text (ASCII and the degree sign)."""
     return SPACE if plan.plane == "none" else PLANE
 
 
@@ -82,18 +82,18 @@ def to_do(
     fastest_dps: float = 180.0,
     table: bool = False,
 ) -> str:
-    """Instruction for the next position, such as `turn the part +90° (counter-clockwise) to 90°`.
+    """Instruct the operator to take the next position, such as `turn the part +90° …`.
 
     Parameters
     ----------
     before : Position or None
-        Present position of the part.
+        Present position of the sensor.
     reverse : bool
         True in a reversed session.
     fastest_dps : float
         Largest rate of whole turns.
     table : bool
-        True if the part lies on a table, against a mark.
+        True if the sensor lies on a table, against a mark.
     """
     first = []
     if position.temperature_c is not None:

@@ -3,7 +3,7 @@
 With the X, the Y and the Z arrow up: a dwell, some whole turns counter-clockwise, a dwell, as many turns
 clockwise, a dwell, and another dwell with the arrow down. The way from one dwell to the next is recorded:
 an attempt with the reason `TURNED` has the scans of the turn, the dwell after it is a normal attempt. Each
-turn is judged by the gyros as soon as the part rests again, so that a bad turn can be repeated at once. A
+turn is judged by the gyros as soon as the sensor rests again, so that a bad turn can be repeated at once. A
 kill loses only the unfinished turn; a resumed session asks for it again.
 """
 
@@ -56,7 +56,7 @@ _DOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def gyro_turns_plan(turns: int = TURNS, faces: int = 6) -> Plan:
-    """Plan with each arrow up and so many whole turns both ways.
+    """Plan of gyro turns: with each arrow up, `turns` whole turns in both senses.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def gyro_turns_plan(turns: int = TURNS, faces: int = 6) -> Plan:
 
 
 class GyroTurn(FollowedTurn):
-    """A whole turn by the gyros.
+    """A turn on a table, followed by the gyros.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class GyroTurn(FollowedTurn):
     Attributes
     ----------
     angle_deg : (3,) float
-        Turn about the part's axes.
+        Turn about the sensor's axes.
     """
 
     phase = "before"
@@ -114,34 +114,37 @@ class GyroTurn(FollowedTurn):
 
     @property
     def full(self) -> bool:
-        """True if nearly the requested turn was made."""
+        """True if the sensor has turned by nearly the requested angle."""
         return self.moved and abs(self.turned_deg) > abs(self.wanted_deg) - _ALMOST_DEG
 
     @property
     def ended(self) -> str | None:
-        """Empty if the part rests after the turn or has stopped for long; an error if it never turned."""
+        """None while the turn goes on; empty at its end; an error message if it never began.
+
+        The turn ends when the sensor rests after it, or has stopped for long.
+        """
         if self.moved and self.rest_s >= (REST_S if self.full else STOPPED_S):
             return ""
         return f"no whole turn within {PATIENCE_S:.0f} s" if self.length_s >= PATIENCE_S else None
 
     def begin(self, bench: SessionBench) -> bool:
-        """Let the stage begin to turn."""
+        """Start the turn of the stage; False if there is no such stage."""
         move = bench.begin_turn(self.wanted_deg)
         self.moves += [] if move is None else [move]
         return move is not None
 
     @property
     def across_deg(self) -> float:
-        """Turn about other axes than the vertical."""
+        """Angle turned about axes other than the vertical, in degrees."""
         return float(np.linalg.norm(self.angle_deg - self.turned_deg * self._up))
 
     @property
     def about(self) -> str:
-        """The part's axis of the largest turn."""
+        """Axis of the sensor (`x`, `y` or `z`) with the largest turn."""
         return "xyz"[int(np.argmax(np.abs(self.angle_deg)))]
 
     def see(self, block: Block) -> None:
-        """Follow the turn through scans."""
+        """Integrate the rates of a block and update the turn."""
         shown, time = _rates_and_force(block)[0], block.time_s
         self.peak_dps = max(self.peak_dps, float(np.abs(shown).max()))
         if self._last_s is None:
@@ -168,12 +171,12 @@ def _rates_and_force(block: Block) -> tuple[Floats, Floats]:
 
 
 class GyroTurnsRecorder(DwellRecorder):
-    """Records dwells, and the whole turns before some of them."""
+    """Records dwells, and the turns on a table before some of them."""
 
     judges_places = False  # whole turns end where they began
 
     def take(self, place: int) -> Iterator[Event]:
-        """Record the dwell of a place, and before it the turn that the plan requests."""
+        """Record the turn that the plan requests at a place, if any, and the dwell after it."""
         position = self._ledger.plan.positions[place]
         if position.turned_deg is None:
             yield from self._lay(place)
@@ -181,7 +184,7 @@ class GyroTurnsRecorder(DwellRecorder):
             yield from super().take(place)
 
     def _lay(self, place: int) -> Iterator[Event]:
-        """Record a dwell in a new attitude, and check that the right face is down."""
+        """Record a dwell in a new attitude, and check that the requested face is down."""
         yield from super().take(place)
         asked = self._ledger.plan.positions[place].direction
         number = self._ledger.done.get(place)
@@ -202,13 +205,13 @@ class GyroTurnsRecorder(DwellRecorder):
             self._ledger.skip(place)
 
     def _rest(self, place: int) -> Block:
-        """Scans of the dwell of a place."""
+        """Read the scans of the dwell at a place from the archive."""
         archive, number = self._ledger.archive, self._ledger.done[place]
         attempt = next(a for a in archive.attempts() if a.number == number)
         return join(archive.blocks(attempt, "dwell"))
 
     def _turn(self, place: int, wanted_deg: float) -> Generator[Event, None, bool]:
-        """Record a turn; True if the dwell after it may follow."""
+        """Record a turn; True if the dwell after it can be recorded."""
         before = place - 1
         if before not in self._ledger.done:
             message = "the rest before this turn was skipped, so that the zero rates are unknown"
@@ -228,7 +231,7 @@ class GyroTurnsRecorder(DwellRecorder):
         return (yield from self._judged(turn, rest, blocks))
 
     def _judged(self, turn: GyroTurn, rest: Block, blocks: list[Block]) -> Generator[Event, None, bool]:
-        """Judge a turn; True if it is good or is kept."""
+        """Judge a turn and ask about a bad one; True if it is good or is kept."""
         place, guard = turn.place, judge_whole_turn(turn, found_in(rest, blocks, self._sampling(rest)))
         if guard is None:
             return True
@@ -258,7 +261,7 @@ class GyroTurnsRecorder(DwellRecorder):
 
 
 def found_in(rest: Block, blocks: list[Block], sampling: Sampling) -> Integral | str:
-    """Integral of a turn from its scans, or the reason why there is none."""
+    """Integrate the rates of a turn over its scans; return the reason as text if that is not possible."""
     blocks = [block for block in blocks if len(block)]
     scans = join(blocks)
     rates, force = _rates_and_force(scans)
@@ -270,7 +273,7 @@ def found_in(rest: Block, blocks: list[Block], sampling: Sampling) -> Integral |
 
 
 def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
-    """Guard against a turn that was not whole; None if it was."""
+    """Check that a turn was whole, about the vertical and in the requested sense; None if it was."""
     wanted_deg, turned = turn.wanted_deg, turn.turned_deg
     values = {"asked_deg": wanted_deg, "gyro_deg": turned}
     if isinstance(found, str):
@@ -300,12 +303,15 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
 
 
 def way(angle_deg: float) -> str:
-    """Sense of a turn, seen from above, as text."""
+    """Sense of a turn seen from above: `counter-clockwise` or `clockwise`."""
     return "counter-clockwise" if angle_deg > 0 else "clockwise"
 
 
 def _the_other_way(plan: Plan, place: int) -> Plan:
-    """Plan in which the remaining turns of an attitude, from a place on, have the opposite sense."""
+    """Reverse the sense of the remaining turns in the present attitude, from a place on.
+
+    Returns the changed plan.
+    """
     positions, k = list(plan.positions), place
     while k < len(positions) and (turned := positions[k].turned_deg) is not None:
         positions[k] = replace(positions[k], turned_deg=-turned)

@@ -54,7 +54,7 @@ ACCELS = ("accel_x", "accel_y", "accel_z")
 
 @dataclass(frozen=True)
 class SampleFormat:
-    """Format of the samples of a channel in a scan."""
+    """Storage format of a channel's samples in a scan, as IIO describes it."""
 
     big_endian: bool
     signed: bool
@@ -64,7 +64,7 @@ class SampleFormat:
 
     @classmethod
     def parse(cls, text: str) -> SampleFormat:
-        """Parse the text of a format.
+        """Parse the text of a format, such as `le:s12/16>>4`.
 
         Raises
         ------
@@ -83,11 +83,11 @@ class SampleFormat:
 
     @property
     def dtype(self) -> np.dtype[np.unsignedinteger]:
-        """Data type of numpy for the stored word."""
+        """Data type of the stored word in numpy."""
         return np.dtype(f"{'>' if self.big_endian else '<'}u{self.storage // 8}")
 
     def numbers(self, words: np.ndarray) -> np.ndarray:
-        """Numbers (n,) of stored words (n,): shifted, masked, sign extended; int64."""
+        """Convert stored words (n,) to numbers (n,) int64: shifted, masked, sign extended."""
         left = 64 - self.bits - self.shift
         wide = words.astype(np.uint64) << np.uint64(left)
         down = np.uint64(64 - self.bits)
@@ -96,7 +96,7 @@ class SampleFormat:
 
 @dataclass(frozen=True)
 class IioChannel:
-    """A channel of a device.
+    """A channel of an IIO device, with its scale and its place in a scan.
 
     Attributes
     ----------
@@ -118,18 +118,18 @@ class IioChannel:
 
     @property
     def column(self) -> str:
-        """Column of a session, or empty."""
+        """Column of a session in which the channel is recorded; empty if there is none."""
         return COLUMNS.get(self.id, ("", 0.0))[0]
 
     def values(self, numbers: np.ndarray) -> Floats:
-        """Values (n,) in the column's unit: mg, °/s, °C, V."""
+        """Convert raw numbers (n,) to values (n,) in the column's unit: mg, °/s, °C, V."""
         factor = COLUMNS[self.id][1] * self.scale
         values: Floats = (numbers + self.offset) * factor
         return values
 
 
 def choose_channels(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]:
-    """Channels with a column in a session, one for each column, in the order of the columns.
+    """Choose the channels that a session records: one for each column, in the order of the columns.
 
     Raises
     ------
@@ -182,7 +182,7 @@ class BufferLayout:
         )
 
     def numbers(self, data: bytes) -> dict[str, np.ndarray]:
-        """Numbers (n,) int64 by channel of whole scans."""
+        """Decode the bytes of n whole scans: numbers (n,) int64 by channel."""
         scans = np.frombuffer(data, self._dtype)
         return {
             channel.id: channel.format.numbers(scans[channel.id])
@@ -192,7 +192,7 @@ class BufferLayout:
 
 
 def parse_number(attributes: Mapping[str, str], name: str, default: float, where: str) -> float:
-    """Number from the text of an attribute, or a default if there is no such attribute."""
+    """Number from the text of an attribute, or the default if there is no such attribute."""
     text = attributes.get(name)
     if text is None:
         return default
@@ -206,7 +206,10 @@ def parse_number(attributes: Mapping[str, str], name: str, default: float, where
 
 
 def channel_of(name: str, texts: Mapping[str, str], where: str) -> IioChannel:
-    """Channel from the texts of its `scale`, `offset`, `index` and `format`, as far as it has them."""
+    """Make a channel from the texts of its attributes `scale`, `offset`, `index` and `format`.
+
+    Missing attributes have defaults.
+    """
     scale = parse_number(texts, "scale", 1.0, where)
     offset = parse_number(texts, "offset", 0.0, where)
     index = int(parse_number(texts, "index", -1, where))
@@ -239,7 +242,7 @@ class DeviceFacts:
 
 
 class IioDevice(Protocol):
-    """A device that can be read; every method raises `BusError` on failure.
+    """Interface of a device that can be read; every method raises `BusError` on failure.
 
     Attributes
     ----------
@@ -250,13 +253,13 @@ class IioDevice(Protocol):
     where: str
 
     def facts(self) -> DeviceFacts:
-        """Read what the device says of itself."""
+        """Read the name, the channels and the rate of the device."""
 
     def read_raw(self, channel: str) -> float:
         """Read the present raw number of a channel."""
 
     def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
-        """Begin to buffer scans of these channels."""
+        """Start to buffer scans of these channels."""
 
     def read_buffer(self, size: int, timeout_s: float) -> bytes:
         """Read at most `size` bytes of whole scans, and at least one scan."""
@@ -275,7 +278,7 @@ _FILE = re.compile(r"in_(?P<id>[a-z]+\d*(?:_[a-z0-9]+)*)_(?P<what>raw|type)$")
 
 
 class LocalDevice:
-    """A device below /sys/bus/iio/devices.
+    """An IIO device of this machine, below /sys/bus/iio/devices.
 
     Parameters
     ----------
@@ -298,7 +301,7 @@ class LocalDevice:
         self._found: list[tuple[Path, str]] = []
 
     def facts(self) -> DeviceFacts:
-        """Read what the device says of itself."""
+        """Read the name, the channels and the rate of the device."""
         files = {path.name for path in self._folder.iterdir()}
         scans = self._folder / "scan_elements"
         if scans.is_dir():
@@ -324,7 +327,7 @@ class LocalDevice:
         return channel_of(name, {key: text for key, text in texts.items() if text is not None}, self.where)
 
     def read_raw(self, channel: str) -> float:
-        """Present raw number of a channel."""
+        """Read the present raw number of a channel."""
         text = self._text(f"in_{channel}_raw")
         if text is None:
             raise ProtocolError(f"{self.where}: in_{channel}_raw cannot be read")
@@ -333,7 +336,7 @@ class LocalDevice:
     # -- the buffer -------------------------------------------------------------------------------
 
     def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
-        """Begin to buffer scans of these channels."""
+        """Start to buffer scans of these channels."""
         if (self._text("buffer/enable") or "0").strip() == "1":
             raise CannotOpenError(f"{self.where}: its buffer is in use by another program")
         chosen = {f"in_{channel.id}_en" for channel in channels}
@@ -351,7 +354,7 @@ class LocalDevice:
             ) from error
 
     def read_buffer(self, size: int, timeout_s: float) -> bytes:
-        """Read the available bytes, at most `size`; wait for the first ones."""
+        """Wait for bytes, and read those available, at most `size`."""
         if self._descriptor is None:
             raise ProtocolError(f"{self.where}: no buffer is open")
         ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
@@ -370,7 +373,7 @@ class LocalDevice:
         return data
 
     def close_buffer(self) -> None:
-        """End buffering and restore the attributes; may be called twice."""
+        """End buffering and restore the changed attributes; may be called twice."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
@@ -391,7 +394,7 @@ class LocalDevice:
             self._found.append((path, before))
 
     def _text(self, name: str) -> str | None:
-        """Text of an attribute; None if it is missing or cannot be read."""
+        """Read the text of an attribute; None if it is missing or cannot be read."""
         try:
             return (self._folder / name).read_text()
         except OSError:
@@ -399,7 +402,7 @@ class LocalDevice:
 
 
 def local_accelerometers(root: Path = Path("/")) -> list[tuple[str, str]]:
-    """Id and name of the accelerometers of three axes of this machine."""
+    """Id and name of each accelerometer with three axes on this machine."""
     return [(folder.name, _name_of(folder)) for folder in _folders(root) if _is_accelerometer(folder)]
 
 
@@ -457,7 +460,7 @@ BUSY = -16
 
 
 class NetworkDevice:
-    """A device behind an iiod server.
+    """An IIO device of another machine, read through its iiod server.
 
     Parameters
     ----------
@@ -500,7 +503,7 @@ class NetworkDevice:
     # -- the device -------------------------------------------------------------------------------
 
     def facts(self) -> DeviceFacts:
-        """Read what the device says of itself."""
+        """Read the name, the channels and the rate of the device."""
         with self._within(self._timeout_s):
             return self._facts()
 
@@ -552,13 +555,13 @@ class NetworkDevice:
         raise CannotOpenError(f"{self.where}: {what}; there are: {there}")
 
     def read_raw(self, channel: str) -> float:
-        """Present raw number of a channel."""
+        """Read the present raw number of a channel."""
         with self._within(self._timeout_s):
             text = self._read(f"INPUT {self._id_of(channel)} raw")
         return parse_number({"raw": text}, "raw", 0.0, self.where)
 
     def _id_of(self, channel: str) -> str:
-        """Id of a channel in requests, without its label."""
+        """Id of a channel as requests need it, without the label."""
         for element in self._element.findall("channel"):
             if channel in (element.get("id"), f"{element.get('id')}_{element.get('name')}"):
                 return element.get("id", "")
@@ -567,7 +570,7 @@ class NetworkDevice:
     # -- the buffer -------------------------------------------------------------------------------
 
     def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
-        """Begin to buffer scans of these channels."""
+        """Start to buffer scans of these channels."""
         order = [element.get("id", "") for element in self._element.findall("channel")]
         bits = sum(1 << order.index(self._id_of(channel.id)) for channel in channels)
         words = -(-len(order) // 32)
@@ -659,7 +662,7 @@ class NetworkDevice:
         return data
 
     def _receive(self) -> None:
-        """Wait for more bytes, until the operation's deadline."""
+        """Wait for more bytes from the server, at most until the deadline of the operation."""
         with self._typed():
             data = self._socket.recv(_RECEIVED)
         if not data:
@@ -668,7 +671,7 @@ class NetworkDevice:
 
     @contextlib.contextmanager
     def _within(self, seconds: float) -> Iterator[None]:
-        """Give an operation one deadline for all its requests and bytes."""
+        """Context that gives all requests of an operation one common deadline."""
         self._deadline_s = time.monotonic() + seconds
         try:
             yield
@@ -677,7 +680,7 @@ class NetworkDevice:
 
     @contextlib.contextmanager
     def _typed(self) -> Iterator[None]:
-        """Use the socket for the remaining time of the operation; convert its errors."""
+        """Context for the use of the socket: sets the remaining time, and converts errors to `BusError`."""
         try:
             # A time-out of 0 would make the socket non-blocking.
             self._socket.settimeout(max(self._deadline_s - time.monotonic(), _SHORTEST_WAIT_S))

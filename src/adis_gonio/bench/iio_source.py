@@ -84,7 +84,7 @@ class IioMeasuring(JsonRecord):
 
     @property
     def sample_period_s(self) -> float:
-        """Time between two samples."""
+        """Time between two samples in s."""
         return 1.0 / self.sample_rate_hz
 
 
@@ -139,35 +139,35 @@ class IioSource(SampleSource):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Columns of its blocks."""
+        """Columns of a session that the blocks of samples have."""
         return tuple(channel.column for channel in self.channels)
 
     def now_s(self) -> float:
-        """The host's clock, 0 at opening."""
+        """Present time in s on the host's clock, 0 at opening."""
         return time.monotonic() - self._zero_s
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait."""
+        """Wait for some seconds."""
         time.sleep(seconds)
 
     def configure(self, settings: Settings) -> Measuring:
-        """Return the configuration of the device, which is not changed."""
+        """Return the configuration of the device, which the settings cannot change."""
         return self.measuring
 
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """Device, rate and scales, which must not change."""
+        """Name, rate and scales of the device, which must not change during a session."""
         return dict(measuring)
 
     def expected_noise_mg(self, measuring: Measuring) -> float:
-        """Estimate for any accelerometer."""
+        """Noise of a sample in mg, a rough value for any accelerometer."""
         return TYPICAL_NOISE_MG
 
     def samples(self, settings: Settings, block_samples: int) -> IioStream:
-        """Stream of samples from now on."""
+        """Start a stream of samples."""
         return self.stream(block_samples)
 
     def stream(self, block_samples: int) -> IioStream:
-        """Stream of samples from now on, in blocks of `block_samples`."""
+        """Start a stream of samples in blocks of `block_samples`."""
         if block_samples < 1:
             raise UsageError(f"block_samples is {block_samples}: take 1 or more")
         if not self.measuring.buffered:
@@ -180,7 +180,7 @@ class IioSource(SampleSource):
 
 
 class IioStream(Closing):
-    """Blocks of samples until it is closed; use it as a context manager."""
+    """Stream of blocks of samples until it is closed; use it as a context manager."""
 
     how = ""
     caveat = NO_FAULTS
@@ -196,13 +196,13 @@ class IioStream(Closing):
         return self
 
     def __next__(self) -> ValueBlock:
-        """Next block; raises `BusError`."""
+        """Wait for the next block and return it; raises `BusError`."""
         if self._closed:
             raise StopIteration
         return self._next()
 
     def close(self) -> None:
-        """Stop; may be called twice."""
+        """Stop the stream; may be called twice."""
         if not self._closed:
             self._closed = True
             self._stop()
@@ -211,7 +211,7 @@ class IioStream(Closing):
     def _next(self) -> ValueBlock: ...
 
     def _stop(self) -> None:
-        """Stop the device."""
+        """Stop the device, if the kind of stream needs that."""
 
     def _values(self, numbers: Mapping[str, Any], time_s: Floats, lost: int) -> ValueBlock:
         channels = self._source.channels
@@ -220,7 +220,7 @@ class IioStream(Closing):
 
 
 class BufferedSamples(IioStream):
-    """Scans that the device buffers by its own clock."""
+    """Stream of scans that the device takes by its own clock and buffers."""
 
     def __init__(self, source: IioSource, block_samples: int) -> None:
         super().__init__(source, block_samples)
@@ -257,7 +257,7 @@ class BufferedSamples(IioStream):
         return self._values(numbers, time_s, lost)
 
     def _times(self, stamps_ns: np.ndarray) -> tuple[Floats, int]:
-        """Times on the source's clock, and number of missing samples between them."""
+        """Convert time stamps to the source's clock in s, and count missing samples between them."""
         if self._first_ns is None:
             self._first_ns = int(stamps_ns[0])
         before = stamps_ns[:1] if self._last_ns is None else np.array([self._last_ns])
@@ -278,7 +278,7 @@ class BufferedSamples(IioStream):
 
 
 class PolledSamples(IioStream):
-    """Single values, read one after another by the host's clock."""
+    """Stream of single values that the host reads one after another, by its own clock."""
 
     how = "single values by the host's clock"
     caveat = f"the axes of a sample are not simultaneous; {NO_FAULTS}"
@@ -335,7 +335,7 @@ def open_from_url(url: BusUrl) -> IioSource:
 
 
 def find_devices(root: Path = Path("/")) -> list[Device]:
-    """Accelerometers of this machine; accelerometers of other machines are named by their address."""
+    """List the accelerometers of this machine; others have to be named by their address."""
     return [
         Device(f"iio:{name.removeprefix('iio:')}", f"IIO accelerometer {label}: samples, no registers")
         for name, label in local_accelerometers(root)

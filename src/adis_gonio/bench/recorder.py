@@ -1,7 +1,7 @@
-"""The base of the recorders of a session, turns that are followed, and the recorder of a free turn.
+"""Base class of recorders of dwells and turns, and the recorder of a free turn.
 
 A plan chooses its recorder (`runner.RECORDERS`): dwells at positions, one free turn, or dwells between the
-whole turns of gyros. The session around it is the same.
+whole turns of gyros. All other parts of a session are common.
 
 A free turn is one continuous recording, from a rest through turns to a rest. Its plan has one place, and
 the whole recording is its dwell. Every few seconds a piece is archived as an attempt with the reason
@@ -33,7 +33,7 @@ BROKEN_STREAM = "the stream of scans ended"
 
 
 class FollowedTurn(ABC):
-    """A turn that is followed while its scans are read.
+    """A turn in progress: its angle is followed while its scans are recorded.
 
     Attributes
     ----------
@@ -75,11 +75,11 @@ class FollowedTurn(ABC):
 
     @abstractmethod
     def see(self, block: Block) -> None:
-        """Follow the turn through a block with at least one scan."""
+        """Update the turn by a block with at least one scan."""
 
     @abstractmethod
     def begin(self, bench: SessionBench) -> bool:
-        """Let the stage begin to turn; False if there is no such stage."""
+        """Start the turn of the stage; False if there is no such stage."""
 
     @property
     @abstractmethod
@@ -89,10 +89,10 @@ class FollowedTurn(ABC):
     @property
     @abstractmethod
     def ended(self) -> str | None:
-        """None during the recording; at its end the error message, which may be empty."""
+        """None during the recording; at its end an error message, which is empty if all is well."""
 
     def add(self, block: Block) -> None:
-        """Add scans."""
+        """Add a block of scans to the recording, and update the turn by it."""
         self.blocks.append(block)
         self.samples += len(block)
         self.lost += block.lost
@@ -102,7 +102,7 @@ class FollowedTurn(ABC):
             self.see(block)
 
     def progress(self, *, begun: bool) -> TurnProgress:
-        """Event for the present state of the turn."""
+        """Make the event that shows the present state of the turn."""
         return TurnProgress(
             ("after" if self.full else "turn") if begun else "rest",
             self.length_s,
@@ -118,7 +118,7 @@ class FollowedTurn(ABC):
         )
 
     def done(self, number: int) -> TurnDone:
-        """Event for the end of the turn, which is in the archive as an attempt."""
+        """Make the event for the end of the turn; `number` is its attempt in the archive."""
         return TurnDone(
             number,
             self.turned_deg,
@@ -131,7 +131,7 @@ class FollowedTurn(ABC):
 
 
 class Recorder(ABC):
-    """Records the places of a plan into the archive and the ledger.
+    """Base of recorders, which record the positions of a plan into the archive.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class Recorder(ABC):
 
     @abstractmethod
     def take(self, place: int) -> Iterator[Event]:
-        """Record a place."""
+        """Record the dwell or turn at index `place` of the plan."""
 
     def _record_turn(self, turn: FollowedTurn) -> Generator[Event, None, str]:
         """Record a turn until it ends; return the reason if it was broken off, else an empty text.
@@ -183,7 +183,7 @@ class Recorder(ABC):
         return BROKEN_STREAM
 
     def _write(self, turn: FollowedTurn, outcome: Outcome, reason: str, status: int | None = None) -> int:
-        """Archive the remaining scans of a turn as an attempt, and return its number."""
+        """Write the scans of a turn that are not yet archived as an attempt; return its number."""
         now_s = self._bench.now_s
         blocks = [(turn.phase, block) for block in turn.blocks]
         number = self._ledger.archive.add_attempt(
@@ -197,7 +197,7 @@ class Recorder(ABC):
 
 
 def why_broken_off(error: BaseException) -> str:
-    """Reason for an attempt that was ended by an error."""
+    """Reason for the archive why an error ended an attempt."""
     return str(error) if isinstance(error, AdisGonioError) else "the program ended"
 
 
@@ -209,7 +209,7 @@ FASTEST_DPS = 45.0
 REST_S = 3.0
 """Rest before the turns and after them."""
 PIECE_S = 5.0
-"""Longest part that a kill loses, in s."""
+"""Length of the pieces in which a recording is archived, in s; a killed program loses the last one."""
 RESTING_DEG = 0.5
 """Largest turn within `REST_S` that counts as rest."""
 
@@ -238,14 +238,14 @@ def free_turn_plan(turns: int = TURNS, duration_s: float = DURATION_S) -> Plan:
 
 @runtime_checkable
 class TurningStage(Protocol):
-    """A stage that the program can turn through full turns as a hand would."""
+    """A stage that the program can turn through full turns, as slowly as a hand would."""
 
     def turn_freely(self, turns: int = 1) -> float:
-        """Begin to turn; return the time at which the turns end."""
+        """Start the turns; return the time in s at which they end."""
 
 
 class FreeTurn(FollowedTurn):
-    """A free turn, followed by the angle of gravity.
+    """A turn by hand in the plane, followed by the angle of gravity.
 
     Attributes
     ----------
@@ -262,7 +262,7 @@ class FreeTurn(FollowedTurn):
         self._course: list[tuple[float, float]] = []
 
     def see(self, block: Block) -> None:
-        """Follow the turn through scans."""
+        """Update the turn by the angle of gravity in a block."""
         x, y, _ = block.accel_mg.mean(axis=0)
         # Gravity turns backwards in the part: with the minus, counter-clockwise is positive.
         angle = -math.degrees(math.atan2(y, x))
@@ -277,7 +277,7 @@ class FreeTurn(FollowedTurn):
         self.rate_dps = (a1 - a0) / (t1 - t0) if t1 > t0 else 0.0
 
     def begin(self, bench: SessionBench) -> bool:
-        """Let the stage begin to turn."""
+        """Start the turn of the stage; False if there is no such stage."""
         if not isinstance(bench.stage, TurningStage):
             return False
         bench.stage.turn_freely(self.turns)
@@ -290,19 +290,22 @@ class FreeTurn(FollowedTurn):
 
     @property
     def resting(self) -> bool:
-        """True if the part has not turned for `REST_S`."""
+        """True if the sensor has not turned for `REST_S`."""
         angles = [angle for _, angle in self._course]
         long_enough = bool(angles) and self._course[-1][0] - self._course[0][0] > 0.9 * REST_S
         return long_enough and max(angles) - min(angles) < RESTING_DEG
 
     @property
     def ended(self) -> str | None:
-        """Empty if the time is over, or if the turns were made and the part rests; else None."""
+        """None during the recording; empty at its end.
+
+        It ends when the time is over, or when the turns were made and the sensor rests.
+        """
         return "" if self.length_s >= self.limit_s or (self.full and self.resting) else None
 
 
 class FreeTurnRecorder(Recorder):
-    """Records a free turn as the dwell of the only place.
+    """Records a free turn as the dwell of a plan with a single position.
 
     `Settings.dwell_s` limits the time of the recording; it ends earlier when the turns were made and the
     part rests.
@@ -312,7 +315,7 @@ class FreeTurnRecorder(Recorder):
     judges_places = False
 
     def take(self, place: int) -> Iterator[Event]:
-        """Record a turn."""
+        """Record the free turn and archive it as a dwell."""
         bench, ledger = self._bench, self._ledger
         turn = FreeTurn(place, max(ledger.plan.turns, 1), bench.settings.dwell_s, bench.now_s)
         why = yield from self._record_turn(turn)
@@ -338,7 +341,7 @@ class FreeTurnRecorder(Recorder):
 
 
 def _too_few(turn: FreeTurn) -> str:
-    """Message for a recording with fewer full turns than requested."""
+    """Message for a recording that has fewer full turns than requested."""
     if not turn.sweeps.full:
         return f"it went {turn.sweeps.span_deg:.0f}°, no full turn: undo it and turn all around"
     return (

@@ -65,7 +65,7 @@ SHARE_OF_RANGE = 0.6
 
 
 class Visiting:
-    """Visits the places of a plan.
+    """Visits the positions of a plan: asks for each, has it recorded, and offers extensions.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Visiting:
         self._first_asked_s: float | None = None
 
     def run(self) -> Iterator[Event]:
-        """Visit places until the plan is done or the operator stops."""
+        """Visit the positions of the plan until it is done or the operator stops."""
         while not self._questions.stopped:
             place = self._ledger.next_place
             yield from self._questions.handle_pause(place)
@@ -101,7 +101,7 @@ class Visiting:
                 return
 
     def _carry_out(self, answer: Reply, place: int | None) -> Generator[Event, None, bool]:
-        """Carry out an answer; False if it ends the session."""
+        """Do as the operator's answer requests; False if it ends the session."""
         last = self._ledger.last_place
         if answer is Reply.REPEAT and last is not None:
             yield from self._recorder.take(last)
@@ -131,7 +131,7 @@ class Visiting:
         return (yield from self._questions.ask(asked, {Reply.CONFIRM, Reply.SKIP}, Reply.CONFIRM, place))
 
     def _time_left_s(self) -> float:
-        """Estimate of the time for the remaining positions, from the time for the positions so far."""
+        """Estimated time in s for the remaining positions, by the time for the positions so far."""
         bench, ledger = self._bench, self._ledger
         left = len(ledger.plan) - len(ledger.done) - len(ledger.skipped)
         if self._first_asked_s is None:
@@ -142,7 +142,7 @@ class Visiting:
         return left * each + sum(ledger.plan.positions[k].wait_s for k in ledger.open_places)
 
     def _offer_repetition(self) -> Generator[Event, None, Reply]:
-        """Ask whether dwells with a fault are repeated or kept; the answer is recorded."""
+        """Ask if dwells with a fault are to be repeated or kept, and record the answer."""
         places = sorted(self._ledger.faulty)
         where = tuple(self._ledger.plan.positions[place] for place in places)
         offer = RepetitionOffered(tuple(places), where)
@@ -158,7 +158,9 @@ class Visiting:
         return answer
 
     def _take_again(self, place: int) -> Generator[Event, None, Reply | None]:
-        """Ask for a position with a dwell until there is a new dwell; return another answer, if given.
+        """Repeat the dwell of a position: ask for the position until there is a new dwell.
+
+        Returns None, or the operator's other answer.
 
         If the position is skipped, its present dwell is kept.
         """
@@ -188,7 +190,7 @@ class Visiting:
         return (yield from self._offer(ExtensionOffered(longer, blind), wanted))
 
     def _offer(self, offer: ExtensionOffered, wanted: bool) -> Generator[Event, None, Reply]:
-        """Offer a longer plan; it is in the archive before its first position is asked for."""
+        """Offer a longer plan; an accepted one is archived before its first position is asked for."""
         default = Reply.ACCEPT if wanted else Reply.DECLINE
         answer = yield from self._questions.ask(offer, {Reply.ACCEPT, Reply.DECLINE}, default)
         if answer is Reply.ACCEPT:
@@ -196,7 +198,7 @@ class Visiting:
         return answer
 
     def _ask_advisor(self) -> Generator[Event, None, Reply]:
-        """Ask the advisor for further positions, and offer them to the operator."""
+        """Ask the advisor for further positions, and offer these to the operator."""
         ledger = self._ledger
         if self._advisor is None or not ledger.done:
             return Reply.STOP
@@ -223,7 +225,7 @@ class Visiting:
         return (yield from self._offer(ExtensionOffered(longer, None, advice.reasons), True))
 
     def _reachable(self, position: Position) -> bool:
-        """True if the part can be placed there, by the operator or with `auto` by the program."""
+        """True if the operator can place the sensor there, or with `auto` the program can."""
         ledger = self._ledger
         refused = {replace(ledger.plan.positions[place], wait_s=0.0) for place in ledger.skipped}
         if replace(position, wait_s=0.0) in refused:
@@ -232,7 +234,7 @@ class Visiting:
 
 
 class SessionRunner(Operator):
-    """Runs a session; made by `begin` or `resume`.
+    """Runs a session; create it by `begin` or `resume`.
 
     Answers may be given from another thread than the thread that iterates over `run()`.
     """
@@ -295,7 +297,7 @@ class SessionRunner(Operator):
         fixture_sigma_deg : float or None
             Standard uncertainty of a declared angle in degrees; None if it is not stated.
         title, note, operator, serial, stage : str
-            Notes to keep: the operator's name, the serial number of the part, the stage.
+            Notes to keep: the operator's name, the serial number of the sensor, the stage.
         advisor : Advisor or None
             Source of further positions when the plan is done.
 
@@ -368,7 +370,7 @@ class SessionRunner(Operator):
 
     @property
     def reversed(self) -> bool:
-        """True if the session is reversed."""
+        """True if the angles of the session are counted the other way than declared."""
         return self._knowledge.reversed
 
     @property
@@ -383,12 +385,12 @@ class SessionRunner(Operator):
 
     @property
     def fastest_dps(self) -> float:
-        """Largest mean rate of a turn for the range of the gyros; known after the configuration."""
+        """Largest mean rate of a turn that suits the range of the gyros; known after the configuration."""
         return SHARE_OF_RANGE * float(self._bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
 
     @property
     def judges_places(self) -> bool:
-        """True if each position is judged by gravity."""
+        """True if each position is checked by gravity."""
         return self._recorder_type.judges_places
 
     @property
@@ -474,7 +476,7 @@ class SessionRunner(Operator):
 
 
 def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] | None]:
-    """Measure the noise until the part has been still long enough.
+    """Measure the noise at rest, until the sensor has been still long enough.
 
     Returns
     -------
@@ -485,7 +487,7 @@ def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] |
     Raises
     ------
     SessionError
-        The part does not come to rest, and there is no operator.
+        The sensor does not come to rest, and there is no operator.
     """
     bench, ledger = questions.bench, questions.ledger
     noise: Floats | None = None
@@ -503,7 +505,10 @@ def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] |
 
 
 def _meter_noise(questions: Questions) -> Generator[Event, None, Floats | None]:
-    """Noise at rest; None if the operator stops or pauses, or if the part does not come to rest."""
+    """Measure the noise of a sample at rest in mg, (3,).
+
+    Returns None if the operator stops or pauses, or if the sensor does not come to rest.
+    """
     bench, ledger, knowledge = questions.bench, questions.ledger, questions.knowledge
     expected = bench.source.expected_noise_mg(bench.configuration)
     meter = NoiseMeter(bench.window, expected)

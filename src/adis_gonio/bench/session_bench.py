@@ -32,50 +32,53 @@ class MovableStage(Protocol):
 
 @runtime_checkable
 class SpatialStage(MovableStage, Protocol):
-    """A stage that can also turn the part to any attitude in space."""
+    """A stage that can also turn the sensor to any attitude in space."""
 
     def orient(self, vector: Sequence[float]) -> object:
-        """Go where an ideal sensor reads along a vector (3,)."""
+        """Turn the sensor to the attitude in which an ideal sensor would read this vector (3,)."""
 
 
 class SimulatedWorld(Protocol):
     """The simulated surroundings of a sensor; a simulated bus brings one as its attribute `world`."""
 
     def truth(self, time_s: Floats | None = None) -> dict[str, float]:
-        """True parameters of the simulation, averaged over the given times, if any."""
+        """True parameters of the simulated sensor, averaged over the times if any are given."""
 
 
 @runtime_checkable
 class WatchedStage(SpatialStage, Protocol):
-    """A stage with moves that can be scanned: reading scans advances the clock."""
+    """A stage that moves while scans are read; the clock advances by reading scans.
+
+    The methods return at once, so that the program can record the move.
+    """
 
     def begin_move(self, angle_deg: float, approach: int = 0) -> float:
-        """Begin to go to an angle; return the time at which it ends."""
+        """Start a move to an angle; return the time in s at which the move ends."""
 
     def begin_orient(self, vector: Sequence[float]) -> float:
-        """Begin to go where an ideal sensor reads along a vector (3,)."""
+        """Start a move to the attitude in which an ideal sensor reads this vector (3,); return its end."""
 
 
 @runtime_checkable
 class TurnTable(MovableStage, Protocol):
-    """A stage that can also turn the part about the vertical while it is scanned."""
+    """A stage that can also turn the sensor about the vertical while scans are read."""
 
     def begin_turn(self, angle_deg: float) -> float:
-        """Begin to turn, counter-clockwise positive; return the time at which it ends."""
+        """Start a turn, counter-clockwise positive; return the time in s at which it ends."""
 
 
 @runtime_checkable
 class ControlledWorld(SimulatedWorld, Protocol):
-    """Surroundings whose temperature and supply a program can set."""
+    """Simulated surroundings with a temperature and a supply that the program can set."""
 
     def bring_to(
         self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
     ) -> None:
-        """Heat or cool the part, or set the supply, from a time on."""
+        """Change the temperature of the sensor or its supply, from a given time on."""
 
 
 class SessionBench:
-    """Sensor, stage and world of a session, with their configuration.
+    """The sensor, the stage and the simulated world of a session, with their configuration.
 
     Parameters
     ----------
@@ -89,7 +92,7 @@ class SessionBench:
     configuration : Measuring
         Configuration of the sensor; like the following three, known after `configure`.
     window : int
-        Samples of a window of the watch.
+        Number of samples in a window of the detector of stillness.
     settle_s : float
         Wait between stillness and a dwell, at least the settling time of the filter.
     """
@@ -106,7 +109,7 @@ class SessionBench:
 
     @property
     def simulated(self) -> bool:
-        """True if the sensor is simulated, so that the truth is known."""
+        """True if the sensor is simulated, so that its true parameters are known."""
         return self.world is not None
 
     @property
@@ -117,7 +120,7 @@ class SessionBench:
 
     @property
     def now_s(self) -> float:
-        """Time of the source's clock."""
+        """Present time in s on the clock of the sensor's bus."""
         return self.source.now_s()
 
     def require_auto(self, plan: Plan) -> None:
@@ -142,7 +145,7 @@ class SessionBench:
 
     @property
     def sets_conditions(self) -> bool:
-        """True if the program can set temperature and supply."""
+        """True if the program can set the sensor's temperature and supply."""
         return isinstance(self.world, ControlledWorld)
 
     @staticmethod
@@ -151,7 +154,7 @@ class SessionBench:
         return position.temperature_c is not None or position.supply_v is not None
 
     def set_conditions(self, temperature_c: float | None, supply_v: float | None) -> None:
-        """Set temperature and supply, from now on."""
+        """Set temperature and supply from now on, if the program can."""
         if isinstance(self.world, ControlledWorld):
             self.world.bring_to(self.now_s, temperature_c, supply_v)
 
@@ -172,7 +175,7 @@ class SessionBench:
     # -- configuration ----------------------------------------------------------------------------
 
     def configure(self) -> tuple[dict[str, int], dict[str, int]]:
-        """Set the sensor up by the settings; return all registers before and after."""
+        """Configure the sensor by the settings; return all registers before and after."""
         settings = self.settings
         before = self.source.registers()
         self.configuration: Measuring = self.source.configure(settings)
@@ -190,7 +193,7 @@ class SessionBench:
         return before, after
 
     def settings_lost(self) -> str:
-        """Message about settings that have changed, with a remedy; empty if none has.
+        """Message if settings of the sensor have changed during the session, with a remedy; else empty.
 
         After a difference the settings are read again and checked, since a bus error may have caused it.
         """
@@ -211,7 +214,7 @@ class SessionBench:
 
     @property
     def why_polled(self) -> str:
-        """Reason why scans are polled, as text, or empty."""
+        """Reason why scans are polled instead of streamed; empty if they are streamed."""
         return self.source.why_polled
 
     @property
@@ -240,14 +243,14 @@ class SessionBench:
                 )
 
     def changes(self, before: dict[str, int], after: dict[str, int]) -> dict[str, tuple[int, int]]:
-        """Settings that differ, with the numbers before and after."""
+        """Settings that differ between two register dumps, each with both numbers."""
         names = self.source.identity(after, {})
         return {name: (before[name], after[name]) for name in names if before[name] != after[name]}
 
     # -- scans and moves --------------------------------------------------------------------------
 
     def scans(self) -> SampleStream:
-        """The running stream of scans, opened when first needed; two blocks fill a window."""
+        """The running stream of scans, opened when first needed; two blocks are one window."""
         if self._stream is None:
             block_scans = max(8, self.window // 2)
             self._stream = self.source.samples(self.settings, block_scans)
@@ -263,7 +266,7 @@ class SessionBench:
             stream.close()
 
     def move_to(self, position: Position) -> Move | None:
-        """Let the stage go to a position; None if no stage can."""
+        """Move the stage to a position and return the move; None if no stage can do it."""
         # A move that was interrupted while it was scanned continues; wait for its end.
         if self._moves_until_s > self.now_s:
             self.source.sleep_s(self._moves_until_s - self.now_s)
@@ -271,7 +274,7 @@ class SessionBench:
         return move if self._carry_out(move) else None
 
     def begin_turn(self, turned_deg: float) -> Move | None:
-        """Let the stage begin to turn about the vertical; None if no stage can."""
+        """Start a turn of the stage about the vertical and return it; None if no stage can do it."""
         move = Move(self.now_s, None, 0, turned_deg=turned_deg)
         return move if self._carry_out(move) else None
 
@@ -292,7 +295,7 @@ class SessionBench:
         return False
 
     def _begin(self, stage: WatchedStage, move: Move) -> bool:
-        """Begin a move that is scanned."""
+        """Start a move that is recorded by scans; False if the move has neither angle nor direction."""
         if move.angle_deg is not None:
             self._moves_until_s = stage.begin_move(move.angle_deg, move.approach)
         elif move.direction is not None:
@@ -306,7 +309,7 @@ class SessionBench:
     # -- time -------------------------------------------------------------------------------------
 
     def clock_offset(self, archive: ArchiveView, bus_s: float) -> float:
-        """Offset from this bus's clock to the time since the session began, in s."""
+        """Difference in s between the time since the session began and the present bus clock."""
         runs = archive.runs()
         if not runs:
             return -bus_s
@@ -318,16 +321,16 @@ class SessionBench:
         return max([since.total_seconds(), *ends]) - bus_s
 
     def checkpoint(self) -> None:
-        """Wait a short time, so that a simulated session can be resumed from this point."""
+        """Wait briefly, so that a simulated session can be resumed from this point."""
         self.source.sleep_s(CHECKPOINT_S)
 
     def bring_world_to(self, archive: ArchiveView, attempt: int) -> None:
-        """Bring a new simulated world to the state of the archived world.
+        """Repeat the archived moves and conditions in a new simulated world, at their archived times.
 
         Parameters
         ----------
         attempt : int
-            Last attempt of the replay; 0 for the end of the noise measurement.
+            Number of the last attempt to repeat; 0 for the end of the noise measurement.
         """
         ends = {a.number: a.ended_bus_s for a in archive.attempts()}
         end_s = ends[attempt] if attempt else archive.records("noise")[-1].bus_s
@@ -347,7 +350,7 @@ class SessionBench:
         self._wait_until(end_s)
 
     def take_up(self, archive: ArchiveView, attempt: int) -> None:
-        """Place a simulated part that follows the wall clock as an attempt left it.
+        """Move a new simulated sensor to the position in which an archived attempt left it.
 
         Unlike `bring_world_to` this is another power-on at another time, as on a real bench.
         """
@@ -366,7 +369,10 @@ class SessionBench:
             source.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
 
     def truth(self, dwells: Sequence[StoredAttempt] = (), dwell_s: float = 0.0) -> dict[str, float] | None:
-        """True parameters of the simulation in the last `dwell_s` of dwells; None for a real sensor."""
+        """True parameters of a simulation, averaged over the last `dwell_s` of each dwell.
+
+        Returns None for a real sensor.
+        """
         if self.world is None:
             return None
         spans = [np.linspace(a.ended_bus_s - dwell_s, a.ended_bus_s, 64) for a in dwells]

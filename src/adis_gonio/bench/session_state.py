@@ -1,4 +1,4 @@
-"""State of a session: its ledger, the noise, the position of the part, and the running fit."""
+"""State of a session: its ledger, the noise, the position of the sensor, and the running fit."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ from adis_gonio.record.stillness import (
 
 
 class Ledger:
-    """Dwells and decisions of a session; begins with the state in the archive.
+    """Dwells done and decisions made in a session; begins with the state in the archive.
+
+    A place is the index of a position in the plan.
 
     Parameters
     ----------
@@ -45,7 +47,7 @@ class Ledger:
     recorded_s : float or None
         Length of the recording if it differs from the settings.
     done : dict
-        Number of the attempt that counts, by place.
+        Number of the attempt that is used as the dwell, by place.
     skipped, faulty : set of int
         Skipped places, and places with a fault in their dwell that was not accepted.
     last_place : int or None
@@ -68,38 +70,38 @@ class Ledger:
         self._now = now
 
     def note(self, kind: str, value: Any) -> None:
-        """Write a record unless the value is None."""
+        """Write a record to the archive unless the value is None."""
         if value is not None:
             self.archive.add_record(kind, value, self._now())
 
     def problem(self, problem: Problem) -> Problem:
-        """Write a problem to the archive before it is shown."""
+        """Write a problem to the archive, before it is shown, and return it."""
         self.note("problem", problem.as_dict())
         return problem
 
     def scanning(self, now: dict[str, Any]) -> None:
-        """Write how scans are read, if that has changed."""
+        """Write to the archive how scans are read, if that has changed."""
         if now != self._scanning:
             self._scanning = now
             self.note("scanning", now)
 
     @property
     def open_places(self) -> list[int]:
-        """Places that are neither done nor skipped, in order."""
+        """Indices of the positions in the plan that are neither done nor skipped, in order."""
         return [k for k in range(len(self.plan)) if k not in self.done and k not in self.skipped]
 
     @property
     def next_place(self) -> int | None:
-        """First open place, or None."""
+        """Index of the next position that is neither done nor skipped; None if there is none."""
         return next(iter(self.open_places), None)
 
     def skip(self, place: int) -> None:
-        """Skip a place."""
+        """Mark the position at index `place` of the plan as skipped."""
         self.note("skipped", place)
         self.skipped.add(place)
 
     def count(self, place: int, number: int) -> None:
-        """Count an attempt as the dwell of its place."""
+        """Use the attempt `number` as the dwell of the position at index `place`."""
         self.done[place] = number
         self.taken += 1
         self.skipped.discard(place)
@@ -114,12 +116,12 @@ class Ledger:
         return Withdrawn(place, self.plan.positions[place], number)
 
     def keep_faulty(self, places: list[int]) -> None:
-        """Accept dwells with a fault; they are not asked about again."""
+        """Accept the dwells of these places despite their faults; they are not questioned again."""
         self.note("kept", [self.done[place] for place in places])
         self.faulty.difference_update(places)
 
     def extend(self, plan: Plan) -> None:
-        """Replace the plan by a longer one."""
+        """Replace the plan by a longer one, also in the archive."""
         self.note("plan", plan.as_dict())
         self.plan = plan
 
@@ -128,9 +130,9 @@ class Ledger:
 
 
 PARTS = 8
-"""Parts of a dwell, whose scatter gives the uncertainty of its mean with 7 degrees of freedom an axis."""
+"""Number of pieces of a dwell; the scatter of their means gives the uncertainty of its mean."""
 EVERY_UP_TO = 36
-"""Number of dwells up to which every dwell is followed by a fit; later a fit follows each tenth more."""
+"""Up to this many dwells, each dwell is followed by a fit; later, an increase of their number by 10 %."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +143,7 @@ class _Mean:
 
 
 class RunningFit:
-    """Fits the means of the dwells so far, fast enough to run after each dwell.
+    """Fits the mean readings of the dwells so far, fast enough to run after each dwell.
 
     The final fit uses all samples. This fit takes each dwell as one averaged reading, with its uncertainty
     from the scatter of parts of the dwell.
@@ -153,19 +155,19 @@ class RunningFit:
         self._fitted = 0
 
     def add(self, place: int, position: Position, scans: Block) -> None:
-        """Add a dwell; it replaces an earlier dwell of its place."""
+        """Add the mean of a dwell; it replaces an earlier dwell of its place."""
         # The scatter of the means of the parts gives the variance of the mean of the dwell.
         parts = np.array([part.mean(axis=0) for part in np.array_split(scans.accel_mg, PARTS)])
         variance = float(parts.var(axis=0, ddof=1).mean()) / PARTS
         self._means[place] = _Mean(position, np.asarray(scans.accel_mg.mean(axis=0)), variance)
 
     def withdraw(self, place: int) -> None:
-        """Forget the dwell of a place."""
+        """Remove the dwell of a position from the fit."""
         self._means.pop(place, None)
         self._fitted = 0
 
     def result(self, plan: Plan, *, reverse: bool) -> Running | None:
-        """Parameters so far; None if the dwells do not allow a fit, or the last fit is recent enough."""
+        """Fit the dwells so far; None if they do not allow a fit, or few were added since the last fit."""
         from adis_gonio.fitting import fit
 
         count = len(self._means)
@@ -201,11 +203,11 @@ class RunningFit:
 
 
 LEAST_BIAS_MG = 10.0
-"""Spread of an unknown bias: the estimate for the ADIS16354 (CHIP, D)."""
+"""Standard deviation of an unknown bias in mg: the estimate for the ADIS16354 (CHIP, D)."""
 
 
 class LiveView:
-    """Makes events about the sensor from the scans so far.
+    """Makes events that show the newest readings of the sensor.
 
     Attributes
     ----------
@@ -220,7 +222,7 @@ class LiveView:
     lost : int
         Scans lost since the session was opened.
     smoother : SmoothedMeter or None
-        Smooths the angle by the gyros while the part turns, without a lag.
+        Smooths the angle by the gyros while the sensor turns, without a lag.
     """
 
     def __init__(self) -> None:
@@ -233,7 +235,7 @@ class LiveView:
         self._seen_s = 0.0
 
     def see(self, block: Block) -> None:
-        """Learn from scans."""
+        """Take temperature, lost scans and the smoothed angle from a block of scans."""
         self.lost += block.lost
         columns = session_columns(block)
         if "temp_c" in columns and len(block):
@@ -243,7 +245,7 @@ class LiveView:
             self._seen_s = float(block.time_s[-1])
 
     def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> tuple[float | None, float | None]:
-        """Angle in the sense of the stage, within half a turn of the target, and its tolerance.
+        """Present angle in the stage's sense, within ±180° of the target, and its tolerance in degrees.
 
         The angle is measured by gravity and, if there are any, by gyros; see `Judge.tolerance_deg`.
         """
@@ -257,7 +259,7 @@ class LiveView:
         return target_deg + wrap_degrees(angle - target_deg), tolerance
 
     def _smoothed_mg(self, accel_mg: Floats) -> Floats:
-        """A reading (3,), turned to the smoothed angle."""
+        """Reading (3,) in mg with the direction replaced by the smoothed angle."""
         smoothed = None if self.smoother is None else self.smoother.reading(self._seen_s)
         if smoothed is None:
             return accel_mg
@@ -273,7 +275,7 @@ class LiveView:
         target_deg: float | None,
         waits_for: str,
     ) -> Watching:
-        """Event of a look outside a dwell."""
+        """Make the event that shows the newest readings outside a dwell."""
         angle_deg, tolerance_deg = self.angle_deg(accel_mg, target_deg)
         return Watching(
             state,
@@ -290,13 +292,13 @@ class LiveView:
 
 
 def vector(values: Any) -> Vector:
-    """Three numbers as floats."""
+    """Convert three numbers to a tuple of floats."""
     x, y, z = (float(value) for value in np.asarray(values))
     return x, y, z
 
 
 class Knowledge:
-    """Knowledge from scans and dwells; begins with the dwells of the archive.
+    """The present knowledge of a session from its scans and dwells, including archived dwells.
 
     Parameters
     ----------
@@ -329,7 +331,7 @@ class Knowledge:
         self.reversed = bool(ledger.archive.last("reversed"))
 
     def take_noise(self, noise: list[float]) -> NoiseMeasured:
-        """Set the limits of stillness by the noise at rest (mg), and make the judge."""
+        """Set the limits of stillness by the noise at rest (mg), and prepare the check of positions."""
         bench = self._bench
         quantum = bench.source.part.step_mg
         limits = limits_from_noise(np.array(noise), bench.window, quantum)
@@ -346,7 +348,7 @@ class Knowledge:
         )
 
     def _new_judge(self, noise_mg: float) -> Judge | None:
-        """Judge of the part's position, with the dwells so far; None if the fixture allows any angle."""
+        """Make the judge of positions from the dwells so far; None if the fixture allows any angle."""
         bench, ledger = self._bench, self._ledger
         planar = ledger.plan.plane != "none"
         fixture = ledger.header.fixture_sigma_deg
@@ -370,25 +372,25 @@ class Knowledge:
         return judge
 
     def watch(self) -> StillnessWatch:
-        """New watch for stillness; `UsageError` before the noise is known."""
+        """Make a new detector of stillness; `UsageError` before the noise is known."""
         if self.limits is None:
             raise UsageError("the limits of stillness are not known")
         return StillnessWatch(self.limits, self._noise_mg)
 
     def see(self, block: Block) -> None:
-        """Learn from scans."""
+        """Take a block of scans into account: live view and turn by the gyros."""
         self.view.see(block)
         if self.judge is not None:
             self.judge.turning.see(block)
 
     def learn(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
-        """Learn from a complete dwell."""
+        """Take a complete dwell into account: running fit and check of positions."""
         self._running.add(place, position, scans)
         if self.judge is not None:
             self.judge.done(place, position, scans, doubted=doubted)
 
     def withdraw(self, place: int) -> Withdrawn:
-        """Remove a dwell from the session and forget it."""
+        """Withdraw the dwell of a place from the session, the running fit and the check of positions."""
         withdrawn = self._ledger.withdraw(place)
         self._running.withdraw(place)
         if self.judge is not None:
@@ -396,12 +398,12 @@ class Knowledge:
         return withdrawn
 
     def reverse(self) -> None:
-        """Reverse the sense of the session: all angles change their sign."""
+        """Change the sign of all angles of the session."""
         self.reversed = not self.reversed
         self._ledger.note("reversed", self.reversed)
         if self.judge is not None:
             self.judge.reverse()
 
     def running(self) -> Running | None:
-        """Parameters so far; None if the dwells do not allow a fit, or the last fit is recent enough."""
+        """Fit the dwells so far; None if they do not allow a fit, or few were added since the last fit."""
         return self._running.result(self._ledger.plan, reverse=self.reversed)

@@ -1,4 +1,4 @@
-"""A calibration as something to use: from readings to gravity and angle, with uncertainty; as a file."""
+"""Calibrations, which convert readings to gravity, angle or rate with uncertainty, and their files."""
 
 from adis_gonio.calibrate.calibration import AngleReading, Calibration, EffectTerm
 from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected

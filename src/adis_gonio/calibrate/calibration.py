@@ -1,4 +1,4 @@
-"""`Calibration`: parameters of a fit or a trace, and the gravity and angle that they give for a reading.
+"""`Calibration`: converts readings to gravity and angle with the parameters of a fit or a trace.
 
 In the convention of `model.measurement` a reading is U = diag(K) D g + b + Σ effects(diag(K) D g). Here
 this equation is solved for g. Effects are small against the reading, so the fixed-point iteration a ← U − b
@@ -61,7 +61,7 @@ class EffectTerm:
     parameters: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """One entry of `effects`."""
+        """JSON object of the effect, one entry of `effects` in the document."""
         effect = self.effect
         choices = {choice: getattr(effect, choice) for choice in effect.choices()}
         return json_object(
@@ -91,7 +91,7 @@ class AngleReading:
 
 @dataclass(frozen=True, eq=False)
 class Calibration(Coefficients):
-    """Calibration of accelerometers: from readings to gravity and angle.
+    """Calibration of accelerometers, which converts readings to gravity and angle.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Calibration(Coefficients):
     effects : tuple of EffectTerm
         Effects of a trace that depend on the reading, the temperature or the supply.
     not_corrected : tuple of NotCorrected
-        Effects of the bench, or effects that need more than one reading.
+        Effects that belong to the bench and not to the sensor, or that need more than one reading.
     assumed : tuple of str
         Parameters that the session did not determine; they keep their nominal values.
     counts_per_mg : tuple of float or None
@@ -131,22 +131,22 @@ class Calibration(Coefficients):
 
     @property
     def planar(self) -> bool:
-        """True for a turn in the plane of x and y, False for any attitude in space."""
+        """True for a sensor that turns in the plane of x and y, False for any attitude in space."""
         return self.provenance.plane == "xy"
 
     @property
     def axes(self) -> int:
-        """Number of axes that are used: 2 in the plane, 3 in space."""
+        """Number of accelerometer axes in use: 2 in the plane, 3 in space."""
         return 2 if self.planar else 3
 
     @property
     def unit(self) -> str:
-        """Unit of the readings: mg or counts."""
+        """Unit of the readings that `apply` expects: mg or counts."""
         return "counts" if self.provenance.counts else "mg"
 
     @property
     def gravity_mg(self) -> float:
-        """Local gravity of the session in mg."""
+        """Local gravity at the place of the session, in mg."""
         return self.provenance.gravity_mps2 * MG_PER_MPS2
 
     def __repr__(self) -> str:
@@ -161,7 +161,7 @@ class Calibration(Coefficients):
 
     @property
     def delta_k(self) -> Coefficient | None:
-        """ΔK = K_x/K_y − 1 with u; None in space."""
+        """Relative difference ΔK = K_x/K_y − 1 of the two scale factors, with u; None in space."""
         if not self.planar or "scale_x" not in self:
             return None
         k_x = self["scale_x"].value
@@ -174,7 +174,7 @@ class Calibration(Coefficients):
         return Coefficient("delta_k", k_x / k_y - 1, u, "1")
 
     def summary(self) -> str:
-        """Describe it in lines of text: origin, parameters with u, and effects that are not corrected."""
+        """Describe the calibration in lines of text: origin, parameters with u, and uncorrected effects."""
         where = self.provenance
         lines = [repr(self).removeprefix("Calibration(").removesuffix(")")]
         facts = [("part", where.serial), ("operator", where.operator), ("stage", where.stage)]
@@ -191,7 +191,7 @@ class Calibration(Coefficients):
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document, as `schema/calibration-1.json` describes it."""
+        """JSON document of the calibration, in the format of `schema/calibration-1.json`."""
         where, ratio = self.provenance, self.delta_k
         return json_object(
             schema=self.schema,
@@ -214,7 +214,7 @@ class Calibration(Coefficients):
     def apply(
         self, accel: ArrayLike, temperature_c: ArrayLike | None = None, *, supply_v: ArrayLike | None = None
     ) -> Floats:
-        """Gravity in the sensor's orthogonal frame, in units of local gravity.
+        """Convert readings to gravity in the sensor's orthogonal frame, in units of local gravity.
 
         X of the frame is the sensor's X axis, Y lies in the plane of its X and Y.
 
@@ -244,7 +244,10 @@ class Calibration(Coefficients):
     def readings_of(
         self, gravity: ArrayLike, temperature_c: float | None = None, *, supply_v: float | None = None
     ) -> Floats:
-        """Readings (n, axes) in `unit` for gravity (n, axes) in local gravity: the inverse of `apply`."""
+        """Readings (n, axes) in `unit` that the sensor gives for gravity (n, axes): the inverse of `apply`.
+
+        Gravity is in units of local gravity.
+        """
         gravity = np.asarray(gravity, dtype=float)
         base, bias = self.natural(self.values)
         # Matrix of the calibration, by its effect on unit vectors; its inverse gives ideal readings.
@@ -263,7 +266,7 @@ class Calibration(Coefficients):
         reading_u: float | Sequence[float] | None = None,
         plane: TurnPlane | None = None,
     ) -> AngleReading:
-        """Angle ψ of gravity from the first axis of the plane towards the second.
+        """Compute the angle ψ of gravity with u from readings, from the plane's first axis to its second.
 
         A turn of the stage by θ in the sense of equation (6) reduces it: ψ = α − θ, see `stage_angle`.
 
@@ -316,16 +319,16 @@ class Calibration(Coefficients):
         return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> Calibration:
-        """Return the calibration for a part with other numbers in its offset registers.
+        """Return the calibration for a sensor with other numbers in its offset registers.
 
-        The part adds XACCL_OFF … to its outputs, so the part of a bias that the chip corrects now is
-        removed from the calibration. An axis without a bias among the parameters gets the difference of the
-        offsets as its bias, without an uncertainty.
+        The sensor adds XACCL_OFF … to its outputs, so its biases change by the difference between the new
+        and the old numbers. An axis without a bias among the parameters gets this difference as its bias,
+        without an uncertainty.
 
         Raises
         ------
         UsageError
-            The contents of the registers are unknown, or the part has no such registers.
+            The contents of the registers are unknown, or the sensor has no such registers.
         """
         from adis_gonio.device.sensor.variants import VARIANTS
 
@@ -358,8 +361,8 @@ class Calibration(Coefficients):
         Parameters
         ----------
         offsets_lsb, gyro_offsets_lsb : three int or None
-            XACCL_OFF … and XGYRO_OFF …, in LSB. If they are None, or if the calibration does not know its
-            own, that part is returned unchanged.
+            XACCL_OFF … and XGYRO_OFF …, in LSB. The calibration of the accelerometers or of the gyros is
+            returned unchanged if its numbers are None, or if its own offsets are unknown.
         """
         moved = self
         if offsets_lsb is not None and self.provenance.offsets_lsb is not None:
@@ -373,16 +376,16 @@ class Calibration(Coefficients):
 
     @property
     def measurement(self) -> Measurement:
-        """The base model."""
+        """Base model that relates readings to gravity, in the plane or in space."""
         return PlanarTurn(self.gravity_mg) if self.planar else FreeAttitude(self.gravity_mg)
 
     @property
     def per_mg(self) -> Floats:
-        """Unit of a reading per mg (axes,)."""
+        """Counts per mg of each axis (axes,), or 1 if the readings are in mg."""
         return np.ones(self.axes) if self.counts_per_mg is None else np.array(self.counts_per_mg)
 
     def natural(self, values: Floats) -> tuple[Floats, Floats]:
-        """Base parameters in natural units and biases (axes,) in mg, of stated parameters (p,)."""
+        """Convert parameter values (p,) to base parameters in natural units and biases (axes,) in mg."""
         at = {one.name: k for k, one in enumerate(self.parameters)}
         per_mg = self.per_mg
         base = self.measurement.nominal
@@ -476,7 +479,10 @@ class Calibration(Coefficients):
 
 
 def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Conditions) -> Floats:
-    """Solve a + Σ effects(a) = `free` for ideal readings a (n, axes); NaN without convergence."""
+    """Find the ideal readings a (n, axes) for which a plus the effects at a gives `free`.
+
+    A row is NaN if the iteration does not converge.
+    """
     ideal = free
     for _ in range(_PASSES):
         # Fixed point: subtract the effects at the current ideal readings.
@@ -498,7 +504,7 @@ MANY = 8
 
 
 def checked_readings(accel: ArrayLike, calibration: Calibration) -> tuple[Floats, bool]:
-    """Readings (n, axes), and True if a single reading (axes,) was given.
+    """Check readings; return them as (n, axes), and True if a single reading (axes,) was given.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Calibrations as JSON documents and files, and back; gyros by themselves or under the key `gyro`."""
+"""Read and write calibrations as JSON; gyros have their own document or the key `gyro`."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
 
 
 def gyro_calibration_from(document: Any, name: str = "gyro calibration") -> GyroCalibration:
-    """Read a gyro calibration from a JSON document; errors as `calibration_from`."""
+    """Read a gyro calibration from a JSON document; raises the errors of `calibration_from`."""
     return _read_from(document, name, GyroCalibration.schema, "gyro calibration", _read_gyro)
 
 
@@ -181,7 +181,7 @@ def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
 
 
 def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes that both kinds of calibrations share."""
+    """Read the attributes that accelerometer and gyro calibrations have in common from a document."""
     covariance, offsets, reference = document["covariance"], document["offsets_lsb"], document["reference"]
     return {
         "method": document["method"],
@@ -196,7 +196,7 @@ def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
-    """Read the covariance (p, p) of p parameters.
+    """Read the covariance (p, p) of the named parameters from a document.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
 
 
 def _checked(calibration: Calibration) -> Calibration:
-    """Return the calibration; `ValueError` if its parts are not consistent."""
+    """Return the calibration unchanged; raise `ValueError` if its entries contradict each other."""
     names = set(calibration.names)
     for term in calibration.effects:
         wanted = len(term.effect.parameters)
@@ -283,7 +283,7 @@ def json_document(path: Path) -> Any:
 
 
 def _printable(value: Any) -> Any:
-    """Convert each text of a JSON value to one printable line."""
+    """Copy a JSON value with each of its texts converted to one printable line."""
     if isinstance(value, str):
         return one_line(value)
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""Parameters with their covariance: common base of the calibrations of accelerometers and gyros."""
+"""Parameters with their covariance: the common base of accelerometer and gyro calibrations."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ STEP = 0.01
 
 
 VERSION = 1
-"""Version of the JSON documents."""
+"""Version of the format of calibration documents."""
 
 
 def json_text(document: Mapping[str, Any]) -> str:
-    """Format a JSON document; numbers have the fewest digits that restore the same float."""
+    """Format a JSON document as text; numbers have as many digits as are needed to restore them exactly."""
     return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
 
 
 @dataclass(frozen=True)
 class Coefficient(JsonRecord):
-    """A parameter: value, standard uncertainty (None if unknown) and unit.
+    """A parameter of a calibration: value, standard uncertainty (None if unknown) and unit.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Coefficient(JsonRecord):
 
     @classmethod
     def of(cls, name: str, estimate: Any) -> Coefficient:
-        """Coefficient of an estimate, an object with `value`, `u`, `unit` (and `dof`)."""
+        """Make a coefficient from an estimate, an object with `value`, `u`, `unit` and perhaps `dof`."""
         u, dof = estimate.u, getattr(estimate, "dof", None)
         return cls(name, float(estimate.value), None if u is None else float(u), estimate.unit, dof)
 
@@ -64,14 +64,14 @@ class Coefficient(JsonRecord):
 
 @dataclass(frozen=True)
 class NotCorrected:
-    """An effect of the model that a calibration cannot correct, with the reason."""
+    """An effect that was found but that a calibration cannot correct, with the reason."""
 
     effect: str
     reason: str
 
 
 class Coefficients(ParameterTable):
-    """Base of the calibrations: parameters by name, and propagation of their covariance.
+    """Base class of the calibrations, with parameters by name and propagation of their covariance.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Coefficients(ParameterTable):
     `adis_gonio.tracing.trace_calibrations`."""
 
     def __getitem__(self, name: str) -> Coefficient:
-        """Parameter by name; `KeyError` for other names."""
+        """Return the parameter of this name; `KeyError` if there is none."""
         for one in self.parameters:
             if one.name == name:
                 return one
@@ -108,7 +108,7 @@ class Coefficients(ParameterTable):
 
     @property
     def names(self) -> list[str]:
-        """Names of the parameters."""
+        """Names of the parameters, in their order."""
         return [one.name for one in self.parameters]
 
     @property
@@ -125,7 +125,8 @@ class Coefficients(ParameterTable):
         DataError
             The file is neither of these, is damaged, or has a newer version.
         FitError
-            The file has no calibration of this part, or the session does not determine it.
+            The file has no calibration of these sensors (accelerometers or gyros), or the session does not
+            determine it.
         """
         if cls.of_session is not None:
             made: Self = cls.of_session(path)
@@ -152,7 +153,7 @@ class Coefficients(ParameterTable):
             write_utf8(temporary, json_text(self.as_dict()))
 
     def _entries(self, where: Provenance | GyroCalibration) -> dict[str, Any]:
-        """Entries of the document that both kinds of calibrations share."""
+        """Entries of the JSON document that accelerometer and gyro calibrations have in common."""
         covariance = {"names": self.names, "matrix": self.covariance}
         return {
             "parameters": {one.name: one for one in self.parameters},
@@ -169,7 +170,7 @@ class Coefficients(ParameterTable):
         }
 
     def _moved(self, by: Mapping[str, float]) -> tuple[Coefficient, ...]:
-        """Parameters with these amounts added to the values by name."""
+        """Copy of the parameters with an amount added to each value that `by` names."""
         return tuple(replace(one, value=one.value + by.get(one.name, 0.0)) for one in self.parameters)
 
     def _with_variance(
@@ -177,7 +178,10 @@ class Coefficients(ParameterTable):
         function: Callable[[Floats], Floats],
         difference: Callable[[Floats, Floats], Floats] = np.subtract,
     ) -> tuple[Floats, Floats]:
-        """Value of a function of the parameters (p,), and its variance; NaN without a covariance."""
+        """Value of a function of the parameters (p,) and its variance, from the covariance.
+
+        The variance is NaN if there is no covariance. `difference` subtracts two results.
+        """
         value = function(self.values)
         if self.covariance is None:
             return value, np.full(value.shape, np.nan)
@@ -191,7 +195,10 @@ class Coefficients(ParameterTable):
 
 
 def _directions(covariance: Floats) -> Floats:
-    """Principal axes (k, p) of a covariance, with the length of their standard uncertainty."""
+    """Independent changes (k, p) of the parameters, each by one standard uncertainty.
+
+    They are the principal axes of the covariance.
+    """
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(scale > 0, scale, 1.0)
     # Eigenvectors of the correlation matrix: parameters have different units.
@@ -263,7 +270,7 @@ def checked_condition(
 
 
 def checked_offsets(offsets_lsb: Sequence[int]) -> tuple[int, int, int]:
-    """Contents of three offset registers as integers.
+    """Check the contents of three offset registers, and return them as integers.
 
     Raises
     ------

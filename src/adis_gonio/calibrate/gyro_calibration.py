@@ -1,4 +1,4 @@
-"""`GyroCalibration`: errors of the three gyros of a part, and the corrected rate of turn.
+"""`GyroCalibration`: errors of the three gyros of a sensor, and the corrected rate of turn.
 
 In the frame of the accelerometers a gyro reads, in °/s,
 
@@ -39,7 +39,7 @@ from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.record.provenance import Covered
 
 GYRO_OFFSET_DPS = VARIANTS["adis16354"].lsb(Kind.GYRO_OFFSET)[0]
-"""LSB of XGYRO_OFF …, equal at every range (DS, A)."""
+"""Size in °/s of the LSB of the registers XGYRO_OFF …, equal at every range (DS, A)."""
 
 _ONE, _PAIR, _OTHER = "one axis", "two axes", "two different axes"
 _KINDS: dict[str, tuple[str, str]] = {
@@ -62,7 +62,7 @@ LEAST_DETERMINANT = 0.1
 
 @dataclass(frozen=True)
 class Rates:
-    """Rates of turn (n, 3) in °/s with their standard uncertainties (n, 3), NaN if unknown."""
+    """Rates of turn (n, 3) in °/s with their standard uncertainties (n, 3), which are NaN if unknown."""
 
     rate_dps: Floats
     u_dps: Floats
@@ -70,7 +70,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class _Values:
-    """Values of the equation's coefficients; arrays (3,) and (3, 3) with one row for each gyro."""
+    """Coefficients of the equation from rates to gyro readings; arrays have one row for each gyro."""
 
     bias: Floats
     sensitivity: Floats
@@ -83,7 +83,7 @@ class _Values:
 
 @dataclass(frozen=True, eq=False)
 class GyroCalibration(Coefficients):
-    """Calibration of the three gyros: from readings to the rate of turn in the accelerometers' frame.
+    """Calibration of the gyros, which converts readings to rates of turn in the accelerometers' frame.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class GyroCalibration(Coefficients):
     not_corrected : tuple of NotCorrected
         Effects that a calibration cannot correct, such as a drift in time.
     temperature_c, supply_v : Covered or None
-        Range in the session.
+        Range of the temperature and of the supply voltage in the session.
     offsets_lsb : tuple of int or None
         Numbers in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF for which the biases are valid; None if unknown.
     source : str
@@ -128,7 +128,7 @@ class GyroCalibration(Coefficients):
         method: str = "gyro",
         **about: Any,
     ) -> GyroCalibration:
-        """Calibration of parameters by name, as a fit or a trace of the gyros gives them.
+        """Make a calibration from parameters by name, as a fit or a trace of the gyros gives them.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ class GyroCalibration(Coefficients):
         return made
 
     def check(self) -> None:
-        """Raise `FitError` for a wrong unit, or for gains and directions that are impossible."""
+        """Raise `FitError` for a wrong unit, or for impossible scale factors or misalignments."""
         for one in self.parameters:
             kind = kind_of(one.name)
             if kind is None or one.unit != _KINDS[kind][1]:
@@ -178,12 +178,15 @@ class GyroCalibration(Coefficients):
 
     @property
     def bias_dps(self) -> Floats:
-        """Zero rates (3,) in °/s without force, at 25 °C and 5 V."""
+        """Readings (3,) of the gyros at rest in °/s (zero rates), without force, at 25 °C and 5 V."""
         return self._values(self.values).bias
 
     @property
     def sensitivity(self) -> Floats:
-        """Gains times directions (3, 3), one row for each gyro; the identity for perfect gyros."""
+        """Matrix (3, 3) of scale factor times sensitive direction, one row for each gyro.
+
+        Perfect gyros have the identity.
+        """
         return self._values(self.values).sensitivity
 
     @property
@@ -193,7 +196,7 @@ class GyroCalibration(Coefficients):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Conditions that the correction depends on: `force_g`, `temperature_c`, `supply_v`."""
+        """Names of the conditions that `correct` needs, from `force_g`, `temperature_c` and `supply_v`."""
         found = {kind_of(one.name) for one in self.parameters}
         wanted = {
             "force_g": {"g_sensitivity", "g2_sensitivity"},
@@ -203,14 +206,14 @@ class GyroCalibration(Coefficients):
         return tuple(name for name, kinds in wanted.items() if found & kinds)
 
     def summary(self) -> str:
-        """Describe it in lines of text."""
+        """Describe the calibration in lines of text: its origin, and its parameters with u."""
         lines = [f"gyros by method {self.method}", *(f"  {one}" for one in self.parameters)]
         lines += [f"  not determined, taken as nominal: {', '.join(self.assumed)}"] if self.assumed else []
         lines += [f"  not corrected: {one.effect}: {one.reason}" for one in self.not_corrected]
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document; `derived` follows from the parameters."""
+        """JSON document of the calibration; the values under `derived` are computed from the parameters."""
         derived = ("bias_dps", "sensitivity", "g_sensitivity_dps_per_g")
         return json_object(
             schema=self.schema,
@@ -232,7 +235,7 @@ class GyroCalibration(Coefficients):
         *,
         supply_v: ArrayLike | None = None,
     ) -> Floats:
-        """True rate of turn in the accelerometers' frame.
+        """Convert readings of the gyros to the true rate of turn in the accelerometers' frame.
 
         Parameters
         ----------
@@ -269,7 +272,10 @@ class GyroCalibration(Coefficients):
         *,
         supply_v: ArrayLike | None = None,
     ) -> Rates:
-        """Like `correct`, with the standard uncertainty of each rate from the calibration."""
+        """Correct readings like `correct`, and add the standard uncertainty of each rate.
+
+        The uncertainty comes from the parameters of the calibration.
+        """
         return self._rates(_corrected, rate_dps, (force_g, temperature_c, supply_v))
 
     def readings_of(
@@ -280,7 +286,7 @@ class GyroCalibration(Coefficients):
         *,
         supply_v: ArrayLike | None = None,
     ) -> Rates:
-        """Readings of the gyros for a true rate, with u: the inverse of `correct`."""
+        """Readings that the gyros give at a true rate, with their u: the inverse of `correct`."""
         return self._rates(_read, rate_dps, (force_g, temperature_c, supply_v))
 
     def _rates(
@@ -289,14 +295,14 @@ class GyroCalibration(Coefficients):
         rate_dps: ArrayLike,
         felt: tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None],
     ) -> Rates:
-        """A function of the parameters and the rates, with its u from the parameters."""
+        """Evaluate a function of the parameters, rates and conditions, with u from the parameters."""
         rate, single = _rows("rate_dps", rate_dps)
         conditions = self._conditions(len(rate), *felt)
         value, u = self._with_u(lambda values: function(self._values(values), rate, *conditions))
         return Rates(value[0], u[0]) if single else Rates(value, u)
 
     def force_part(self, force_g: ArrayLike) -> tuple[Floats, Floats]:
-        """Zero rates (3,) in °/s from force (3,) in g, and their standard uncertainty."""
+        """Zero rate (3,) in °/s that a force (3,) in g causes in each gyro, with standard uncertainty."""
         force = _spread("force_g", force_g, 1)
         value, u = self._with_u(
             lambda values: np.asarray(
@@ -306,9 +312,10 @@ class GyroCalibration(Coefficients):
         return value[0], u[0]
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> GyroCalibration:
-        """Return the calibration for a part with other numbers in XGYRO_OFF ….
+        """Return the calibration for a chip with other numbers in the offset registers XGYRO_OFF ….
 
-        The part adds them to its outputs, so the part of a zero rate that the chip corrects now is removed.
+        The chip adds these numbers to its outputs, so its zero rates change by the difference between the
+        new and the old numbers. The other parameters of the returned calibration are unchanged.
 
         Raises
         ------
@@ -322,7 +329,11 @@ class GyroCalibration(Coefficients):
         return replace(self._with_bias_moved(moved), offsets_lsb=now)
 
     def with_force_moved(self, moved_g: ArrayLike) -> GyroCalibration:
-        """Return the calibration for accelerometers that read (3,) g more, as by their offsets."""
+        """Return the calibration for accelerometers that now read `moved_g` (3,) more, in g.
+
+        This happens when their offset registers change. The measured force then includes `moved_g`, so the
+        zero rates are reduced by the g-sensitivity times `moved_g`.
+        """
         moved = np.asarray(moved_g, dtype=float)
         return self._with_bias_moved(-self.g_sensitivity_dps_per_g @ moved)
 
@@ -365,7 +376,10 @@ class GyroCalibration(Coefficients):
     def _conditions(
         self, n: int, force_g: ArrayLike | None, temperature_c: ArrayLike | None, supply_v: ArrayLike | None
     ) -> tuple[Floats, Floats, Floats]:
-        """Force (n, 3), temperature above 25 °C (n, 3), supply above 5 V (n, 1)."""
+        """Check the conditions and expand them to one row for each of n readings.
+
+        Returns the force (n, 3) in g, degrees above 25 °C (n, 3) and volts above 5 V (n, 1).
+        """
         needs = self.needs
         if force_g is None and "force_g" in needs:
             raise UsageError(
@@ -390,7 +404,7 @@ class GyroCalibration(Coefficients):
 
 
 def kind_of(name: str) -> str | None:
-    """Kind of a gyro's parameter, the part of its name before the axes; None for other names."""
+    """Kind of a gyro parameter: its name without the axes. None if the name is no gyro parameter."""
     match = _NAME.fullmatch(name)
     if match is None or match["kind"] not in _KINDS:
         return None
@@ -414,7 +428,7 @@ def _assumed(known: Sequence[str]) -> tuple[str, ...]:
 
 
 def _determined(estimate: Any) -> bool:
-    """True if value and uncertainty of an estimate are finite."""
+    """True if the value and the uncertainty of an estimate are finite numbers."""
     return bool(np.isfinite(estimate.value)) and (estimate.u is None or bool(np.isfinite(estimate.u)))
 
 
@@ -423,7 +437,10 @@ def _taken(
     parameters: Sequence[Coefficient],
     covariance: tuple[Sequence[str], Floats] | None,
 ) -> Floats | None:
-    """Covariance (p, p) of the parameters of these names."""
+    """Covariance (p, p) of the named parameters, from the given covariance and their own uncertainties.
+
+    Parameters that the given covariance does not contain are uncorrelated. None if any u is unknown.
+    """
     if any(one.u is None for one in parameters):
         return None
     if covariance is None:
@@ -448,7 +465,7 @@ def _read(v: _Values, rate: Floats, force: Floats, warm: Floats, volts: Floats) 
 
 
 def _zero(v: _Values, force: Floats, warm: Floats, volts: Floats) -> Floats:
-    """Zero rates (n, 3) at these conditions."""
+    """Zero rates (n, 3) in °/s at n forces in g, temperatures above 25 °C and voltages above 5 V."""
     by_warmth = sum((c * warm ** (k + 1) for k, c in enumerate(v.per_c)), np.zeros(warm.shape))
     return np.asarray(v.bias + force @ v.per_g.T + force**2 @ v.per_g2.T + by_warmth + v.per_v * volts)
 

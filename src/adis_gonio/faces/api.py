@@ -115,7 +115,10 @@ def trace(
 def _load_gyros(
     session: Session, given: GyroCalibration | str | PathLike[str] | None
 ) -> GyroCalibration | None:
-    """Return the calibration, read from its file if it is a path; it must not be the session itself."""
+    """Return a gyro calibration, read from its file if a path is given.
+
+    It must come from another session than the one that it is used for.
+    """
     if not isinstance(given, str | PathLike):
         return given
     from adis_gonio.record.provenance import provenance_of
@@ -129,7 +132,7 @@ def _load_gyros(
 
 
 def _load(given: Any, what: str) -> Session:
-    """Return the session, or load it from a path; `UsageError` for anything else."""
+    """Return a session, read from its file if a path is given; `UsageError` for anything else."""
     if isinstance(given, Session):
         return given
     if isinstance(given, str | PathLike):

@@ -1,6 +1,6 @@
 """Estimators and their uncertainty: `fit(session, method)`; no files, no devices.
 
-Names are imported when first used: a guard at the bench needs a part of this package and no scipy.
+Names are imported when first used: a guard at the bench needs some modules of this package and no scipy.
 """
 
 from __future__ import annotations

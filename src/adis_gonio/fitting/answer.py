@@ -36,7 +36,7 @@ _SPATIAL = ("scale", "skew", "bias")
 
 @dataclass(frozen=True)
 class Answer:
-    """The result of a session: values, scores, recommendation and their text.
+    """The answer to the user for a session: the shown result, scores, recommendation, and their text.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Answer:
 
     @cached_property
     def values(self) -> dict[str, Value]:
-        """Main values: `delta_k`, `delta_phi` and `angle`; in space gains, skews and biases."""
+        """Main results: `delta_k`, `delta_phi` and `angle`; in space scale factors, skews and biases."""
         found = {**self.model_parameters, **self._angle()}
         if "delta_k" in found or "delta_phi" in found:
             return {name: found[name] for name in ("delta_k", "delta_phi", "angle") if name in found}
@@ -82,31 +82,31 @@ class Answer:
 
     @property
     def parameters(self) -> dict[str, Value]:
-        """All parameters of the answer by name."""
+        """All parameters of the shown result, by name."""
         return self.model_parameters
 
     @property
     def model_parameters(self) -> dict[str, Value]:
-        """Parameters of the base model by name."""
+        """Parameters of the base model (without further effects), by name."""
         return {e.name: e.stated for e in self.result.parameters}
 
     @property
     def shows_another_method(self) -> bool:
-        """True if the method that is shown is not the recommended one."""
+        """True if the user chose a method that is not the recommended one."""
         return self.result.method != self.recommended.method
 
     def _angle(self) -> dict[str, Value]:
-        """Error of the angle that the model shows, if angles are declared."""
+        """Entry `angle` of `values`, the error of the calibrated angle; empty without declared angles."""
         return {} if self.result.angle is None else {"angle": self.result.angle}
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Uncertainty budget of `values` in the plane."""
+        """Uncertainty budget of each main result of a planar session."""
         return self.result.budget
 
     @property
     def title(self) -> str:
-        """`ml with bias, quadratic`."""
+        """Name of the method with its further effects, such as `ml with bias, quadratic`."""
         if self.shows_another_method:
             return f"{self.result.method} (recommended is {self.recommended.method})"
         effects = self.recommended.effects
@@ -122,17 +122,17 @@ class Answer:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentence that leads the answer if the model does not describe the session; else empty."""
+        """Warning to print first if the model does not describe the session; otherwise empty."""
         return self.result.doubts
 
     @property
     def lines(self) -> list[QuantityRow]:
-        """The headline's table: quantity, unit, value, u, U, k."""
+        """Rows of the headline's table, one for each main result: quantity, unit, value, u, U, k."""
         return [QuantityRow.of(name, value) for name, value in self.values.items()]
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on the values, such as the temperature at which they are valid."""
+        """Sentences on the main results, such as the temperature at which they are valid."""
         temperature = self.reference_temperature_c
         if temperature is None or {"delta_k", "delta_phi"} & set(self.values):
             return ()
@@ -148,11 +148,11 @@ class Answer:
         return "\n".join([*self.doubt_lines(width), *self.headline(width)])
 
     def doubt_lines(self, width: int = 80) -> list[str]:
-        """Lines of `doubts`, of at most `width` columns."""
+        """The sentences of `doubts`, folded to lines of at most `width` columns."""
         return [line for doubt in self.doubts for line in fold_text(doubt, width)]
 
     def headline(self, width: int = 80) -> list[str]:
-        """Lines of the method, the values and the reason for the method."""
+        """Lines of text that show the method, the main results, and the reason for the method."""
         return [
             f"Answer by method {self.title}",
             *align_columns([HEAD, *(line.cells for line in self.lines)]),
@@ -161,7 +161,10 @@ class Answer:
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document of `fit` with the scores, the recommendation and the values of this answer."""
+        """The JSON document that `adis-gonio fit --json` prints.
+
+        It has the scores, the recommendation and the values of this result.
+        """
         return self.result.as_dict() | json_object(
             recommended=self.recommended,
             scores=self.scores,
@@ -178,11 +181,14 @@ class Answer:
     # -- tables and lines of text -----------------------------------------------------------------
 
     def parameter_rows(self) -> list[list[str]]:
-        """All parameters: name, unit, value, u, U, k, ν."""
+        """Table rows of all parameters: name, unit, value, u, U, k, ν."""
         return [parameter_row(name, value) for name, value in self.parameters.items()]
 
     def budget_rows(self) -> tuple[list[str], Rows]:
-        """Head, and one row for each source of uncertainty with its share of each quantity's variance."""
+        """Head and rows of the table of the budget: one row for each source of uncertainty.
+
+        A row gives the share of the source in the variance of each quantity.
+        """
         if not self.budget:
             return [], []
         names = [name if name == "angle" else NAMES.get(name, name) for name in self.budget]
@@ -196,11 +202,14 @@ class Answer:
 
     @property
     def scored_as(self) -> str:
-        """Name of the answer's model among the scores."""
+        """Name under which the shown model is listed in the scores."""
         return self.result.method
 
     def score_rows(self) -> tuple[list[str], Rows]:
-        """Head, and the errors of each method on the same dwells, the answer's first; no empty columns."""
+        """Head and rows of the table of scores: the errors of each method on the same dwells.
+
+        The shown method comes first; columns without a number are omitted.
+        """
         order = sorted(self.scores, key=lambda name: name != self.scored_as)
         columns = {
             "angle, rms / °": [self.scores[name].angle_rms_deg for name in order],
@@ -214,7 +223,7 @@ class Answer:
 
     @property
     def scored_on(self) -> str:
-        """Sentence about the dwells on which the scores are computed."""
+        """Sentence that names the dwells used to compute the scores."""
         dwells = max((score.dwells for score in self.scores.values()), default=0)
         if not dwells:
             return "Methods cannot be compared: no dwell can be left out of a fit."
@@ -222,7 +231,7 @@ class Answer:
         return f"Errors of every method on the same {same}, each left out of its fit:"
 
     def facts(self) -> list[str]:
-        """Residual and links of the fit, in one or two lines."""
+        """Text on the quality of the fit: its residual, and the links by gyro turns, if used."""
         r = self.result
         if r.dof:
             left = f"residual {r.residual_rms_mg:.3g} mg rms, χ² {r.chi2:.1f} at {r.dof} degrees of freedom"
@@ -231,7 +240,10 @@ class Answer:
         return [left, *([] if r.links is None else [r.links.line])]
 
     def warnings(self, *, everything: bool = False) -> list[str]:
-        """Warnings of the shown method without its doubts, or of all methods with their names."""
+        """Warnings of the shown method, without its doubts.
+
+        With `everything`, also the warnings of the other methods, each with the method's name.
+        """
         if not everything:
             return [text for text in self.result.warnings if text not in self.result.doubts]
         methods: dict[str, list[str]] = {}
@@ -242,7 +254,10 @@ class Answer:
 
 
 def with_notes(best: FitResult, given: FitResult) -> FitResult:
-    """Recommended result with the session's notes before its own warnings, as `fit` gives it."""
+    """Copy of the recommended result `best` with the notes and findings of the session.
+
+    These are part of `given`, the result of the default method; the notes precede the warnings of `best`.
+    """
     if best.method == given.method:
         return given
     notes = given.session_notes
@@ -258,24 +273,27 @@ def with_notes(best: FitResult, given: FitResult) -> FitResult:
 
 Rows = list[list[str]]
 _METHOD_WIDTH = 24
-"""Largest width of a method in the wide table, in columns."""
+"""Largest width, in characters, of the column for a method in the table of all methods."""
 
 
 def parameter_row(name: str, value: Value) -> list[str]:
-    """Name, unit, value, u, U, k, ν."""
+    """Cells of a table row for one parameter: name, unit, value, u, U, k, ν."""
     line = QuantityRow.of(name, value)
     return [name, *line.cells[1:], format_dof(value.dof) if value.u is not None else "–"]
 
 
 def format_dof(dof: float) -> str:
-    """Format degrees of freedom; above 10⁴ only the limit."""
+    """Format degrees of freedom; numbers above 10⁴ are shown only as above this limit."""
     if math.isinf(dof):
         return "∞"
     return "> 10⁴" if dof > 1e4 else f"{dof:.{0 if dof >= 10 else 1}f}"
 
 
 def method_tables(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str], Rows]]:
-    """Tables of all parameters of all methods, value ± u; as many as the width requires."""
+    """Yield tables that compare the parameters of all methods, as value ± u.
+
+    Each table has as many methods as columns as `width` allows.
+    """
     names = list(dict.fromkeys(e.name for result in results for e in result.parameters))
     units = {e.name: e.unit for result in results for e in result.parameters}
     columns = max(1, (width - 26) // _METHOD_WIDTH)
@@ -292,5 +310,5 @@ def _cell(result: FitResult, name: str) -> str:
 
 
 def format_share(fraction: float) -> str:
-    """Format a share in percent; a dash for zero."""
+    """Format a share of a variance in percent; zero becomes a dash."""
     return format_percent(fraction) if fraction > 0 else DASH

@@ -44,7 +44,7 @@ TOLERANCE_DEG = 0.5
 """Declared angles this near to 0, 90, 180 or 270° (modulo 360°) count as that position."""
 
 TWO, FOUR = (0, 90), (0, 90, 180, 270)
-"""Declared angles of the closed forms."""
+"""Declared angles in degrees that the methods `two-position` and `four-position` use."""
 
 LEAST_MMPM = 9
 """Fewest positions of `mmpm`, by its definition."""
@@ -58,7 +58,7 @@ _LEAST_READING = 1e-6
 
 @dataclass(frozen=True)
 class _Linear:
-    """A linear fit: natural parameters (6,) and their derivative (6, n, 2) by the readings."""
+    """Result of a linear fit: natural parameters (6,) and their derivative (6, n, 2) by the readings."""
 
     beta: Floats
     derivative: Floats
@@ -66,14 +66,14 @@ class _Linear:
 
 
 def rows_at(readings: Readings, angles_deg: tuple[int, ...]) -> list[NDArray[np.intp]]:
-    """Dwells at each of the angles (modulo 360°); an empty array if there are none."""
+    """For each angle in degrees, the rows of the dwells declared at it (modulo 360°), possibly none."""
     degrees = np.degrees(readings.angle_rad)
     with np.errstate(invalid="ignore"):
         return [np.flatnonzero(np.abs(wrap_degrees(degrees - a)) <= TOLERANCE_DEG) for a in angles_deg]
 
 
 def fit_positions(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> FitResult:
-    """`two-position` (0, 90) or `four-position` (0, 90, 180, 270).
+    """Fit the method `two-position` (0°, 90°) or `four-position` (0°, 90°, 180°, 270°).
 
     Dwells at the same position are averaged.
 
@@ -89,7 +89,7 @@ def fit_positions(readings: Readings, method: str, angles_deg: tuple[int, ...]) 
 
 
 def fit_mmpm(readings: Readings) -> FitResult:
-    """`mmpm`: unweighted least squares with declared angles on nine or more positions.
+    """Fit the method `mmpm`: unweighted least squares at nine or more declared angles.
 
     Raises
     ------
@@ -110,13 +110,16 @@ def fit_mmpm(readings: Readings) -> FitResult:
 
 
 def refit_mmpm(readings: Readings, made: Origin) -> Fit:
-    """Model of `mmpm` on other readings, or on some of the dwells."""
+    """Fit the model of the method `mmpm` again to other readings, or to a subset of the dwells."""
     chosen = readings.rows(np.flatnonzero(np.isfinite(readings.angle_rad)))
     return _fit(readings, _linear(chosen, np.eye(len(chosen)), bias=True).beta, bias=True)
 
 
 def refit_four(readings: Readings, made: Origin) -> Fit:
-    """Model of `four-position` on other readings, or on some of the dwells: three positions are enough."""
+    """Fit the model of the method `four-position` again to other readings, or to a subset of the dwells.
+
+    Dwells at three of the four positions suffice.
+    """
     groups = rows_at(readings, FOUR)
     present = tuple(angle for angle, rows in zip(FOUR, groups, strict=True) if len(rows))
     chosen, weights = _grouped(readings, "four-position", present)
@@ -124,7 +127,7 @@ def refit_four(readings: Readings, made: Origin) -> Fit:
 
 
 def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
-    """Model of `paper` or `two-position` on other readings, at the first quarter turn that has both.
+    """Fit `paper` or `two-position` again to other readings, at the first two positions 90° apart.
 
     Raises
     ------
@@ -148,7 +151,7 @@ def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
 
 
 def fit_paper(readings: Readings) -> FitResult:
-    """`paper`: equations 5 to 12 as printed, Y's gain divided out by ΔK first.
+    """Fit the method `paper`: equations 5 to 12 as printed, which divide the reading of Y by ΔK first.
 
     ΔK = U_x1/(−U_y2) − 1, a = U_y1(1 + ΔK)/U_x1, b = U_y2(1 + ΔK)/U_x2, sin Δφ = (1 + ab)/(a + b).
 
@@ -199,7 +202,9 @@ def fit_paper(readings: Readings) -> FitResult:
 
 
 def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
-    """Parameters by equations 5 to 12, with start angle and gain of X by the closed form; (ΔK, Δφ).
+    """Parameters by the paper's equations 5 to 12, with start angle and scale of X by the closed form.
+
+    Also returns (ΔK, Δφ).
 
     Raises
     ------
@@ -230,9 +235,10 @@ def _a_plus_b(first: Floats, second: Floats) -> float:
 
 
 def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
-    """(ΔK, Δφ in rad) by equations 5 to 12 from readings at 0° and 90°: numbers or arrays, also complex.
+    """ΔK and Δφ in rad by the paper's equations 5 to 12, from readings at 0° and 90°.
 
-    NaN if sin Δφ would exceed 1, infinite at the pole.
+    The arguments are numbers or arrays, also complex. The results are NaN if sin Δφ would exceed 1, and
+    infinite at the pole.
     """
     gain = x1 / -y2
     # Equation 12 with numerator and denominator times U_x1 U_x2, which allows U_x2 = 0 at α = 0.
@@ -241,7 +247,10 @@ def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
 
 
 def _paper(first: Floats, second: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """(ΔK, Δφ) and their derivatives (2, n, 2) by the readings, by complex step."""
+    """ΔK and Δφ by the printed equations of the paper, and their derivatives (2, n, 2) by the readings.
+
+    `first` and `second` (2,) are the mean readings at 0° and 90°.
+    """
     # Complex step: the imaginary part over the step is the derivative without cancellation.
     point = np.array([first[0], first[1], second[0], second[1]], dtype=np.complex128)
     values = np.array(as_printed(*point.tolist()), dtype=np.complex128)
@@ -252,7 +261,7 @@ def _paper(first: Floats, second: Floats, weights: Floats) -> tuple[Floats, Floa
 
 
 def turn_parameters(harmonics: Floats) -> Floats:
-    """Parameters (…, 6) in natural units from amplitudes of cosine, sine and constant of each axis.
+    """Natural parameters (…, 6) from the amplitudes of cosine, sine and constant of each axis.
 
     Parameters
     ----------
@@ -271,7 +280,7 @@ def turn_parameters(harmonics: Floats) -> Floats:
 
 
 def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tuple[Readings, Floats]:
-    """Dwells at the angles, and weights (angles, n) that average the dwells of each angle."""
+    """Select the dwells at the given angles, and weights (angles, n) for the mean at each angle."""
     groups = rows_at(readings, angles_deg)
     missing = [str(a) for a, rows in zip(angles_deg, groups, strict=True) if not len(rows)]
     if missing:
@@ -291,7 +300,7 @@ def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tu
 
 
 def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
-    """Fit of cosine, sine and (with `bias`) a constant to each axis of the averaged readings."""
+    """Fit cosine, sine and (with `bias`) a constant to each axis, to the mean reading at each angle."""
     natural = chosen.mean / chosen.gravity_mg
     # Mean declared angle of each group, as the direction of the mean unit vector.
     turn = weights @ np.exp(1j * chosen.angle_rad)
@@ -324,7 +333,10 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
 
 
 def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
-    """Noise by a fit of the whole session if it has enough positions, otherwise as stated."""
+    """Noise of the readings: estimated from the whole session if possible, otherwise as stated.
+
+    The estimate needs enough positions for a fit.
+    """
     try:
         return settle(readings).noise
     except FitError:
@@ -341,7 +353,7 @@ def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
 
 
 def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
-    """Base model, with or without a bias, at these parameters and the declared angles."""
+    """Base model, with or without a bias, evaluated at the given natural parameters and declared angles."""
     term = NamedTerm("bias", (), 0.0, effect("bias", ("x", "y")))
     fit = Fit.begin(data, with_prior=False)
     values = replace(fit.values, base=beta[:BIAS_X].copy())
@@ -350,14 +362,17 @@ def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
 
 
 def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Sources:
-    """Sources of the uncertainty of the natural parameters, the fixture by its tangent."""
+    """Sources of the uncertainty of the natural parameters.
+
+    An error of a declared angle acts along the tangent of the circle of readings.
+    """
     fit = _fit(noise.applied(data), linear.beta, bias=linear.has_bias)
     unseen = Unseen() if linear.has_bias or not data.unit.known else Unseen(biases=(0, 1))
     return sources_of(data, noise, fit, linear.derivative / data.gravity_mg, unseen)
 
 
 def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:
-    """Warning about the influence of a bias on two positions, with a remedy."""
+    """Warning that a bias changes the result of two positions, with advice against it."""
     # A bias of 1 mg adds to all readings of an axis.
     moved = linear.derivative.sum(axis=1) / chosen.gravity_mg
     phi = np.degrees(moved[DELTA_PHI])
@@ -386,7 +401,9 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
 
 
 def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
-    """Describe the bias that the session's four positions show, and its influence on two positions.
+    """Describe the bias that the session's four positions show, and the error that it causes.
+
+    The error is in the result of a method with two positions.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Determination: directions without information, and parameters held because a session lacks information.
+"""Find the parameters, and combinations of parameters, that a session does not determine.
 
 Parameters are expressed in natural units (1 rad, a gain of 1, a bias of local gravity), and their standard
 uncertainty is compared with the largest allowed one (`limits`). The declared angles of the stage count as
@@ -41,15 +41,15 @@ _CONVERGED = 1e-12
 
 @dataclass(frozen=True)
 class Determination:
-    """Fit of the base model with a bias, its held parameters and its undetermined directions.
+    """Fit of base model and biases, with the parameters and directions that the session leaves open.
 
     Attributes
     ----------
     fit : Fit
     free : (p,) bool
-        False for held parameters, and for parameters that no dwell shows.
+        False for fixed parameters, and for parameters that affect no dwell.
     held : tuple of int
-        Parameters held at their nominal value because the session does not show them.
+        Parameters fixed at their nominal value because the session does not determine them.
     null : (p, k) float
         Orthonormal directions without information, in natural units.
     """
@@ -66,35 +66,41 @@ class Determination:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of the residual."""
+        """Degrees of freedom of the residual of the fit."""
         return int(self.fit.equations - self.free.sum() + self.null.shape[1])
 
     @property
     def fisher(self) -> Floats:
-        """Information (p, p) of all parameters in natural units."""
+        """Fisher information (p, p) of all parameters in natural units."""
         return information(self.fit)
 
     def on(self, data: Readings) -> Determination:
-        """Copy with the same values and readings of other noise."""
+        """Copy with the same parameter values for the same readings with other noise."""
         return replace(self, fit=replace(self.fit, data=data))
 
     def determined_by(self, fit: Fit) -> bool:
-        """True if the readings of `fit` determine at least as many directions as the original readings."""
+        """True if the readings of `fit` determine at least as many parameters as the original readings.
+
+        Combinations of parameters count like parameters.
+        """
         return bool(_null_space(fit, self.free).shape[1] <= self.null.shape[1])
 
     def refitted(self, data: Readings) -> Fit:
-        """Fit of the same free parameters to readings with other noise, starting from these values."""
+        """Fit the same free parameters to readings with other noise, starting from these values."""
         fit = replace(self.fit, data=data)
         return fit.refit(_ITERATIONS, _CONVERGED, _directions(fit, self.free, self.null))
 
 
 def names_of(data: Readings) -> tuple[str, ...]:
-    """Names of the base parameters and the biases."""
+    """Names of the base parameters, then of the biases."""
     return (*data.model.names, *(f"bias_{axis}" for axis in AXES[: data.axes]))
 
 
 def natural_units(data: Readings) -> Floats:
-    """Size (p,) of each parameter in the units of a fit: 1 for the base, local gravity (mg) for a bias."""
+    """Factor (p,) from natural units to the units of a fit, for each parameter.
+
+    It is 1 for base parameters and local gravity in mg for biases.
+    """
     return np.array([1.0] * len(data.model.parameters) + [data.gravity_mg] * data.axes)
 
 
@@ -108,7 +114,7 @@ def limits(data: Readings) -> Floats:
 
 
 def information(fit: Fit) -> Floats:
-    """Information (p, p) of the readings alone, in natural units."""
+    """Fisher information (p, p) of the readings without priors, in natural units."""
     scaled = fit.jacobian * natural_units(fit.data)
     return np.asarray(scaled.T @ scaled)
 
@@ -167,12 +173,12 @@ def _start(data: Readings) -> Fit:
 
 
 def _directions(fit: Fit, free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Directions (p, k) in which parameters may move, in the units of the fit."""
+    """Directions (p, k) in which a fit may change the parameters, in the units of the fit."""
     return np.asarray(natural_units(fit.data)[:, None] * _complement(free, null))
 
 
 def _complement(free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Orthonormal basis (p, k) of the free parameters, normal to `null`."""
+    """Orthonormal basis (p, k) of all changes of free parameters that are orthogonal to `null`."""
     basis = np.eye(len(free))[:, free]
     if not null.shape[1]:
         return basis
@@ -194,7 +200,7 @@ def _null_space(fit: Fit, free: NDArray[np.bool_]) -> Floats:
 
 
 def covariance(fisher: Floats, free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Covariance (p, p) of the parameters in natural units, zero for held parameters and along `null`.
+    """Covariance (p, p) of the parameters in natural units, zero for fixed parameters and along `null`.
 
     It is valid only for functions of the parameters with a gradient orthogonal to `null`.
     """
@@ -207,20 +213,23 @@ def covariance(fisher: Floats, free: NDArray[np.bool_], null: Floats) -> Floats:
 
 
 def is_determined(gradient: Floats, null: Floats) -> bool:
-    """True if a function with this gradient (p,) does not change along `null`."""
+    """True if the readings determine a function of the parameters with this gradient (p,).
+
+    This is so if the function is constant along the undetermined directions `null`.
+    """
     size = float(gradient @ gradient)
     along = gradient @ null
     return float(along @ along) <= _PARTICIPATES * size
 
 
 def shift_by_held(determination: Determination, held: int) -> Floats:
-    """∂β/∂(held parameter), (p,): derivative of the fitted parameters by the held value."""
+    """Derivative (p,) of the fitted parameters by the value at which the parameter `held` is fixed."""
     fisher = determination.fisher
     return np.asarray(-covariance(fisher, determination.free, determination.null) @ fisher[:, held])
 
 
 def format_directions(null: Floats, names: Sequence[str]) -> list[str]:
-    """Format each undetermined direction as a combination of parameters, in natural units."""
+    """Format each undetermined direction as text: a combination of parameters in natural units."""
     words = []
     for direction in null.T:
         # Largest components first; the first one gets a positive sign.

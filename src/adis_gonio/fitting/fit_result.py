@@ -52,7 +52,7 @@ class Estimate:
 
     @property
     def stated(self) -> Value:
-        """Value without the name."""
+        """Value with its uncertainty and unit, without the parameter's name."""
         return Value(self.value, self.u, self.unit, self.dof)
 
     @property
@@ -62,13 +62,13 @@ class Estimate:
 
     @property
     def U(self) -> float | None:  # noqa: N802 (GUM)
-        """Expanded uncertainty, 95 %."""
+        """Expanded uncertainty: value ± U covers 95 %."""
         return self.stated.U
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Inputs of a fit, for quantities that are derived from it.
+    """Inputs of a fit, kept to compute further quantities from it later.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ MISFIT = (
 
 @dataclass(frozen=True)
 class FitResult(ParameterTable):
-    """Parameters of a session with covariance.
+    """Fitted parameters of a session, with their covariance, warnings and residuals.
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ class FitResult(ParameterTable):
     links: LinkReport | None = None
 
     def __getitem__(self, name: str) -> Estimate:
-        """Estimate by name; `KeyError` if the session does not determine it."""
+        """Return the estimate of this name; `KeyError` if the session does not determine it."""
         for estimate in self.parameters:
             if estimate.name == name:
                 return estimate
@@ -173,12 +173,12 @@ class FitResult(ParameterTable):
 
     @property
     def residual_rms_mg(self) -> float:
-        """Root mean square of the residuals in mg."""
+        """Root mean square of the residuals of all dwells and axes, in mg."""
         return float(np.sqrt(np.mean(self.residual_mg**2)))
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentence for the head of a report if the model does not describe the session; else empty."""
+        """Warning to print first if the model does not describe the session; otherwise empty."""
         return (MISFIT,) if self.extra_mg else ()
 
     def __repr__(self) -> str:
@@ -189,7 +189,7 @@ class FitResult(ParameterTable):
         return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
 
     def calibration(self) -> Calibration:
-        """Calibration from readings to angles by these parameters.
+        """Calibration that converts readings to angles with these parameters, for the present offsets.
 
         Raises
         ------
@@ -222,7 +222,10 @@ class FitResult(ParameterTable):
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Uncertainty budget of `delta_k`, `delta_phi` and `angle`; empty in space or without a noise."""
+        """Uncertainty budget of `delta_k`, `delta_phi` and `angle`, by source.
+
+        Empty in space, or if the noise is unknown.
+        """
         made = self.origin
         if made is None or made.sources is None or not made.readings.planar:
             return {}
@@ -238,7 +241,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def _around(self) -> ShownAngle | None:
-        """Slopes of the angle after calibration; None if the session leaves part of it undetermined."""
+        """Derivatives of the calibrated angle around the turn; None if this angle is undetermined."""
         assert self.origin is not None
         shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
         sure = found is None or all(is_determined(slope, found.null) for slope in shown.gradient)
@@ -246,7 +249,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def shown_angle(self) -> Value | None:
-        """Uncertainty of an angle after calibration, with a value of NaN; None in space.
+        """Uncertainty of an angle after calibration; the value is NaN. None in space.
 
         It is the root mean square over a turn, for a reading with the length of the session's dwells. There
         is no uncertainty if the session leaves a parameter that an angle needs undetermined.
@@ -263,7 +266,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def angle(self) -> Value | None:
-        """Error of the angle after calibration (rms, deg) with the uncertainty of `shown_angle`.
+        """Error of the angle after calibration (rms, deg), with its uncertainty as in `shown_angle`.
 
         The value is the root mean square over the dwells of the session, each left out of the fit; NaN if
         no angle is declared or no dwell can be left out.
@@ -274,7 +277,7 @@ class FitResult(ParameterTable):
         return replace(self.shown_angle, value=score.angle_rms_deg)
 
     def summary(self) -> str:
-        """The headline in a few lines of plain text, as the command `fit` shows it."""
+        """Summary in a few lines of plain text, as `adis-gonio fit` prints it."""
         from adis_gonio.fitting.answer import Answer
 
         return Answer.of(self).text()
@@ -283,11 +286,11 @@ class FitResult(ParameterTable):
         return self.summary()
 
     def caption_and_parameters(self) -> tuple[str, Entries]:
-        """Method, and the parameters by name."""
+        """Caption of the table in notebooks, which names the method, and the parameters by name."""
         return f"fit by method {self.method}", self.as_dict()["parameters"].items()
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document of `fit`."""
+        """The JSON document that `adis-gonio fit --json` prints."""
         names = [e.name for e in self.parameters] if self.covariance is not None else []
         matrix = [] if self.covariance is None else self.covariance.tolist()
         errors = None
@@ -322,7 +325,7 @@ class FitResult(ParameterTable):
 
 @dataclass(frozen=True)
 class Output:
-    """A reported quantity: value and gradient (p,) by the parameters in natural units."""
+    """A quantity that a result reports: its value, and its derivative (p,) by the natural parameters."""
 
     name: str
     value: float
@@ -363,7 +366,10 @@ def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
 
 
 def stage_warnings(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
-    """Warning if only the stage determines the angle between the axes, and its uncertainty is large."""
+    """Warn if the angle between the axes depends only on the stage's angles and is uncertain.
+
+    `sigma_rad` is the standard uncertainty of a declared angle.
+    """
     u_deg = next((one.u for one in found if one.name == "delta_phi"), None)
     if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:
         return []
@@ -379,13 +385,13 @@ _RANK = {name: rank for rank, name in enumerate(_FIRST)}
 
 
 def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
-    """Covariance (m, m) of outputs from the covariance (p, p) of the parameters in natural units."""
+    """Covariance (m, m) of reported quantities, from the covariance (p, p) of the natural parameters."""
     gradients = np.stack([output.gradient for output in outputs])
     return np.asarray(gradients @ natural @ gradients.T)
 
 
 def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estimate, ...]:
-    """Outputs with their uncertainty, which is None without sources."""
+    """Estimates of the reported quantities, with u from `sources`; u is None without sources."""
     found = []
     for output in outputs:
         u, dof = (None, math.inf) if sources is None else sources.uncertainty(output.gradient[None])
@@ -410,7 +416,7 @@ def angle_errors(fit: Fit) -> Floats | None:
 
 
 def calibration_as_recorded(result: FitResult) -> Calibration:
-    """Return the calibration by a fit, for the offsets in force while its session was recorded.
+    """Return the calibration for the offset registers as they were while the session was recorded.
 
     Use only this calibration for the session's own readings: a later write changes the sensor and the
     coefficients, but not the recorded readings.
@@ -442,7 +448,7 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
 
 
 def as_written(calibration: Calibration) -> Calibration:
-    """Return the calibration for the offsets that the sensor holds now.
+    """Adapt a calibration to the offsets that were written to the sensor after its session.
 
     Raises
     ------
@@ -473,12 +479,12 @@ def _names(model: Measurement) -> list[str]:
 
 
 def assumed_parameters(model: Measurement, names: Sequence[str]) -> tuple[str, ...]:
-    """Parameters that keep their nominal values.
+    """Names of the parameters that the session does not determine and that keep their nominal values.
 
     Raises
     ------
     FitError
-        One of them is needed for an angle.
+        One of them is needed to compute an angle.
     """
     missing = [name for name in _names(model) if name not in names]
     needed = [name for name in missing if not name.startswith(("bias", "alpha", "scale_y"))]

@@ -45,15 +45,15 @@ WOBBLE_DEG = 0.5
 session."""
 LEANING_DEG = 10.0
 MOST_LOST = 0.2
-"""Largest share of the time without samples."""
+"""Largest allowed share of the recording without samples."""
 REST_DPS = 0.5
-"""Mean rate in a window below which the part is at rest."""
+"""Mean rate in a window, in °/s, below which the sensor counts as at rest."""
 
 _AGAIN = "turn once more"
 
 
 def require_recording(series: TurnRecording) -> None:
-    """Raise `FitError` if a recording is too short or broken."""
+    """Raise `FitError` if a recording is too short or has too many missing samples."""
     if series.length_s < LEAST_S:
         raise FitError(
             f"the recording has {series.length_s:.1f} s: a free turn takes {LEAST_S:.0f} s or more,"
@@ -69,7 +69,7 @@ def require_recording(series: TurnRecording) -> None:
 
 
 def require_slow(series: TurnRecording, windows: Windows, range_dps: float | None) -> None:
-    """Raise `FitError` if the turn was faster than the model or the gyro allows."""
+    """Raise `FitError` if the turn was faster than the model can describe or the gyro can measure."""
     rate = np.degrees(np.abs(windows.mean(series.rate[:, 2])))
     fastest = float(rate.max())
     limit = FASTEST_DPS if range_dps is None else min(FASTEST_DPS, 0.9 * range_dps)
@@ -81,7 +81,7 @@ def require_slow(series: TurnRecording, windows: Windows, range_dps: float | Non
 
 
 def require_axis(series: TurnRecording, windows: Windows) -> None:
-    """Raise `FitError` if the gyros measured a turn about another axis than Z."""
+    """Raise `FitError` if the gyros show that the chip turned about another axis than Z."""
     rates = windows.mean(series.rate)
     # Without the zero rates; the largest of X and Y against Z.
     rates = rates - np.median(rates, axis=0)
@@ -95,7 +95,10 @@ def require_axis(series: TurnRecording, windows: Windows) -> None:
 
 
 def sweeps_of(psi_rad: Floats) -> Sweeps:
-    """Rotation of the part, forward and back."""
+    """Count the full turns of a recording, from its unwrapped angle ψ (m,) in rad at each window.
+
+    The returned `Sweeps` also gives the range of the angle; turning back counts like turning on.
+    """
     found = Sweeps()
     for angle_deg in np.degrees(psi_rad - psi_rad[0]).tolist():
         found.see(angle_deg)
@@ -103,7 +106,7 @@ def sweeps_of(psi_rad: Floats) -> Sweeps:
 
 
 def require_turn(psi_rad: Floats) -> None:
-    """Raise `FitError` if the turn is too short."""
+    """Raise `FitError` if the turned angles (m,) in rad cover a range too small to fit."""
     turned = sweeps_of(psi_rad).span_deg
     if turned < LEAST_TURN_DEG:
         raise FitError(
@@ -113,7 +116,7 @@ def require_turn(psi_rad: Floats) -> None:
 
 
 def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, gravity_mg: float) -> list[str]:
-    """Warnings about the plane of the turn; without Z it is unknown.
+    """Check that the turn stayed in one vertical plane; return a warning if there is no Z accelerometer.
 
     Raises
     ------
@@ -148,7 +151,10 @@ def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, grav
 def remarks(
     series: TurnRecording, windows: Windows, psi_rad: Floats, u_phi_deg: float, wanted: int = 0
 ) -> list[str]:
-    """Remarks on a valid turn; `wanted` is the number of full turns in the plan."""
+    """Remarks for the user on a valid turn, such as missing rests or samples; often none.
+
+    `wanted` is the number of full turns in the plan.
+    """
     notes = []
     sweeps = sweeps_of(psi_rad)
     if not sweeps.full:
@@ -186,12 +192,12 @@ SOURCES = ("noise of the accelerometers", "noise of the gyro", "drift of the bia
 
 @dataclass(frozen=True)
 class FreeTurnResult(FitResult):
-    """Result of one continuous turn.
+    """Calibration and angle from one continuous turn without declared angles.
 
     Attributes
     ----------
     shares : tuple of ((p, p) float, float)
-        The covariance by its causes, each with its degrees of freedom.
+        Contribution of each cause to the covariance of the parameters, and its degrees of freedom.
     turned_deg, length_s : float
         Total rotation, forward and back, and duration.
     """
@@ -202,7 +208,7 @@ class FreeTurnResult(FitResult):
 
     @cached_property
     def comparison(self) -> MethodComparison:
-        """The only method for such a recording."""
+        """Comparison that lists only the method `free-turn`; no other method fits such a recording."""
         own = replace(self, warnings=self.warnings)
         return MethodComparison(
             (own,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
@@ -210,7 +216,10 @@ class FreeTurnResult(FitResult):
 
     @cached_property
     def _shown(self) -> Floats:
-        """Slopes of the shown angle (places, p) in degrees by the parameters of the result."""
+        """Derivative (places, p), in degrees, of the angle after calibration by each of the p parameters.
+
+        The places are angles around a full turn.
+        """
         at = {one.name: k for k, one in enumerate(self.parameters)}
         k_x, k_y = self["scale_x"].value, self["scale_y"].value
         base = np.array([0.0, k_x, k_y, math.radians(self["delta_phi"].value)])
@@ -227,7 +236,10 @@ class FreeTurnResult(FitResult):
 
     @cached_property
     def shown_angle(self) -> Value:
-        """Angle of gravity to X after calibration, rms over a turn, without a reading's noise."""
+        """Uncertainty (rms over a turn) of the angle from gravity to X after calibration; its value is NaN.
+
+        It comes from the parameters of the calibration and excludes the noise of a single reading.
+        """
         each = self._variances(self._shown)
         variances = np.sum([part for part, _ in each], axis=0)
         dof = effective_dof([(float(part.mean()), dof) for part, dof in each])
@@ -235,16 +247,19 @@ class FreeTurnResult(FitResult):
 
     @property
     def angle(self) -> Value:
-        """As `shown_angle`, because no angle is declared."""
+        """Like `shown_angle`: without declared angles, the angle from gravity to X is the only angle."""
         return self.shown_angle
 
     def _variances(self, gradient: Floats) -> list[tuple[Floats, float]]:
-        """Variance (m,) by each cause of values with a gradient (m, p), and its degrees of freedom."""
+        """For each cause of uncertainty, the variance (m,) of m quantities and the degrees of freedom.
+
+        `gradient` (m, p) is the derivative of the quantities by the parameters.
+        """
         return [(np.einsum("mp,pq,mq->m", gradient, share, gradient), dof) for share, dof in self.shares]
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Causes of the uncertainty of `delta_k`, `delta_phi` and `angle`."""
+        """Uncertainty budget of `delta_k`, `delta_phi` and `angle`: one row for each cause."""
         names = [one.name for one in self.parameters]
         gradients = {name: np.eye(len(names))[[names.index(name)]] for name in ("delta_k", "delta_phi")}
         gradients["angle"] = self._shown
@@ -261,7 +276,7 @@ class FreeTurnResult(FitResult):
 
 
 def fit_free_turn(session: Session) -> FreeTurnResult:
-    """Fit the angle and the calibration of one continuous turn.
+    """Fit the calibration and the angles of one continuous turn.
 
     Parameters
     ----------
@@ -332,7 +347,7 @@ def _fitted(session: Session) -> FreeTurnResult:
 
 
 def series_of(session: Session) -> TurnRecording:
-    """The recording of a session in mg and rad/s.
+    """Return the recording of a session, converted to mg and rad/s.
 
     Raises
     ------
@@ -360,7 +375,10 @@ def series_of(session: Session) -> TurnRecording:
 
 
 def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[float], Floats, list[str]]:
-    """Names, values, gradients (p, 12 + m) and units of the result; as in a planar session."""
+    """Names, values, gradients (p, 12 + m) and units of the p parameters that the result reports.
+
+    The names are those that a planar session has. The gradients are by the values of the solution.
+    """
     size = len(solution.covariance)
     common = dict(zip(NAMES, np.eye(size), strict=False))
     value = dict(zip(NAMES, solution.values, strict=True))
@@ -393,7 +411,7 @@ _RATES = (("gyro_bias_z", "deg/s"), ("g_sensitivity_zx", "deg/s/g"), ("g_sensiti
 
 
 def _first_rest(psi_rad: Floats, windows: Windows) -> int:
-    """Number of windows at rest at the beginning, at least one."""
+    """Number of windows at the beginning of the recording in which the chip is at rest, at least one."""
     rate = np.abs(np.diff(psi_rad) / np.diff(windows.centre_s))
     moving = np.flatnonzero(np.degrees(rate) > REST_DPS)
     return max(int(moving[0]), 1) if moving.size else 1

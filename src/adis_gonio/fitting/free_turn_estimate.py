@@ -42,14 +42,14 @@ MOST_WINDOWS = 480
 LONG_RUN = 4 / 3
 """Spectral density at zero of means in neighbouring windows, over their variance: 1 + 2/6."""
 LEAST_FILLED = 0.5
-"""Least share of a window's samples; other windows are left out."""
+"""Smallest share of its samples with which a window is used."""
 GAP_PERIODS = 5.0
 """Sample periods in a gap above which the gyro's integral over it does not count."""
 
 
 @dataclass(frozen=True)
 class TurnRecording:
-    """Samples of one continuous recording.
+    """Samples of one continuous recording in which the sensor turns.
 
     Attributes
     ----------
@@ -71,23 +71,26 @@ class TurnRecording:
 
     @property
     def period_s(self) -> float:
-        """Time between samples."""
+        """Time between two samples in s."""
         return float(np.median(np.diff(self.time_s)))
 
     @property
     def length_s(self) -> float:
-        """Length of the recording."""
+        """Duration of the recording in s."""
         return float(self.time_s[-1])
 
     def integral(self, values: Floats) -> Floats:
-        """Integral (n, …) of series from the first sample on, by the trapezoidal rule."""
+        """Integral (n, …) over time of sampled values, from the first sample to each sample.
+
+        It uses the trapezoidal rule.
+        """
         from scipy.integrate import cumulative_trapezoid
 
         return np.asarray(cumulative_trapezoid(values, self.time_s, axis=0, initial=0))
 
 
 class Windows:
-    """Hann windows over a recording.
+    """Overlapping Hann windows over a recording, which average its samples.
 
     Attributes
     ----------
@@ -131,7 +134,7 @@ class Windows:
         return len(self.centre_s)
 
     def mean(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Weighted means (m, …) of samples (n, …)."""
+        """Weighted mean in each window (m, …) of sampled values (n, …)."""
         return np.asarray(self._matrix @ values)
 
 
@@ -144,7 +147,7 @@ NAMES = (
 LEVER_MM = 100.0
 """Prior standard deviation of the sensor's distance from the axis (D)."""
 GYRO_GAIN = 0.05
-"""Prior standard deviation of the gyro's gain about 1 (D)."""
+"""Prior standard deviation of the gyro's scale factor; the prior mean is 1 (D)."""
 G_SENSITIVITY_DPS = 0.2
 """Prior standard deviation of the gyro's sensitivity to acceleration, in °/s/g (CHIP: 0.05, B, of the
 sibling)."""
@@ -153,31 +156,31 @@ LATENCY_S = 2e-3
 GYRO_INSTABILITY_DPS = 0.015
 """Floor of the gyro's Allan deviation (the simulator's, D)."""
 DRIFT_HZ = 0.5
-"""Frequency above which drifts are noise of a window."""
+"""Highest frequency of the drift functions; faster drifts count as noise of a window."""
 MOST_DRIFTS = 80
 GYRO_DRIFTS = 12
 STRETCH_S = 3.0
-"""Time of constant noise of the accelerometers."""
+"""Length of the stretches, in s, within which the accelerometers' noise counts as constant."""
 STATED_DOF = 8.0
 """Degrees of freedom of a stated variance (of a drift, or of a stretch by the whole)."""
 _MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
-"""mg of one mm at 1 (rad/s)²."""
+"""Acceleration in mg at a distance of 1 mm from the axis for a squared rate of 1 (rad/s)²."""
 _GAP_RATE = 0.5
-"""Possible rate in rad/s during a gap."""
+"""Standard deviation, in rad/s, of the unknown rate while samples are missing."""
 _MOST_ROUNDS = 40
 _DONE = 1e-3
 _SETTLED = 0.1
-"""Largest last step of a valid result, in standard uncertainties."""
+"""Largest change by the last iteration of a valid result, in standard uncertainties."""
 
 
 @dataclass(frozen=True)
 class Variances:
-    """Noise by the data.
+    """Noise of the accelerometers and the gyro, estimated from the recording.
 
     Attributes
     ----------
     accel_mg2 : (m,) float
-        Of each window's means, the correlation of neighbours included.
+        Variance of the mean reading in each window, increased for the correlation of neighbours.
     gyro : float
         Angle random walk in rad²/s.
     drift : float
@@ -196,16 +199,16 @@ class Variances:
 
 @dataclass(frozen=True)
 class Solution:
-    """Estimate of a recording.
+    """Most probable parameters and angles of a recording, with their covariance.
 
     Attributes
     ----------
     values : (12,) float
-        Common parameters, as `NAMES`.
+        Common parameters, in the order of `NAMES`.
     psi_rad : (m,) float
         Angle of gravity to X at the windows' centres, unwrapped.
     covariance : (12 + m, 12 + m) float
-        Of both.
+        Covariance of the values and the angles.
     parts : list of (share (12 + m, 12 + m), degrees of freedom)
         The covariance by its causes: noise of the accelerometers, of the gyro, drift, prior knowledge.
     variances : Variances
@@ -221,7 +224,7 @@ class Solution:
 
 
 class LeastSquaresProblem:
-    """The recording in windows, ready for Gauss–Newton.
+    """Nonlinear least-squares problem of a recording, averaged in windows, for Gauss–Newton iterations.
 
     Parameters
     ----------
@@ -262,7 +265,7 @@ class LeastSquaresProblem:
         self.prior = self._prior()
 
     def _prior(self) -> tuple[Floats, Floats]:
-        """Prior mean and variance of all values except the angles; inf without a prior."""
+        """Prior mean and variance of all values except the angles; the variance is inf without a prior."""
         g = math.radians(G_SENSITIVITY_DPS)
         sigma = [SENSOR_SPREAD, SENSOR_SPREAD, SENSOR_SPREAD, np.inf, np.inf, LEVER_MM, LEVER_MM,
                  GYRO_GAIN, np.inf, g, g, LATENCY_S]  # fmt: skip
@@ -272,7 +275,10 @@ class LeastSquaresProblem:
         return mean, variance
 
     def begin(self) -> Floats:
-        """First values: an ellipse with upright axes, then the angle of each window."""
+        """Starting values of the fit: the common parameters, then the angle of each window.
+
+        The biases and angles come from a circle through the readings.
+        """
         x, y = self.reading.T / self.gravity_mg
         # Circle through the readings by linear least squares.
         found = np.linalg.lstsq(np.column_stack([x, y, np.ones(self.m)]), x**2 + y**2, rcond=None)[0]
@@ -283,7 +289,7 @@ class LeastSquaresProblem:
         return values
 
     def model(self, values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Residuals of accelerometers (m, 2), mg, and gyro (m - 1,), rad, with their Jacobians."""
+        """Residuals of the accelerometers (m, 2) in mg and of the gyro (m - 1,) in rad, with Jacobians."""
         k_x, k_y, skew = values[:3]
         rest = values[: self.size - self.m]
         psi = values[-self.m :]
@@ -323,18 +329,20 @@ class LeastSquaresProblem:
         return self.reading - linear, -(steps @ values), jacobian, steps
 
     def walk(self, variances: Variances) -> Floats:
-        """Variance (m - 1,) in rad² of the angle between neighbouring windows by the noise of the gyro."""
+        """Variance (m - 1,) in rad² of the gyro's angle between neighbouring windows, from its noise."""
         gap = self.windows.gap_s
         return variances.gyro * np.diff(self.windows.centre_s) + np.square(_GAP_RATE * gap)
 
 
 def _drifts(time_s: Floats, length_s: float, floor: float, most: int) -> tuple[Floats, Floats]:
-    """Drifts (n, k) without a mean, and the variance (k,) of each for a 1/f noise of an Allan floor.
+    """Functions of time (n, k) that describe a drift, and the variance (k,) of each from 1/f noise.
+
+    The 1/f noise is given by its Allan deviation `floor`. Each function has the mean zero.
 
     They are the principal components of the noise among cosines of half a cycle per recording and its
     multiples. A density h/f has, up to a constant, the covariance −h ln|t − s|; `_of_cosines` has its
-    integrals over cosines. A part of a longer recording is no sum of independent cosines, and the slowest
-    ones have less variance than their density.
+    integrals over cosines. A section of a longer recording is no sum of independent cosines, and the
+    slowest ones have less variance than their density.
     """
     count = min(most, int(DRIFT_HZ * 2 * length_s)) if floor > 0 else 0
     density = floor**2 / (2 * math.log(2))
@@ -364,7 +372,7 @@ def _of_cosines(count: int) -> Floats:
 
 
 def solve(problem: LeastSquaresProblem) -> Solution:
-    """The most probable values with their covariance.
+    """Find the most probable parameters and angles, and their covariance.
 
     Raises
     ------
@@ -400,7 +408,10 @@ def _first(problem: LeastSquaresProblem) -> Variances:
 def _system(
     problem: LeastSquaresProblem, values: Floats, variances: Variances
 ) -> tuple[Floats, Floats, tuple[Floats, ...]]:
-    """Information, its right side for the step, and information by cause."""
+    """Normal equations of one iteration: information matrix and right side.
+
+    Also returns the information matrix of each cause of uncertainty.
+    """
     accel, gyro, by_accel, by_gyro = problem.model(values)
     mean, variance = problem.prior
     n_p = problem.size - problem.m
@@ -450,7 +461,7 @@ def _step(
 def _renewed(
     problem: LeastSquaresProblem, values: Floats, covariance: Floats, before: Variances
 ) -> Variances:
-    """Estimate the variances by the residuals and their remaining degrees of freedom."""
+    """Estimate the noise variances again, from the residuals and their remaining degrees of freedom."""
     accel, gyro, by_accel, by_gyro = problem.model(values)
     flat = by_accel.reshape(-1, problem.size)
     taken = np.einsum("ij,ij->i", flat @ covariance, flat).reshape(-1, 2) / before.accel_mg2[:, None]

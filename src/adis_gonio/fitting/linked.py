@@ -1,4 +1,4 @@
-"""Poses in space with the turns between them: the links that a fit uses, tested against gravity.
+"""Links: turns between poses that the gyros measured, tested against gravity and added to a fit.
 
 Links (`gyros.gyro_links`) and the length of gravity determine the parameters together. Links that disagree
 with gravity raise χ² of the fit; the rise is tested with the degrees of freedom that the links add. If it
@@ -52,7 +52,7 @@ _SETTLED = 0.05
 
 @dataclass(frozen=True)
 class LinkReport:
-    """Contribution of the turns between poses to a fit.
+    """Effect on a fit of the links: turns between poses that the gyros measured.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class LinkReport:
     gained : tuple of str
         Parameters that only the links determine.
     ratio : float or None
-        Median of u with links over u without, of the parameters that both determine.
+        Median ratio of u with links to u without links, for the parameters that both fits determine.
     """
 
     used: int
@@ -82,7 +82,7 @@ class LinkReport:
     ratio: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """The value of `links`."""
+        """JSON object of the report, the value of `links` in a result."""
         return {
             "used": self.used,
             "chi2": self.chi2,
@@ -96,7 +96,7 @@ class LinkReport:
 
     @property
     def line(self) -> str:
-        """Summary in one line."""
+        """Summary of the report in one line of text."""
         if not self.used:
             return f"turns between the poses are not used: {self.why}"
         parts = [f"{counted(self.used, 'turn')} between the poses by the gyros"]
@@ -116,7 +116,7 @@ class LinkReport:
 def linked_readings(
     session: Session, gyros: GyroCalibration | None = None
 ) -> tuple[Readings, LinkReport | None]:
-    """Readings of a session in space with the links that agree with gravity, and a report on all links.
+    """Add the links that agree with gravity to the readings of a session in space, and report on all links.
 
     The second value is None, and the readings are returned unchanged, if nothing was recorded between the
     poses. Computed once for each session if no calibration is given.
@@ -161,7 +161,7 @@ def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Rea
 
 @dataclass(frozen=True)
 class _Judged:
-    """Links of a session after the test against the fitted readings.
+    """Links of a session that agree with gravity, and the refused ones.
 
     Attributes
     ----------
@@ -185,7 +185,10 @@ class _Judged:
 
     @classmethod
     def of(cls, readings: Readings, found: GyroLinks) -> _Judged:
-        """Test links, remove the worst one, and test again until the rest agree with gravity."""
+        """Compare the gyros' links with gravity, and remove the worst link until the others agree with it.
+
+        No link is accepted if too many disagree.
+        """
         refused = list(found.refused)
         if len(readings) < LEAST_POSES:
             return cls(None, tuple(refused), "poses are too few to test them by")
@@ -223,7 +226,7 @@ class _Judged:
         return cls(None, tuple(refused), why)
 
     def report(self, *, calibrated: bool) -> LinkReport:
-        """Report on these links."""
+        """Make the report for the user on these links."""
         used = 0 if self.links is None else len(self.links)
         gained, ratio = _gain(self.plain, self.linked)
         return LinkReport(used, self.chi2, self.dof, self.refused, calibrated, self.why, gained, ratio)
@@ -233,12 +236,15 @@ _FAR = "the gyros turn gravity to a wrong direction"
 
 
 def _ends(links: Links, position: NDArray[np.intp], link: int) -> tuple[int, int]:
-    """Numbers of the two dwells of a link."""
+    """Numbers of the two dwells that a link connects."""
     return int(position[links.before[link]]), int(position[links.after[link]])
 
 
 def _near(links: Links, fit: Fit) -> NDArray[np.bool_]:
-    """True for links (m,) that can be right for some parameters."""
+    """Mask (m,) of the links that agree roughly with gravity before and after them.
+
+    No parameters of the gyros could explain a larger disagreement.
+    """
     attitude = fit.settled(4).values.attitude
     # Gravity before the turn, carried by the gyros, against gravity after it.
     came = (links.rotation @ attitude[links.before][:, :, None])[:, :, 0]
@@ -250,7 +256,7 @@ def _near(links: Links, fit: Fit) -> NDArray[np.bool_]:
 
 
 def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, Determination]:
-    """Fit with links that are linearised at the fitted parameters of the gyros."""
+    """Fit readings with links, and linearise the links again at the fitted parameters of the gyros."""
     size = np.maximum(np.sqrt(np.diagonal(found.prior.covariance)), 1e-12)
     values = found.prior.values
     linked = determine(replace(data, links=links))
@@ -265,14 +271,14 @@ def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, Det
 
 
 def _alike(found: Links, links: Links) -> Links:
-    """Links of `found` between the same poses as `links`."""
+    """Select the links in `found` that connect the poses of one of the `links`."""
     wanted = set(zip(links.before.tolist(), links.after.tolist(), strict=True))
     pairs = zip(found.before.tolist(), found.after.tolist(), strict=True)
     return found.only(np.array([pair in wanted for pair in pairs]))
 
 
 def _gyros_of(fit: Fit, prior: GyroPrior) -> Floats:
-    """Parameters of the gyros (21,) with the highest likelihood by the links of a fit."""
+    """Most probable parameters (21,) of the gyros, given the fit with links and the prior."""
     links, rows = fit.link_rows, fit.modes
     assert links is not None
     assert rows is not None
@@ -284,7 +290,7 @@ def _gyros_of(fit: Fit, prior: GyroPrior) -> Floats:
 
 
 def _worst(fit: Fit) -> int:
-    """Number of the link with the largest residual."""
+    """Index of the link with the largest residual."""
     links = fit.link_rows
     assert links is not None
     # The last rows of the residual belong to the links, two for each.
@@ -295,7 +301,11 @@ def _worst(fit: Fit) -> int:
 def _gain(
     plain: Determination | None, linked: Determination | None
 ) -> tuple[tuple[str, ...], float | None]:
-    """Parameters that only links determine, and the median ratio of u with links to u without."""
+    """Compare the uncertainties of the fits without and with links.
+
+    Returns the names of the parameters that only the fit with links determines, and the median ratio of u
+    with links to u without links.
+    """
     if plain is None or linked is None:
         return (), None
     without, together = _u_of(plain), _u_of(linked)

@@ -84,7 +84,7 @@ def fit_ml(readings: Readings) -> FitResult:
 
 
 def _sources(readings: Readings, settled: Settled) -> Sources | None:
-    """Sources of the uncertainty; None if the noise of a reading is unknown."""
+    """Sources that contribute to the uncertainty of the fit; None if the noise of a reading is unknown."""
     if not settled.noise.known:
         return None
     found = settled.determination
@@ -137,7 +137,10 @@ def _advice(names: list[str]) -> str:
 
 
 def refit_ml(readings: Readings, made: Origin) -> Fit:
-    """Model of an `ml` fit on other readings of the same dwells, or of some of them, from its values."""
+    """Fit the model of the method `ml` again to other readings of all or some of its dwells.
+
+    The fit starts from the values of the original fit.
+    """
     assert made.determination is not None
     row = {position: k for k, position in enumerate(made.fit.data.position.tolist())}
     attitude = made.fit.values.attitude[[row[position] for position in readings.position.tolist()]]

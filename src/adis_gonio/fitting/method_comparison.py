@@ -34,7 +34,7 @@ ALIKE = 0.01
 class Recommendation(JsonRecord):
     """The recommended method, and the reason in one sentence.
 
-    The JSON document is the value of `recommended`.
+    Its JSON document is the value of `recommended` in a result.
     """
 
     document_keys = ("method", "effects", "why")
@@ -46,7 +46,7 @@ class Recommendation(JsonRecord):
 
 @dataclass(frozen=True)
 class MethodComparison:
-    """All methods of a session, compared.
+    """Results of all methods for a session, their scores, and the recommended method.
 
     Attributes
     ----------
@@ -103,13 +103,13 @@ def recommend(
     scores: Mapping[str, Score],
     preferred: str,
 ) -> Recommendation:
-    """Choose a method.
+    """Choose the method to recommend from its results and prediction errors.
 
-    1. If a method determines the biases, methods that take them as zero are excluded. `paper` is excluded
-    if
-       another method remains, because its u leaves out the error of its equation 5.
-    2. Of the remaining methods, keep those that predict the session's dwells as well as the best one.
-    3. Of these, take the one with the smallest uncertainty of ΔK and Δφ; among equals `preferred`.
+    1. If a method determines the biases, methods that take them as zero are excluded. `paper` is also
+       excluded if another method remains, because its u omits the error of its equation 5.
+    2. Remaining methods that predict the session's dwells clearly worse than the best one are excluded.
+    3. The recommended method has the smallest uncertainty of ΔK and Δφ of the remaining methods. If several
+       methods have equal uncertainties, `preferred` is recommended.
     """
     sighted = [result for result in results if "bias_x" in result]
     able = sighted or list(results)
@@ -128,7 +128,10 @@ def recommend(
 
 
 def _squares(prediction: DwellPrediction) -> Floats:
-    """Squared error of each dwell: of the angle if angles are declared, otherwise of the readings."""
+    """Squared prediction error of each dwell: of the angle if any angle is declared, else of the reading.
+
+    For a reading it is the mean over the axes.
+    """
     if np.isfinite(prediction.angle_rad).any():
         return np.asarray(prediction.angle_rad**2)
     return np.asarray((prediction.residual_mg**2).mean(axis=1))
@@ -139,7 +142,10 @@ def _rms(score: Score) -> float:
 
 
 def predicts_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
-    """True if the squared errors of `one` are larger by more than `BEYOND` standard errors."""
+    """True if the prediction `one` is clearly worse than `best`.
+
+    The mean squared error must be larger by more than `BEYOND` standard errors of the difference.
+    """
     base = _squares(best)
     # Paired differences: both methods predict the same dwells.
     difference = _squares(one) - base
@@ -152,7 +158,7 @@ def predicts_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
 
 
 def _doubt(result: FitResult) -> float:
-    """Geometric mean of the uncertainties of the wanted parameters; inf if one is unknown."""
+    """Geometric mean of the standard uncertainties of a result's main parameters; inf if one is unknown."""
     wanted = ("delta_k", "delta_phi") if "delta_k" in result or "delta_phi" in result else ()
     us = [e.u for e in result.parameters if not wanted or e.name in wanted]
     if any(u is None or not math.isfinite(u) for u in us):
@@ -198,7 +204,10 @@ MOST_FOLDS = 40
 
 @dataclass(frozen=True)
 class DwellPrediction:
-    """Prediction of dwells: errors of the angle (n,) in rad, residuals (n, r) in mg; NaN if unknown."""
+    """Prediction errors of n dwells: of the angle (n,) in rad, and of the readings (n, r) in mg.
+
+    A value is NaN if it is unknown.
+    """
 
     angle_rad: Floats
     residual_mg: Floats
@@ -206,7 +215,7 @@ class DwellPrediction:
 
 @dataclass(frozen=True)
 class Score(JsonRecord):
-    """Errors of a method on the dwells on which all methods are compared.
+    """Prediction errors of a method, on the dwells that all compared methods predict.
 
     The JSON document is one entry of `scores`.
 
@@ -229,12 +238,12 @@ class Score(JsonRecord):
 
 
 def predictions(session: Readings, results: Sequence[FitResult]) -> dict[str, DwellPrediction]:
-    """Prediction of every dwell of a session by each method, without this dwell in the fit."""
+    """Predict every dwell of a session by each method, with a fit that does not use this dwell."""
     return {result.method: _of_method(session, result) for result in results}
 
 
 def scores_of(found: Mapping[str, DwellPrediction]) -> dict[str, Score]:
-    """Scores of the models on the dwells that all of them predict."""
+    """Compute the errors of each model on the dwells that all of the models predict."""
     if not found:
         return {}
     # Compare all methods on the dwells that each of them can predict.
@@ -279,7 +288,7 @@ def predicted(
     fit: Fit,
     again: Callable[[NDArray[np.bool_]], Fit],
 ) -> DwellPrediction:
-    """Predictions of unused dwells by `fit`, and of the used ones by refits without them.
+    """Prediction errors of all dwells, each by a fit that does not use this dwell.
 
     Parameters
     ----------
@@ -304,7 +313,10 @@ def predicted(
 
 
 def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
-    """Errors of the angle (n,) in rad and residuals (n, r) in mg of dwells that were not fitted."""
+    """Prediction errors of dwells that `model` was not fitted to.
+
+    They are errors of the angle (n,) in rad and of the readings (n, r) in mg.
+    """
     there = model.on(replace(rows, fitted=model.data.fitted))
     if not rows.planar:
         # In space only the length of gravity is known for each dwell.
@@ -320,13 +332,19 @@ def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
 
 
 def _shown(fit: Fit) -> Floats:
-    """Start angle (n,) in rad by each reading alone; NaN without a declared angle."""
+    """Angle of the calibrated reading minus the stage's turn (n,) in rad: the start angle by each dwell.
+
+    NaN for a dwell without a declared angle.
+    """
     shown = np.arctan2(fit.gravity[:, 1], fit.gravity[:, 0]) - fit.turn_rad
     return np.where(np.isfinite(fit.data.angle_rad), shown, np.nan)
 
 
 def _folds(used: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
-    """Groups of dwells that are left out together; unused dwells are one group."""
+    """Yield the groups of dwells that cross-validation leaves out together.
+
+    Dwells that the method does not use form one group.
+    """
     inside, outside = np.flatnonzero(used), np.flatnonzero(~used)
     if len(outside):
         yield outside

@@ -1,4 +1,4 @@
-"""The methods by name: one table, `METHOD_TABLE`, and `fit`, which runs one of them."""
+"""Fitting methods by name: the table `METHOD_TABLE`, and `fit`, which runs one of them."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ _TWO_REVERSED = (0, 270)
 
 @solvable
 def fit(session: Session, method: str | None = None, gyros: GyroCalibration | None = None) -> FitResult:
-    """Parameters of a session with their covariance.
+    """Fit a method to a session, and return the parameters with their covariance.
 
     Parameters
     ----------
     session : Session
-        Dwells; those for checking take no part.
+        Session to fit; its `check` dwells are not used.
     method : str, optional
         One of `METHODS`, or `free-turn` for a continuous recording. The default is the best method for the
         session: `ml`, or `two-position` if there are only 0° and 90°.
@@ -106,7 +106,7 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
 
 
 def fit_of(readings: Readings, method: str | None = None) -> FitResult:
-    """Same as `fit_readings`, of the dwells that are not `check` dwells; computed once for each method."""
+    """Like `fit_readings`, without the `check` dwells; the result is kept for reuse."""
     if method is not None:
         return readings.once(_fit_training, method)
     return _by_default(readings.training, lambda name: fit_of(readings, name))
@@ -117,7 +117,7 @@ def _fit_training(readings: Readings, method: str) -> FitResult:
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
-    """Same as `fit`, of readings: three axes are fitted in space, two in the plane."""
+    """Fit a method to readings, like `fit` to a session: three axes in space, two in the plane."""
     _refuse_one_position(readings)
     if method is None:
         return _by_default(readings, lambda name: fit_readings(readings, name))
@@ -142,7 +142,7 @@ def _by_default(readings: Readings, fit_by: Callable[[str], FitResult]) -> FitRe
 
 
 def applicable_methods(session: Session) -> tuple[str, ...]:
-    """Methods for which the session has the positions; a fit may still find that it is not determined."""
+    """Methods that the positions of a session allow; a fit may still find a parameter undetermined."""
     if session.free_turn:
         return (FREE_TURN,)
     session = session.used_for("fit")
@@ -156,7 +156,7 @@ def applicable_methods(session: Session) -> tuple[str, ...]:
 
 
 def applicable_to(readings: Readings) -> tuple[str, ...]:
-    """Methods for which these readings have the positions."""
+    """Methods that the positions of these readings allow."""
     return _applicable(
         np.degrees(readings.angle_rad),
         planar=readings.planar,
@@ -176,7 +176,7 @@ def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -
 
 @dataclass(frozen=True)
 class _Dwells:
-    """Dwells of a planar session: counts, and whether 0°, 90°, 180° and 270° are among them (`held`)."""
+    """Counts of the dwells of a planar session; `held` has True for 0°, 90°, 180°, 270° if measured."""
 
     count: int
     declared: int
@@ -185,23 +185,26 @@ class _Dwells:
     known_zero: bool
 
     def hold(self, *quarters: int) -> bool:
-        """True if angles are not free and all these quarter turns are among the dwells."""
+        """True if the session has declared angles and all these quarter turns (0 to 3) are measured."""
         return not self.free and all(self.held[k] for k in quarters)
 
     @property
     def has_enough(self) -> bool:
-        """True if there are enough dwells for a fit of all positions."""
+        """True if there are enough dwells for a fit that uses all positions."""
         return self.count >= (2 if self.declared == self.count and not self.free else 3)
 
 
 def _two(readings: Readings) -> tuple[int, int]:
-    """Angles of the two positions: the closed form is exact for any pair a quarter turn apart."""
+    """Angles in degrees of the two positions for the method `two-position`: 0 and 90, or 0 and 270.
+
+    Its equations are exact for any two positions a quarter turn apart.
+    """
     at_0, at_90, at_270 = map(len, rows_at(readings, (0, 90, 270)))
     return _TWO_REVERSED if at_0 and at_270 and not at_90 else TWO
 
 
 def default_method(readings: Readings) -> str:
-    """Default method: `ml`, or `two-position` if there are only 0° and 90°."""
+    """Name of the default method: `ml`, or `two-position` if only 0° and 90° are measured."""
     return "two-position" if readings.planar and _only_two(readings) else "ml"
 
 
@@ -228,16 +231,16 @@ def _refuse_one_position(readings: Readings) -> None:
 
 @dataclass(frozen=True)
 class Method:
-    """Method of a fit.
+    """A fitting method: its name, its function, and the readings that it needs.
 
     Attributes
     ----------
     fit : callable
         From `Readings` to a `FitResult`; raises `FitError` or `SingularError`.
     refit : callable
-        From other readings of the same dwells, or of some of them, with the noise of an earlier result, and
-        the `Origin` of that result, to the `Fit` of these readings; raises `FitError`. The comparison of
-        methods leaves dwells out by it, and Monte Carlo runs its trials by it.
+        Repeats a fit: from other readings of all or some of the dwells, and the `Origin` of an earlier
+        result, to a `Fit` of these readings with the noise of that result; raises `FitError`. Used to leave
+        dwells out in the comparison of methods, and for Monte Carlo trials.
     suits : callable
         True if the session has the positions that the method needs.
     """

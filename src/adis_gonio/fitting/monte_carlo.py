@@ -1,4 +1,4 @@
-"""Propagation of distributions by Monte Carlo (JCGM 101:2008, GUM Supplement 1), to check the linear one.
+"""Uncertainty by Monte Carlo (JCGM 101:2008, GUM Supplement 1), to check the linear propagation.
 
 Each trial draws every input from its distribution (noise with few degrees of freedom from Student's,
 quantization from a rectangle, angles as real turns of the part) and fits again by the same method. Nothing
@@ -30,7 +30,7 @@ WITHIN = 0.01
 
 @dataclass(frozen=True)
 class Propagated:
-    """One parameter by Monte Carlo and by linear propagation.
+    """Uncertainty of one parameter by Monte Carlo and by linear propagation.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Propagated:
     why: str
 
     def as_dict(self) -> dict[str, Any]:
-        """One entry of `parameters`."""
+        """JSON object of the parameter, one entry of `parameters` in the document."""
         return {
             "u": self.u,
             "low": self.low,
@@ -72,9 +72,9 @@ class Propagated:
 
 @dataclass(frozen=True)
 class MonteCarlo(JsonRecord):
-    """A propagation: number of trials that gave a result, and each parameter.
+    """Result of a Monte Carlo propagation: number of successful trials, and each parameter.
 
-    The JSON document is the value of `monte_carlo`.
+    Its JSON document is the entry `monte_carlo` of a result.
     """
 
     method: str
@@ -83,11 +83,11 @@ class MonteCarlo(JsonRecord):
     parameters: tuple[Propagated, ...] = field(metadata=KEYED_BY_NAME)
 
     def __getitem__(self, name: str) -> Propagated:
-        """By name."""
+        """Return the result for the parameter of this name."""
         return next(p for p in self.parameters if p.name == name)
 
     def rows(self) -> tuple[list[str], list[list[str]]]:
-        """Head and rows of a table."""
+        """Head and rows of a table that compares Monte Carlo with linear propagation for each parameter."""
         head = ["parameter", "unit", "u", "u, linear", "from", "to", "half width", "U, linear"]
         rows = []
         for p in self.parameters:
@@ -97,7 +97,7 @@ class MonteCarlo(JsonRecord):
 
     @property
     def remarks(self) -> list[str]:
-        """Differences between both ways, with reasons, and the number of failed trials."""
+        """Sentences on differences between Monte Carlo and linear propagation, and on failed trials."""
         remarks = [f"{p.name}: {p.why}" for p in self.parameters if p.why]
         if self.failed:
             remarks.append(f"{self.failed} trials gave no result and were left out")
@@ -105,7 +105,7 @@ class MonteCarlo(JsonRecord):
 
 
 def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> MonteCarlo:
-    """Propagate the inputs' distributions through the method of a fit.
+    """Repeat a fit on simulated readings, with all inputs drawn from their distributions.
 
     Parameters
     ----------
@@ -145,7 +145,10 @@ def _values(fit: Fit, names: list[str]) -> list[float]:
 
 
 def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
-    """Function that draws readings: the session's, with every input moved by its distribution."""
+    """Function that returns simulated readings at each call.
+
+    They are the session's readings plus a random error from the distribution of every input.
+    """
     data, fit, noise = made.readings, made.fit, made.noise
     n, axes = data.mean.shape
     roots, dof, estimate = repeatability_of(data, noise)
@@ -167,7 +170,7 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
         if noise.extra_mg:
             moved += noise.extra_mg * _student(rng, noise.dof) * rng.standard_normal((n, axes))
         if sigma.any():
-            # Turn the part by the error of the declared angle, exactly and not to first order.
+            # Turn the sensor by the error of the declared angle, exactly and not to first order.
             away = sigma * _student(rng, noise.sigma_dof) * rng.standard_normal(n)
             moved += model.ideal(fit.values.base, attitude + away, turn) - exact
         for columns in shared:
@@ -179,18 +182,21 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
 
 
 def _shared_inputs(data: Readings, by_name: dict[str, Source]) -> list[Floats]:
-    """Columns (n, axes, k) of inputs that act on all dwells, such as temperature coefficients."""
+    """Changes (n, axes, k) of the readings by errors that act on all dwells, such as temperature."""
     found = [by_name[name].acts_mg for name in (TEMPERATURE, MODEL) if name in by_name]
     return [columns for columns in found if columns is not None]
 
 
 def _student(rng: np.random.Generator, dof: float) -> float:
-    """Random factor that turns a normal variable into one of Student's distribution."""
+    """Random factor that turns a normal variable into a variable with Student's distribution."""
     return 1.0 if math.isinf(dof) else math.sqrt(dof / float(rng.chisquare(dof)))
 
 
 def _students(rng: np.random.Generator, dof: Floats, estimate: Any) -> Floats:
-    """Such factors for variables (n, axes), one draw for each estimate of their variance."""
+    """Random factors (n, axes) like `_student`; variances from one estimate get a common factor.
+
+    `estimate` has the number of the estimate behind each variance.
+    """
     factor = np.ones(estimate.shape)
     for number in np.unique(estimate[np.isfinite(dof)]):
         mine = estimate == number
@@ -229,7 +235,10 @@ def _why(made: Origin, linear: Estimate, u: float, doubt: float, k: int) -> str:
 
 
 def _students_u(made: Origin, gradient: Floats) -> float:
-    """Standard deviation of the linear model under Student's distributions; inf at two degrees or fewer."""
+    """Standard deviation of a quantity by linear propagation with Student's distribution for each source.
+
+    It is infinite if a source has two degrees of freedom or fewer.
+    """
     assert made.sources is not None
     total = 0.0
     for _, dof, variance in made.sources.parts(gradient[None]):

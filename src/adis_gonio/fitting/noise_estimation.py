@@ -37,7 +37,7 @@ _LARGEST_SIGMA_RAD = 0.2
 
 @dataclass(frozen=True)
 class NoiseAssumptions:
-    """Assumed noise of readings and angles.
+    """Noise that a fit assumes for the readings and the declared angles.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class NoiseAssumptions:
     notes: tuple[str, ...] = ()
 
     def applied(self, readings: Readings) -> Readings:
-        """Readings with the assumed noise."""
+        """Copy of the readings with this noise."""
         # Readings without a stated noise have a placeholder of 1 mg, scaled here.
         factor = np.where(readings.known, 1.0, self.scale**2)[:, None, None]
         covariance = readings.own_covariance * factor + self.extra_mg**2 * np.eye(readings.axes)
@@ -74,7 +74,7 @@ class NoiseAssumptions:
 
 @dataclass(frozen=True)
 class Settled:
-    """A fit with its estimated noise.
+    """A fit of base model and biases, with the noise that was estimated for it.
 
     `chi2` and `dof` are computed with the measured noise: from the readings with a known noise, if there
     are enough of them to test the model.
@@ -121,7 +121,7 @@ def settle(readings: Readings) -> Settled:
 
 
 def _settle_known(readings: Readings) -> Settled | None:
-    """Settle the readings of known noise by themselves; None if they cannot test the model."""
+    """Fit only the readings with a known noise; None if these are too few to test the model."""
     try:
         first = settle(replace(readings.rows(readings.known), fitted=readings.visible))
     except (FitError, np.linalg.LinAlgError):
@@ -130,7 +130,7 @@ def _settle_known(readings: Readings) -> Settled | None:
 
 
 def _without_noise(readings: Readings) -> Settled:
-    """Fit base model and bias, and give no uncertainty."""
+    """Fit base model and bias without any knowledge of the noise, so without uncertainties."""
     determination = determine(readings)
     note = (
         "the readings with a known noise cannot be fitted by themselves: no uncertainty can be given; "
@@ -141,7 +141,7 @@ def _without_noise(readings: Readings) -> Settled:
 
 
 def _settle_unknown(readings: Readings, first: Settled) -> Settled:
-    """Estimate the noise of readings without a stated noise from their scatter about the fit of the others.
+    """Estimate the noise of readings that state none, from their residuals in a fit of the other readings.
 
     χ² of all readings less χ² of the known ones is (y − ŷ)ᵀ(S + P)⁻¹(y − ŷ) with the noise S of the others
     and the covariance P of their prediction ŷ. Its mean is the number of equations that they add.
@@ -172,7 +172,9 @@ def _settle_unknown(readings: Readings, first: Settled) -> Settled:
 
 
 def state_noise(readings: Readings) -> Readings:
-    """Return readings with an estimated noise for readings without one, if the noise of others is known.
+    """Return the readings with an estimated noise for each one that states none.
+
+    This needs other readings with a known noise.
 
     `settle` estimates the noise from the dwells that may be fitted. If no reading states its noise, or too
     few for a test of the model, the readings are returned unchanged.
@@ -200,7 +202,7 @@ def _unstated(readings: Readings) -> str:
 
 
 class _Follow:
-    """Refits that start from the last values and hold the same parameters."""
+    """Repeats a fit under other noise, starting from the last values, with the same fixed parameters."""
 
     def __init__(self, readings: Readings, first: Determination) -> None:
         self.readings = readings
@@ -213,7 +215,7 @@ class _Follow:
         return fit
 
     def determination(self, noise: NoiseAssumptions) -> Determination:
-        """Fit with `noise`, and find the determined parameters again."""
+        """Fit with `noise`, and find again which parameters the readings determine."""
         return determine(noise.applied(self.readings), self.first.held)
 
 
@@ -243,7 +245,7 @@ def _unknown_readings(
 
 
 def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> NoiseAssumptions:
-    """Restricted maximum likelihood for σ_f."""
+    """Estimate the standard deviation σ_f of the declared angles by restricted maximum likelihood."""
     if dof < 2:
         note = (
             "fixture_sigma_deg is not stated and too few positions show it: declared angles were taken as "
@@ -280,14 +282,17 @@ def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> Nois
 
 
 def chi2_quantile(dof: int, level: float) -> float:
-    """Value that χ² exceeds with a probability of `level`."""
+    """Value that χ² with `dof` degrees of freedom exceeds with a probability of `level`."""
     from scipy.special import chdtri
 
     return float(chdtri(dof, level))
 
 
 def _equal_to_dof(cost: Callable[[float], float], dof: int, low: float, high: float) -> float:
-    """Standard deviation at which a decreasing χ² equals its degrees of freedom, or an end of the range."""
+    """Standard deviation between `low` and `high` at which χ² equals its degrees of freedom.
+
+    `cost` gives χ², which decreases. Without a solution, return an end of the range.
+    """
     from scipy.optimize import brentq
 
     @cache  # a refit starts at the last values, so a second call could give another result

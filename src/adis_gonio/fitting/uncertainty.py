@@ -42,7 +42,7 @@ Kind = Literal["A", "B"]
 REPEATABILITY, FLICKER, FIXTURE = "repeatability", "1/f noise", "fixture"
 GRAVITY, QUANTIZATION, TEMPERATURE, MODEL = "gravity", "quantization", "temperature", "model choice"
 LINKS = "gyro links"
-"""Additional source of a fit in space with turns between its poses."""
+"""Name of the additional source in a fit in space that uses the gyros' turns between poses."""
 SOURCES = (REPEATABILITY, FLICKER, FIXTURE, GRAVITY, QUANTIZATION, TEMPERATURE, MODEL)
 
 GRAVITY_HALF_MPS2 = 0.027
@@ -55,7 +55,7 @@ of the angles, the scatter of readings without a stated noise, the samples of on
 
 @dataclass(frozen=True)
 class Source:
-    """One source of uncertainty.
+    """One source of uncertainty, and its effect on the parameters of a fit and on a further reading.
 
     Attributes
     ----------
@@ -69,21 +69,22 @@ class Source:
         Standard uncertainty of the source itself, rms over dwells and axes; None if unknown.
     unit : str
     moves : (p, k) float
-        Change of the parameters by each independent part at one standard uncertainty, natural units.
+        Change of the parameters, in natural units, by one standard uncertainty of each of the k independent
+        components of the source.
     dof : (k,) float
-        Degrees of freedom of the estimate behind each part; inf without an estimate.
+        Degrees of freedom of the estimate of each component's variance; inf if it is not estimated.
     estimate : (k,) int
-        Number of that estimate: parts of one estimate have a common error.
+        Number of that estimate; components with the number of one estimate have a common error.
     reading_mg2 : (axes, axes) float
         Contribution to the covariance of a further reading with the length of a dwell of the session.
     note : str
         Remark on the source.
     by_definition : bool
-        True if the parameters are stated relative to it: it moves them but is not part of their u.
+        True if the parameters are stated relative to this source: it changes them, but u excludes it.
     acts_mg : (n, axes, k) float or None
         Change of the readings by inputs that act on all dwells, at one standard uncertainty.
     further_mg : (axes, k) float or None
-        Direct effect of the parts on a further reading, in addition to the effect on the parameters.
+        Direct effect of the components on a further reading, in addition to the effect on the parameters.
     """
 
     name: str
@@ -101,7 +102,11 @@ class Source:
     further_mg: Floats | None = None
 
     def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
-        """(estimate, degrees of freedom, variance) of each part of a quantity.
+        """Contributions of the source to the variance of a quantity, one for each independent component.
+
+        Each contribution is (number of the estimate, degrees of freedom, variance).
+
+        Each contribution is (number of the estimate, degrees of freedom, variance).
 
         Parameters
         ----------
@@ -122,14 +127,17 @@ class Source:
         return found
 
     def _moved(self, gradient: Floats, reading: Floats | None) -> Floats:
-        """Change (m, k) of the m values by each part."""
+        """Change (m, k) of m quantities by one standard uncertainty of each of the source's k components.
+
+        `gradient` (m, p) and `reading` (m, axes) are the derivatives by the parameters and by a reading.
+        """
         moved = gradient @ self.moves
         if reading is not None and self.further_mg is not None:
             moved = moved + reading @ self.further_mg
         return np.asarray(moved)
 
     def by_place(self, gradient: Floats, reading: Floats) -> Floats:
-        """Variance of each of the m values, (m,)."""
+        """Variance (m,) that the source contributes to each of m quantities."""
         own = np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading)
         return np.asarray((self._moved(gradient, reading) ** 2).sum(axis=1) + own)
 
@@ -155,7 +163,7 @@ NOTHING_UNSEEN = Unseen()
 
 @dataclass(frozen=True)
 class Sources:
-    """All sources of a fit's uncertainty."""
+    """All sources that contribute to the uncertainty of a fit."""
 
     each: tuple[Source, ...]
 
@@ -165,16 +173,16 @@ class Sources:
 
     @property
     def covariance(self) -> Floats:
-        """Covariance (p, p) of the parameters in natural units."""
+        """Total covariance (p, p) of the parameters in natural units."""
         moves = np.concatenate([source.moves for source in self._counted], axis=1)
         return np.asarray(moves @ moves.T)
 
     def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
-        """Parts of the variance of a quantity; see `Source.parts`."""
+        """Contributions of all sources to the variance of a quantity; see `Source.parts`."""
         return [part for source in self._counted for part in source.parts(gradient, reading)]
 
     def by_place(self, gradient: Floats, reading: Floats) -> Floats:
-        """Variance (m,) of each of m values; see `Source.parts`."""
+        """Total variance (m,) of each of m quantities; see `Source.parts` for the arguments."""
         return np.asarray(sum(source.by_place(gradient, reading) for source in self._counted))
 
     def uncertainty(self, gradient: Floats, reading: Floats | None = None) -> tuple[float, float]:
@@ -184,7 +192,10 @@ class Sources:
 
 
 def dof_of(parts: Sequence[tuple[int, float, float]]) -> float:
-    """Effective degrees of freedom; parts of one estimate are added first."""
+    """Effective degrees of freedom of a sum of variances (Welch–Satterthwaite).
+
+    Variances that come from one estimate are added first, because they have a common error.
+    """
     by_estimate: dict[int, tuple[float, float]] = {}
     surely = sum(variance for _, dof, variance in parts if math.isinf(dof))
     for estimate, dof, variance in parts:
@@ -195,7 +206,9 @@ def dof_of(parts: Sequence[tuple[int, float, float]]) -> float:
 
 
 def response_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats:
-    """∂parameter/∂reading (p, n, axes) in natural units per mg, of weighted least squares.
+    """Derivative (p, n, axes) of the parameters by each reading, in natural units per mg.
+
+    It is valid for weighted least squares.
 
     Parameters
     ----------
@@ -208,7 +221,10 @@ def response_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats:
 
 
 def by_rotation_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats | None:
-    """∂parameter/∂rotation (p, m, 3) of each link in natural units per rad; None without links."""
+    """Derivative (p, m, 3) of the parameters by the rotation of each link, in natural units per rad.
+
+    None if the fit has no links.
+    """
     if fit.data.links is None:
         return None
     return np.asarray(fit.by_rotation((fit.jacobian * natural) @ covariance).transpose(2, 0, 1))
@@ -222,7 +238,7 @@ def sources_of(
     unseen: Unseen = NOTHING_UNSEEN,
     rotation: Floats | None = None,
 ) -> Sources:
-    """Sources of the uncertainty of fitted parameters.
+    """All sources that contribute to the uncertainty of fitted parameters.
 
     Parameters
     ----------
@@ -253,7 +269,7 @@ def sources_of(
 
 
 def _links(fit: Fit, rotation: Floats) -> Source:
-    """Noise of the rotations between poses, and the uncertainty of the gyros."""
+    """Source of uncertainty for the rotations between poses: gyro noise and uncertain gyro parameters."""
     links = fit.data.links
     assert links is not None
     # Covariance of the parameters from the own errors of all links.
@@ -278,12 +294,15 @@ def _links(fit: Fit, rotation: Floats) -> Source:
 
 
 def _each(response: Floats, roots: Floats) -> Floats:
-    """Moves (p, n·axes) of parts that act on one dwell each: columns of `roots` (n, axes, axes)."""
+    """Changes (p, n·axes) of the parameters by independent errors of each dwell.
+
+    The errors have the covariances of `roots` (n, axes, axes); `response` is ∂parameter/∂reading.
+    """
     return np.asarray(np.einsum("pna,nab->pnb", response, roots).reshape(len(response), -1))
 
 
 def _root(covariance: Floats) -> Floats:
-    """Roots (n, axes, axes) of covariances, one column for each axis."""
+    """Square roots (n, axes, axes) of covariances: each root times its transpose is the covariance."""
     axes = covariance.shape[1]
     diagonal = np.sqrt(np.maximum(np.einsum("naa->na", covariance), 0.0))
     if not covariance[:, ~np.eye(axes, dtype=bool)].any():
@@ -305,7 +324,10 @@ def _unlimited(k: int) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
-    """Covariance (n, axes, axes) of the means from noise that averaging lowers."""
+    """Covariance (n, axes, axes) of the mean readings from noise that more samples would reduce.
+
+    Quantization and 1/f noise are excluded.
+    """
     factor = np.where(data.known, 1.0, noise.scale**2)[:, None, None]
     own = data.own_covariance * factor
     for part in (data.quantization, data.flicker):
@@ -314,7 +336,10 @@ def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
 
 
 def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, Floats, NDArray[np.intp]]:
-    """Roots (n, axes, axes) of this noise; degrees of freedom and numbers (n, axes) of its estimates."""
+    """Square roots (n, axes, axes) of the covariance of `_own`, and the estimate behind each variance.
+
+    The estimates are given by their degrees of freedom and their numbers (n, axes).
+    """
     n, axes = data.mean.shape
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
     dof = np.where(data.known, data.dof, noise.scale_dof)
@@ -391,7 +416,7 @@ def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats
 
 
 def _gravity(data: Readings, fit: Fit, parameters: int) -> Source:
-    """All gains change as 1/g, and nothing else does."""
+    """Source of uncertainty for local gravity, which changes all scale factors by one common factor."""
     base = fit.values.base
     u = GRAVITY_HALF_MPS2 / math.sqrt(3)
     moves = np.zeros((parameters, 1))
@@ -431,7 +456,10 @@ def _quantization(data: Readings, response: Floats) -> Source:
 
 
 def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
-    """Unknown temperature coefficient of each bias, within the data sheet and the residual."""
+    """Source of uncertainty for the unknown change of each bias with temperature.
+
+    Its size is limited by the data sheet and by the residual.
+    """
     axes = data.axes
     figure = VARIANTS[data.sensor].performance.bias_tempco_mg_per_c if data.sensor in VARIANTS else 0.0
     temperature = data.conditions.temperature_c
@@ -467,7 +495,10 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
 
 
 def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, unseen: Unseen) -> Source:
-    """Residual beyond the noise, and biases and skews that had to be taken as zero."""
+    """Source of uncertainty for an incomplete model.
+
+    It covers a residual beyond the noise, and biases and skews that had to be taken as zero.
+    """
     axes = data.axes
     extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
     figures = VARIANTS[data.sensor].performance if data.sensor in VARIANTS else None
@@ -527,12 +558,12 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
 
 
 ROUNDING = 1e-10
-"""Share of u below which a contribution is a rounding error."""
+"""Relative contribution to u below which it counts as rounding error."""
 
 
 @dataclass(frozen=True)
 class BudgetRow(JsonRecord):
-    """One source in the budget of one quantity.
+    """Contribution of one source to the uncertainty of one quantity.
 
     The JSON document is one row of `budget`.
 
@@ -565,7 +596,7 @@ class BudgetRow(JsonRecord):
 
 
 def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None) -> tuple[BudgetRow, ...]:
-    """Budget of one quantity.
+    """Uncertainty budget of one quantity: a row for each source with its share.
 
     Parameters
     ----------
@@ -605,7 +636,7 @@ _LARGEST_FACTOR = 1e4
 
 
 def missing_effects(fit: Fit) -> Floats:
-    """Return inputs (n, axes, k) in mg, each at one standard uncertainty, that the model lacks.
+    """Readings (n, axes, k) in mg that effects outside the model could add, at one standard uncertainty.
 
     Parameters
     ----------
@@ -639,7 +670,10 @@ def missing_effects(fit: Fit) -> Floats:
 
 
 def _columns(fit: Fit) -> Iterator[Floats]:
-    """Yield columns (n, axes, d) of each effect that acts on readings of this session, at typical size."""
+    """Yield the change (n, axes, d) of the readings by each effect of the catalogue at its typical size.
+
+    Effects that cannot act on this session are omitted.
+    """
     data = fit.data
     for kind in catalogue(data.model.part).values():
         beside_readings = kind.enters is Enters.SAMPLES or kind.within_dwell
@@ -654,12 +688,12 @@ def _columns(fit: Fit) -> Iterator[Floats]:
 
 
 def _without(rows: Floats, columns: Floats) -> Floats:
-    """Rows (m, d) minus their projection onto the columns (m, p)."""
+    """Rows (m, d) minus their least-squares fit by the columns (m, p)."""
     return np.asarray(rows - columns @ np.linalg.lstsq(columns, rows, rcond=1e-9)[0])
 
 
 def _factor(strength: Floats, power: Floats) -> float:
-    """Factor s, 1 to 10⁴, on the sizes of independent amplitudes that maximizes the likelihood.
+    """Common factor, 1 to 10⁴, on the prior sizes of independent amplitudes, by maximum likelihood.
 
     Parameters
     ----------
@@ -682,7 +716,7 @@ PLACES = 72
 
 @dataclass(frozen=True)
 class ShownAngle:
-    """Slopes of the shown angle at m places of the turn.
+    """Derivatives of the calibrated angle by the parameters and by a reading, at m angles of the turn.
 
     Attributes
     ----------
@@ -697,7 +731,7 @@ class ShownAngle:
 
     @classmethod
     def around(cls, fit: Fit) -> ShownAngle:
-        """Slopes at places around the turn, by base parameters and biases, at the values of a planar fit.
+        """Derivatives at angles all around the turn, by the base parameters and biases of a planar fit.
 
         Angle ψ = atan2(v, u) with u = (U_x − b_x)/(G K_x), v = ((U_y − b_y)/(G K_y) − u sin Δφ)/cos Δφ; the
         shown angle is α − ψ. Without declared angles there is no α, and the angle is between gravity and X.
@@ -707,14 +741,17 @@ class ShownAngle:
 
     @classmethod
     def at_dwells(cls, fit: Fit) -> ShownAngle:
-        """Slopes at the dwells of a planar fit, by all of its parameters, also of its terms."""
+        """Derivatives at the dwells of a planar fit, by all its parameters including those of terms."""
         psi = fit.values.base[0] + fit.turn_rad + fit.values.attitude
         slope = _by_reading(fit, psi)
         gradient = np.einsum("na,nap->np", slope, fit.columns)
         return cls(np.degrees(gradient), -np.degrees(slope))
 
     def variances(self, covariance: Floats, reading_mg2: Floats) -> Floats:
-        """Variance (m,) in degrees² at each place."""
+        """Variance (m,) of the calibrated angle in degrees² at each of the m angles.
+
+        The arguments are the covariances of the parameters and of a reading.
+        """
         # gᵀ C g at each place, for the parameters and for the reading.
         by_parameters = np.einsum("mp,pq,mq->m", self.gradient, covariance, self.gradient)
         by_reading = np.einsum("ma,ab,mb->m", self.reading, reading_mg2, self.reading)
@@ -722,7 +759,9 @@ class ShownAngle:
 
 
 def gradient_of_base(base: Floats, *, zero: bool) -> Floats:
-    """Degrees (PLACES, 6) of a shown angle by α, K_x, K_y, Δφ and biases (of gravity 1).
+    """Derivative (PLACES, 6) in degrees of the calibrated angle by α, K_x, K_y, Δφ and both biases.
+
+    The biases are in units of gravity.
 
     Parameters
     ----------
@@ -749,12 +788,12 @@ def _around() -> Floats:
 
 
 def _by_axis(psi: Floats, skew: float) -> tuple[Floats, Floats]:
-    """∂ψ/∂(U_x/(G K_x)) and ∂ψ/∂(U_y/(G K_y))."""
+    """Derivatives of the angle ψ by U_x/(G K_x) and by U_y/(G K_y), the scaled readings."""
     return -np.sin(psi) - np.cos(psi) * math.tan(skew), np.cos(psi) / math.cos(skew)
 
 
 def _by_reading(fit: Fit, psi: Floats) -> Floats:
-    """∂ψ/∂reading (m, 2) in rad per mg."""
+    """Derivative (m, 2) of the angle ψ by the reading of each axis, in rad per mg."""
     _, k_x, k_y, skew = fit.values.base
     by_x, by_y = _by_axis(psi, float(skew))
     return np.asarray(np.stack([by_x / k_x, by_y / k_y], axis=1) / fit.data.gravity_mg)

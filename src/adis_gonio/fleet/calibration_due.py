@@ -1,4 +1,4 @@
-"""When to calibrate next, by two methods of ILAC-G24:2022 / OIML D 10:2022 (6.2 and 6.3; 2007: 1 and 2).
+"""Date of the next calibration, by two methods of ILAC-G24:2022 / OIML D 10:2022 (6.2 and 6.3).
 
 *Staircase* (automatic adjustment): each routine calibration shows the error of the previous one. The
 interval is lengthened if that error is within 80 % of the permissible error, and shortened if it is
@@ -37,7 +37,10 @@ _TURN = np.arange(0.0, 360.0, 1.0)
 
 
 def slopes_deg(gravity_mps2: float = STANDARD_GRAVITY_MPS2) -> Floats:
-    """Error of the angle in degrees by a unit of each of `PARAMETERS` (1, deg, mg, mg), (360, 4)."""
+    """Error of the angle in degrees per unit of each of `PARAMETERS` (1, °, mg, mg), (360, 4).
+
+    There is one row for each degree of the turn.
+    """
     psi = np.radians(_TURN)
     gravity_mg = 1000.0 * gravity_mps2 / STANDARD_GRAVITY_MPS2
     cos, sin = np.cos(psi), np.sin(psi)
@@ -54,7 +57,7 @@ def slopes_deg(gravity_mps2: float = STANDARD_GRAVITY_MPS2) -> Floats:
 def worst_deg(
     difference: Mapping[str, float], u: Mapping[str, float], k: float, gravity_mps2: float
 ) -> tuple[float, float]:
-    """Largest |error| over the turn, and largest |error| + U.
+    """Largest |error| of the angle over a full turn, and the largest |error| + U.
 
     Parameters
     ----------
@@ -83,7 +86,7 @@ SHORTEST_DAYS, LONGEST_DAYS = 30.0, 5 * YEAR_DAYS
 
 @dataclass(frozen=True)
 class Rules(JsonRecord):
-    """Choices of the user.
+    """Limits and factors of the rules for the calibration interval, as the user chose them.
 
     Attributes
     ----------
@@ -94,7 +97,7 @@ class Rules(JsonRecord):
     first_days : float
         Interval after the first calibration.
     longer, shorter : float
-        Factors of the staircase.
+        Factors by which the staircase rule lengthens and shortens the interval.
     """
 
     document_keys = ("limit_deg", "assumed")
@@ -114,7 +117,9 @@ class Rules(JsonRecord):
 
 @dataclass(frozen=True)
 class Stair(JsonRecord):
-    """One step of the staircase: the error of the previous calibration, found by the next one.
+    """One change of the calibration interval by the staircase rule.
+
+    A calibration shows the error that the sensor has had with the previous calibration.
 
     Attributes
     ----------
@@ -135,7 +140,7 @@ class Stair(JsonRecord):
 
 @dataclass(frozen=True)
 class Rule(JsonRecord):
-    """A date by one method, or the reason why there is none."""
+    """Date of the next calibration by one method, or the reason why the method gives no date."""
 
     method: str
     date: str | None
@@ -145,7 +150,7 @@ class Rule(JsonRecord):
 
 @dataclass(frozen=True)
 class Due(JsonRecord):
-    """When to calibrate next.
+    """Date of the next calibration of a sensor, with the dates by each method.
 
     Attributes
     ----------
@@ -166,7 +171,7 @@ class Due(JsonRecord):
 
 
 def due_of(history: History, limits: Rules | None = None) -> Due:
-    """Date of the next calibration of a sensor."""
+    """Determine the date of the next calibration of a sensor."""
     limits = limits or Rules()
     if not len(history.sessions):
         lacking = Rule("staircase", None, "no session has both a date and a result", "")
@@ -178,10 +183,11 @@ def due_of(history: History, limits: Rules | None = None) -> Due:
 
 
 def step(interval_days: float, elapsed_days: float, error_deg: float, limits: Rules) -> tuple[float, str]:
-    """Next interval and the response to one calibration.
+    """Return the next calibration interval in days, and the response, after one calibration.
 
-    An error beyond the limit shortens the interval, or the elapsed time if that is less. An error within
-    `WITHIN` of the limit lengthens it, if enough of it has passed (`ROUTINE`). Otherwise it is kept.
+    An error beyond the limit shortens the interval (or the elapsed time if that is shorter). An error
+    below the share `WITHIN` of the limit lengthens the interval, if the share `ROUTINE` of it has passed.
+    Otherwise the interval is kept.
     """
     if error_deg > limits.limit_deg:
         return max(min(interval_days, elapsed_days) * limits.shorter, SHORTEST_DAYS), "shorter"
@@ -193,7 +199,7 @@ def step(interval_days: float, elapsed_days: float, error_deg: float, limits: Ru
 
 
 def staircase_of(history: History, limits: Rules) -> list[Stair]:
-    """Steps so far, one per session from the second on."""
+    """List the changes of the calibration interval so far, one per session from the second session on."""
     days, sessions = history.days, history.sessions
     interval, stairs = limits.first_days, []
     last = 0
@@ -211,7 +217,7 @@ def staircase_of(history: History, limits: Rules) -> list[Stair]:
 
 
 def _difference(history: History, before: int, after: int) -> tuple[dict[str, float], dict[str, float]]:
-    """Change of each parameter that both sessions determine, and its u."""
+    """Change of each parameter that both sessions determine, and the standard uncertainty of the change."""
     one, other = history.sessions[before].values, history.sessions[after].values
     names = [name for name in PARAMETERS if name in one and name in other]
     change = {name: other[name].value - one[name].value for name in names}

@@ -29,13 +29,16 @@ from adis_gonio.tracing.thresholds import limits
 _LEVELS = (0.025, 0.975)
 _SHARES = np.concatenate([np.linspace(0.005, 0.2, 40), np.linspace(0.21, 1.0, 80)])
 _FACTORS = np.geomspace(0.4, 2.5, 9)
-"""Factors on the most probable mean and spread; the share is averaged over them."""
+"""Factors on the most probable mean and spread; the posterior of the share is averaged over them."""
 
 
 def share_of(
     population: Population, others: Sequence[ChosenCause], part: ChosenCause
 ) -> tuple[float, float, float]:
-    """Posterior mean of the share of affected sessions, and its 95 % interval; uniform prior."""
+    """Estimate the share of sessions that a cause affects.
+
+    Returns the posterior mean and both ends of the 95 % interval, for a uniform prior.
+    """
     # Only sessions of the group that could show the cause.
     inside = part.group.inside & population.units.seen(part.candidate.index)
     blocks = population.blocks_given(others, part.candidate.index, part.amplitudes.relative)
@@ -66,7 +69,7 @@ def _at(factors: Sequence[tuple[Floats, Floats]], share: float) -> float:
 def means_of(
     population: Population, others: Sequence[ChosenCause], part: ChosenCause
 ) -> tuple[dict[str, Value], dict[str, float]]:
-    """Mean amplitude with its uncertainty, and spread, by parameter in its unit.
+    """Mean amplitude of a cause with its uncertainty, and its spread, by parameter in the parameter's unit.
 
     The uncertainty follows from the curvature of the log likelihood in share, spread and mean together.
     """
@@ -84,10 +87,11 @@ def means_of(
 
 
 def _sizes(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats:
-    """Size of an amplitude of one in the unit of each column (d,).
+    """Factor (d,) that converts scaled amplitudes to the unit of each column.
 
-    If the amplitudes are relative to each session's own uncertainty, the size is the median of that
-    uncertainty over the affected sessions: the sessions of one stage may be much noisier than the rest.
+    Amplitudes are in typical standard uncertainties. If they are relative to each session's own
+    uncertainty, the factor is the median of this uncertainty over the affected sessions: the sessions of
+    one stage may be much noisier than the rest.
     """
     units, index = population.units, list(part.candidate.index)
     typical = units.typical[index]
@@ -105,7 +109,10 @@ def _sizes(population: Population, others: Sequence[ChosenCause], part: ChosenCa
 
 
 def _uncertainty(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats | None:
-    """Uncertainty of the mean (d,) in typical uncertainties; None for a zero mean or without curvature."""
+    """Standard uncertainty of the mean amplitudes (d,), as multiples of the typical standard uncertainty.
+
+    Returns None if the mean is fixed at zero, or if the likelihood has no maximum in it.
+    """
     start = part.amplitudes
     at = parameters_of(start)
     if len(at) == 2:
@@ -135,7 +142,7 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
 
 
 def _curvature(value, at: Floats, step: float = 0.05) -> Floats:  # type: ignore[no-untyped-def]
-    """Negative Hessian of a function by central differences, (p, p)."""
+    """Negative Hessian (p, p) of a function at a point (p,), by central differences."""
     count = len(at)
     moves = step * np.eye(count)
     out = np.zeros((count, count))
@@ -157,7 +164,7 @@ _SIZES = np.geomspace(0.1, 30.0, 26)
 
 @dataclass(frozen=True)
 class Reach(JsonRecord):
-    """Smallest amplitude of an effect that a population would have shown.
+    """Smallest amplitude of an effect that a population of sessions would have shown.
 
     The JSON document is one value of `detectable`.
 
@@ -175,10 +182,10 @@ class Reach(JsonRecord):
 
 
 def reach_of(population: Population) -> dict[str, Reach]:
-    """Smallest amplitude found with 90 % power, by effect, on the worst of its axes.
+    """Smallest amplitude of each effect that the population shows with 90 % power, on the worst axis.
 
-    The gain and its variance are expected values over units drawn from the distribution. The search
-    costs the prior of candidate and grid.
+    The log likelihood has to rise by more than the price of the search, which follows from the priors of
+    candidates and grid. Its rise is an expected value over sessions drawn from the distribution.
     """
     units = population.units
     by_name: dict[str, list[tuple[str, str, dict[str, float | None]]]] = defaultdict(list)
@@ -209,7 +216,10 @@ def reach_of(population: Population) -> dict[str, Reach]:
 
 
 def _smallest(block: Block, share: float, price: float) -> float | None:
-    """Smallest mean amplitude with an evidence above `price` in 90 % of populations."""
+    """Smallest mean amplitude that 90 % of populations would show, or None if no tried amplitude suffices.
+
+    A population shows the amplitude if the log likelihood rises by more than `price`.
+    """
     low, high = 0, len(_SIZES)
     while low < high:  # bisection: power grows with the amplitude
         middle = (low + high) // 2
@@ -222,7 +232,11 @@ def _smallest(block: Block, share: float, price: float) -> float | None:
 
 
 def _expected(block: Block, share: float, size: float) -> tuple[float, float]:
-    """Mean and variance of the gain in log likelihood of a population, by Gauss–Hermite quadrature."""
+    """Expected rise of a population's log likelihood if a cause is added to the model, and its variance.
+
+    A `share` of the units is affected with the mean amplitude `size`, in typical standard uncertainties.
+    The expectation is by Gauss–Hermite quadrature over the scores of the units.
+    """
     g = block.information[:, 0, 0]
     spread = RELATIVE_SPREAD * size
     weight = _WEIGHTS / _WEIGHTS.sum()

@@ -36,7 +36,9 @@ _NODES = 80
 
 @dataclass(frozen=True)
 class ControlChart(JsonRecord):
-    """A series of sessions compared with its own past; entries of the first session are NaN.
+    """Control charts of a quantity: each session is compared with the sessions before it.
+
+    Entries of the first session are NaN.
 
     Attributes
     ----------
@@ -45,11 +47,11 @@ class ControlChart(JsonRecord):
     low, high : (n,) float
         Shewhart's limits for this session.
     z : (n,) float
-        Standardised difference.
+        Difference from `expected` in standard deviations.
     up, down : (n,) float
         The two sums of the CUSUM, in standard deviations; 0 at the first session.
     between : float
-        Standard deviation between sessions, beyond their u.
+        Standard deviation between sessions, in addition to their u.
     since : int or None
         Index of the first session after a change that the CUSUM signals, by the most likely split of the
         sessions up to the signal into two means (Pignatiello and Samuel, J. Qual. Technol. 33, 2001).
@@ -75,18 +77,18 @@ class ControlChart(JsonRecord):
 
     @property
     def outside(self) -> list[int]:
-        """Indices of the sessions outside Shewhart's limits."""
+        """Indices of the sessions outside the 3σ limits of Shewhart's chart."""
         return [int(n) for n in np.flatnonzero(np.abs(self.z) > SHEWHART)]
 
     @property
     def signal(self) -> int | None:
-        """Index of the first session at which the CUSUM signals, or None."""
+        """Index of the first session at which a sum of the CUSUM exceeds its limit, or None."""
         over = np.flatnonzero(np.maximum(self.up, self.down) > self.h)
         return int(over[0]) if len(over) else None
 
 
 def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM_H) -> ControlChart:
-    """Both charts of a series (n,) with standard uncertainties (n,), in the order of time."""
+    """Make the Shewhart and CUSUM charts of values (n,) with standard uncertainties (n,), in time order."""
     between = between_neighbours(value, u)
     variance = u**2 + between**2
     weight = 1 / variance
@@ -111,7 +113,7 @@ def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM
 
 
 def _split(value: Floats, weight: Floats, last: int) -> int:
-    """First session of the second part, if two means explain the sessions up to `last` best."""
+    """Index of the session at which the mean most probably changed, among the sessions up to `last`."""
 
     def gain(at: int) -> float:
         one, other = slice(0, at), slice(at, last + 1)
@@ -122,7 +124,11 @@ def _split(value: Floats, weight: Floats, last: int) -> int:
 
 
 def between_neighbours(value: Floats, u: Floats) -> float:
-    """Standard deviation between sessions beyond u, by the moving range, which a step hardly changes."""
+    """Estimate the standard deviation between sessions in excess of their u.
+
+    The estimate is made from the differences of neighbouring sessions (moving range), so that a single step
+    in the series hardly changes it.
+    """
     if len(value) < 3:
         return 0.0
     # Scatter of neighbours minus the mean variance of the stated u.
@@ -131,7 +137,7 @@ def between_neighbours(value: Floats, u: Floats) -> float:
 
 
 def cusum(z: Floats, k: float = CUSUM_K) -> tuple[Floats, Floats]:
-    """Upper and lower sums (n,) of standardised values: max(0, S + z − k) and max(0, S − z − k)."""
+    """Upper and lower CUSUM (n,) of standardised values z: max(0, S + z − k) and max(0, S − z − k)."""
     up, down = np.zeros(len(z)), np.zeros(len(z))
     high = low = 0.0
     for n, one in enumerate(z):
@@ -156,7 +162,10 @@ def average_run_length(h: float, shift: float = 0.0, k: float = CUSUM_K) -> floa
 
 
 def _one_sided(h: float, k: float) -> float:
-    """L(0) of L(s) = 1 + L(0) Φ(k − s) + ∫₀ʰ L(x) φ(x + k − s) dx."""
+    """Mean number of sessions until a false alarm of a one-sided CUSUM with the limit h.
+
+    It is L(0) of the integral equation L(s) = 1 + L(0) Φ(k − s) + ∫₀ʰ L(x) φ(x + k − s) dx.
+    """
     from scipy.special import ndtr
 
     node, weight = np.polynomial.legendre.leggauss(_NODES)
@@ -170,7 +179,7 @@ def _one_sided(h: float, k: float) -> float:
 
 
 def limit_for(run_length: float, k: float = CUSUM_K) -> float:
-    """Decision interval h with one false alarm in `run_length` sessions."""
+    """Limit h of the CUSUM that gives one false alarm in `run_length` sessions on average."""
     from scipy.optimize import brentq
 
     return float(brentq(lambda h: math.log(average_run_length(h, 0.0, k) / run_length), 0.1, 20.0))
@@ -178,12 +187,12 @@ def limit_for(run_length: float, k: float = CUSUM_K) -> float:
 
 YEAR_DAYS = 365.25
 LEAST = 3
-"""Fewest sessions of a line with scatter."""
+"""Fewest sessions for a straight line with an estimate of the scatter about it."""
 
 
 @dataclass(frozen=True)
 class Drift(JsonRecord):
-    """A line through a series.
+    """A straight line through the values of a quantity over time.
 
     Attributes
     ----------
@@ -196,7 +205,7 @@ class Drift(JsonRecord):
     between : float
         Standard deviation τ between sessions beyond u.
     birge : float
-        Birge's ratio: root of χ² per degree of freedom about the line, by the stated u alone.
+        Birge ratio: square root of χ² per degree of freedom about the line, with the stated u alone.
     birge_p : float
         Probability of this scatter, if the stated u are the only cause.
     p_value : float
@@ -213,7 +222,9 @@ class Drift(JsonRecord):
 
 
 def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
-    """Line through sessions; None for fewer than `LEAST` sessions or a single time.
+    """Fit a straight line to the values of the sessions over time.
+
+    Returns None for fewer than `LEAST` sessions, or if all have one time.
 
     Parameters
     ----------
@@ -246,7 +257,11 @@ def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
 def _line(
     day: Floats, value: Floats, variance: Floats
 ) -> tuple[float, float, float, tuple[float, float], float]:
-    """Weighted mean time, level at that time, slope per day, their variances, χ²."""
+    """Fit a straight line to values over days, weighted by 1/variance.
+
+    Returns the weighted mean time, the level at that time, the slope per day, the variances of both, and
+    χ².
+    """
     # Weighted straight line about the weighted mean time, where level and slope are independent.
     weight = 1 / variance
     total = float(weight.sum())

@@ -38,7 +38,7 @@ _MOST_ROWS = 200
 
 
 def build_page(summary: Summary, repeated: Sequence[Repeated] = (), population: Sequence[str] = ()) -> str:
-    """Render the page of a fleet.
+    """Render the summary of a fleet as one HTML page.
 
     Parameters
     ----------
@@ -103,7 +103,10 @@ def _parameters(summary: Summary) -> Section:
 
 
 def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
-    """Histogram of the sessions, with the density of one true value scattered by the median u."""
+    """Plot a histogram of one quantity over the sessions, or None for fewer than five sessions.
+
+    The curve is the distribution that a single true value with the median u would give.
+    """
     x = values[np.isfinite(values)]
     spread = one.distribution
     width = 2 * (spread.quantiles["75"] - spread.quantiles["25"]) / len(x) ** (1 / 3)
@@ -174,7 +177,7 @@ def _outlying(summary: Summary) -> Section:
 
 
 def _group_plot(one: Outlying, summary: Summary) -> Figure | None:
-    """Values of all sessions by stage or operator."""
+    """Plot the values of all sessions by stage or operator; None if there are too many groups."""
     names = summary.table[GROUPS[one.kind]]
     values = summary.table[one.quantity]
     known = [str(name) for name in np.unique(names[(names != "") & np.isfinite(values)])]
@@ -201,7 +204,7 @@ def _group_plot(one: Outlying, summary: Summary) -> Figure | None:
 
 
 def _files(title: str, head: str, rows: Sequence[tuple[str, str]], *, folded: bool = False) -> Section:
-    """Section with a table of files, each with a text."""
+    """Make a section with a table of files and a text for each file."""
     more = len(rows) - _MOST_ROWS
     table = Table(["file", head], rows[:_MOST_ROWS], caption=f"{more} more." if more > 0 else "")
     return Section(title, tables=[table] if rows else [], folded=folded)
@@ -250,7 +253,7 @@ def _section(track: Track, history: History) -> Section:
 
 
 def _years(track: Track) -> np.ndarray:
-    """Dates (n,) as fractional calendar years."""
+    """Dates (n,) of the values as fractional calendar years, for a time axis."""
     return 1970.0 + track.day / 365.2425
 
 
@@ -301,19 +304,19 @@ ENDINGS = (".parquet", ".json", ".html")
 
 @dataclass(frozen=True)
 class FleetResult:
-    """A fleet with its summary, independent of the workers and of their order."""
+    """Records of a fleet with their summary; equal for any number and order of workers."""
 
     fleet: Fleet
     options: Options
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """One row per session, with the columns `session_table.COLUMNS`."""
+        """Table of the fleet: one row per session, with the columns `session_table.COLUMNS`."""
         return [record.row() for record in self.fleet.records]
 
     @cached_property
     def summary(self) -> Summary:
-        """Summary of the rows."""
+        """Statistics over all sessions of the fleet."""
         return summarise(self.rows)
 
     @cached_property
@@ -332,14 +335,14 @@ class FleetResult:
 
     @property
     def population_lines(self) -> tuple[str, ...]:
-        """Lines of text on the population trace."""
+        """Lines of text on the result of the population trace; empty if it was not requested."""
         found = self.population
         if found is None:
             return ()
         return (f"No population trace: {found}.",) if isinstance(found, str) else found.summary()
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON document: the summary, the options, and files that do not count."""
+        """The document that `adis-gonio fleet` writes: summary, options, and files that are not counted."""
         found = self.population
         population = {"reason": found} if isinstance(found, str) else found
         return self.summary.as_dict() | json_object(
@@ -349,7 +352,7 @@ class FleetResult:
         )
 
     def write(self, path: Path) -> None:
-        """Write a file in the format of its ending; an existing file is replaced.
+        """Write the result to a file, in the format of the file's ending; an existing file is replaced.
 
         Raises
         ------

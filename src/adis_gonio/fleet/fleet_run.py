@@ -41,7 +41,7 @@ def files_of(given: Iterable[str | Path]) -> list[str]:
 
 
 def session_files(places: Sequence[str | Path]) -> list[Path]:
-    """Absolute paths of session files in folders and below, each once.
+    """Absolute paths of the session files in folders and their subfolders, each once.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def session_files(places: Sequence[str | Path]) -> list[Path]:
 
 
 def _below(place: Path) -> Iterator[Path]:
-    """Session files in a folder and below it, except hidden ones; for a file the file itself.
+    """Yield the session files in a folder and its subfolders, except hidden ones; a file yields itself.
 
     An unreadable folder is yielded too, so that it is reported.
     """
@@ -79,24 +79,24 @@ def _below(place: Path) -> Iterator[Path]:
 
 
 class Workers(Protocol):
-    """Interface of `LocalPool`, `Cluster` and `ThisProcess`."""
+    """Interface of objects that compute sessions: `LocalPool`, `Cluster` and `ThisProcess`."""
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
         """Yield each job once with its record, in any order."""
 
 
 class ThisProcess:
-    """Works on one job after the other in this process."""
+    """Computes one session after another in the calling process."""
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-        """Yield each job with its record."""
+        """Yield each job with its record, computed in the order of the jobs."""
         for job in with_progress(jobs):
             yield job, record_of(job.path, **options.as_dict())
 
 
 @dataclass(frozen=True)
 class Repeated(JsonRecord):
-    """A file with the session of another file, which is counted instead."""
+    """A file that has the data of another file; only the other file is counted."""
 
     path: str
     same_as: str
@@ -104,7 +104,7 @@ class Repeated(JsonRecord):
 
 @dataclass(frozen=True)
 class Survey:
-    """The files before any session is computed.
+    """The sessions to compute, found by reading the files once.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class Fleet:
 
     @property
     def failed(self) -> int:
-        """Number of sessions without a result."""
+        """Number of sessions for which no result could be computed."""
         return sum(record.status != "ok" for record in self.records)
 
 
@@ -183,7 +183,7 @@ def run_fleet(
     store: Store,
     tell: Callable[[FleetProgress], None] | None = None,
 ) -> Fleet:
-    """Compute every session that has no record in the store.
+    """Compute the record of every session that has no record in the store yet.
 
     Raises
     ------
@@ -225,7 +225,7 @@ class Scan:
 
 
 def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> Scan:
-    """Search folders, and compute new or changed sessions in this process.
+    """Search folders for session files, and compute new or changed sessions in this process.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> 
 
 
 class FleetProgress:
-    """Progress of a fleet.
+    """Counts the computed sessions of a fleet, to show the progress.
 
     Attributes
     ----------
@@ -258,12 +258,12 @@ class FleetProgress:
         self._begun = clock()
 
     def arrived(self, record: SessionRecord) -> None:
-        """Count a record."""
+        """Count the record of a session that has been computed."""
         self.done += 1
         self.failed += record.status != "ok"
 
     def __str__(self) -> str:
-        """`120 of 1000, 4.1 a second, 3 min 35 s left, 2 failed`."""
+        """Progress as text, such as `120 of 1000, 4.1 a second, 3 min 35 s left, 2 failed`."""
         elapsed = self._clock() - self._begun
         parts = [f"{self.done} of {counted(self.total, 'session')}"]
         if self.done and elapsed > 0:

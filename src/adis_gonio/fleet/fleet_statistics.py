@@ -1,10 +1,10 @@
-"""Scatter of a quantity over the fleet, and the outlying units, stages and operators.
+"""Scatter of a quantity over the fleet, and the outlying sensors (units), stages and operators.
 
-A *unit* is compared with the other units by a robust z: its distance from their median over the distance
-that scatter and its own u explain. A *stage* or an *operator* is compared by ranks (normal scores) of a
-quantity over its units, and by how many of them showed an effect (hypergeometric tail). All tests of a
-fleet share one probability of a false name (Bonferroni). The most outlying group is named and
-removed before the others are compared.
+A *unit* is one sensor, known by its serial number. It is compared with the other units by a robust z:
+its distance from their median over the distance that scatter and its own u explain. A *stage* or an
+*operator* is compared by ranks (normal scores) of a quantity over its units, and by the number of units
+with an effect (hypergeometric distribution). All tests of a fleet share one probability of naming a group
+by chance (Bonferroni). The most outlying group is named and removed before the others are compared.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from adis_gonio.base.uncertainty import OUTLYING
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 LEAST = 3
-"""Fewest values for a statement on scatter."""
+"""Fewest values from which scatter is estimated."""
 
 
 @dataclass(frozen=True)
 class Distribution(JsonRecord):
-    """Values of one quantity over the fleet.
+    """Statistics of the values of one quantity over the fleet.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Distribution(JsonRecord):
 
     @classmethod
     def of(cls, values: Floats) -> Distribution:
-        """Distribution of finite values (n,), at least one."""
+        """Compute the statistics of at least one finite value, (n,)."""
         probable = np.quantile(values, PROBABILITIES)
         quantiles = {f"{100 * p:g}": float(q) for p, q in zip(PROBABILITIES, probable, strict=True)}
         sd = float(values.std(ddof=1)) if len(values) > 1 else math.nan
@@ -64,12 +64,12 @@ class Distribution(JsonRecord):
 
 @dataclass(frozen=True)
 class Beyond(JsonRecord):
-    """Scatter compared with the uncertainties that the sessions state.
+    """Scatter of a quantity between sessions, compared with the uncertainties that the sessions state.
 
     Attributes
     ----------
     n : int
-        Values with an uncertainty.
+        Number of values with an uncertainty.
     u : float
         Median standard uncertainty of the values.
     q, dof, p_value : float
@@ -93,7 +93,7 @@ class Beyond(JsonRecord):
 
     @property
     def birge_ratio(self) -> float:
-        """Birge ratio: scatter over the scatter that u explains."""
+        """Birge ratio: observed scatter over the scatter that the stated uncertainties explain."""
         return math.sqrt(self.q / self.dof)
 
 
@@ -127,7 +127,7 @@ def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
 
 
 def as_normal(t: Floats, dof: Floats) -> Floats:
-    """Normal deviates of equal probability to Student's t (n,) with `dof` (n,)."""
+    """Convert values (n,) of Student's t with `dof` (n,) to normal deviates of equal probability."""
     from scipy.special import ndtri, stdtr
 
     few = np.isfinite(dof) & (dof < 1e6)
@@ -139,7 +139,10 @@ def as_normal(t: Floats, dof: Floats) -> Floats:
 
 
 def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
-    """τ by Paule and Mandel, at which Q is as large as expected; 0 if Q is smaller already without τ."""
+    """Standard deviation τ between sessions (Paule and Mandel) at which Cochran's Q equals `goal`.
+
+    It is 0 if Q is smaller than `goal` without any τ.
+    """
     from scipy.optimize import brentq
 
     if q_at(0.0) <= goal:
@@ -152,14 +155,14 @@ def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float
 
 @dataclass(frozen=True)
 class Repeats(JsonRecord):
-    """Agreement of the sessions of one unit, in units of their u.
+    """Scatter of the sessions of each sensor about their mean, compared with their stated u.
 
     Attributes
     ----------
     units, sessions : int
-        Units with two sessions or more, and their sessions.
+        Number of sensors with two sessions or more, and number of their sessions.
     ratio : float
-        Scatter within units over the scatter that u explains; 1 if u is right.
+        Scatter of a sensor's sessions over the scatter that u explains; 1 if u is right.
     p_value : float
         Probability of this scatter if u explains it.
     """
@@ -171,9 +174,11 @@ class Repeats(JsonRecord):
 
 
 def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> Repeats | None:
-    """Scatter of sessions about the mean of their unit, by its number `unit` (n,); negative is unknown.
+    """Compare the scatter of each sensor's sessions about their mean with the stated uncertainties.
 
-    Returns None if no unit has two sessions.
+    `unit` (n,) is the number of the sensor in each session; a negative number is an unknown sensor.
+
+    Returns None if no sensor has two sessions.
     """
     from scipy.stats import chi2
 
@@ -194,9 +199,9 @@ def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> 
 
 
 FEWEST_UNITS = 5
-"""Fewest units among which one can be outlying."""
+"""Fewest sensors in a fleet for a test for outlying sensors."""
 FEWEST = 3
-"""Fewest sessions or units of a group, and of the rest of the fleet."""
+"""Fewest sessions or sensors that a group, and the rest of the fleet, must have for a test."""
 _MAD_EFFICIENCY = 0.37
 """Efficiency of the median absolute deviation: a robust z of n values has the tails of Student's
 distribution with about this factor times n − 1 degrees of freedom."""
@@ -207,7 +212,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Test:
-    """One comparison.
+    """Comparison of one group of sessions with the others for one quantity.
 
     Attributes
     ----------
@@ -224,7 +229,7 @@ class Test:
     value, others : float
         Median of the group and of the others; for an effect the share that shows it.
     n : int
-        Number of sessions of a unit, or of units of a stage or operator.
+        Number of sessions of the unit, or of units of the stage or operator.
     """
 
     kind: str
@@ -239,14 +244,14 @@ class Test:
 
 @dataclass(frozen=True)
 class FamilyOfTests:
-    """All groups of a kind by one quantity.
+    """Tests of all groups of one kind (sensors, stages or operators) for one quantity.
 
     Attributes
     ----------
     count : int
         Number of tests.
     find : callable
-        Function from a level to the tests with a smaller p-value.
+        Function that takes a significance level and returns the tests with a smaller p-value.
     """
 
     count: int
@@ -254,7 +259,10 @@ class FamilyOfTests:
 
 
 def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
-    """Number of tests, and those that pass the level `OUTLYING` in all, the smallest p-value first."""
+    """Count all tests, and list the tests that are significant, the smallest p-value first.
+
+    The probability that any of all tests is significant by chance is at most `OUTLYING`.
+    """
     total = sum(one.count for one in comparisons)
     passed = [test for one in comparisons if one.count for test in one.find(OUTLYING / total)]
     return total, sorted(
@@ -263,12 +271,13 @@ def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
 
 
 def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTests:
-    """Compare every unit with all units, by the median of its sessions.
+    """Test every sensor (by its serial number) against all sensors, by the median of its sessions.
 
     Parameters
     ----------
     values, u, unit : (n,)
-        One entry per session. A negative unit is unknown; its session counts as a separate unit.
+        One entry per session. `unit` is the number of the sensor; a session with a negative number
+        (unknown) counts as a separate sensor.
     """
     good = np.isfinite(values)
     codes = _own(unit)[good]
@@ -290,7 +299,7 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTe
 
 
 def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
-    """Distances (n,) from the median over √(τ² + u²), and the median.
+    """Robust z (n,): distance of each value from the median over √(τ² + u²); and the median.
 
     τ is such that the median distance is as in a normal distribution; 0 if u alone explains it.
     """
@@ -314,14 +323,14 @@ def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
 
 
 def by_rank(kind: str, quantity: str, values: Floats, group: Codes, unit: Codes) -> FamilyOfTests:
-    """Compare every stage or operator with the others, by ranks of the medians of its units."""
+    """Test each stage or operator against the others, by the ranks of the medians of its sensors."""
     good = np.isfinite(values) & (group >= 0)
     x, code = _by_unit(values[good], group[good], _own(unit)[good])
     return _stepwise(kind, quantity, x, code, _normal_scores, np.median)
 
 
 def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) -> FamilyOfTests:
-    """Compare every group by the number of its units with an effect in at least half of their sessions.
+    """Test every group by the number of its sensors with an effect in at least half of their sessions.
 
     If `kind` is `unit`, the sessions of each unit are counted.
     """
@@ -334,12 +343,15 @@ def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) ->
 
 
 def _own(unit: Codes) -> Codes:
-    """Numbers of the units, with a new number for each session of an unknown unit."""
+    """Replace each negative (unknown) sensor number by a new number, so that its session counts alone."""
     return np.where(unit >= 0, unit, -1 - np.arange(len(unit)))
 
 
 def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
-    """Median of each unit in each group, and the group; many sessions of a unit count as one value."""
+    """Median of the values of each sensor in each group, and the group of each median.
+
+    Many sessions of a sensor therefore count as one value.
+    """
     if not len(values):
         return values, group
     # Every pair of group and unit is one value.
@@ -348,7 +360,7 @@ def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
 
 
 def _medians(values: Floats, index: Codes) -> Floats:
-    """Median of each group; `index` (n,) numbers the groups from 0 without gaps."""
+    """Median of the values of each group; `index` (n,) numbers the groups from 0 without gaps."""
     # Sorted within each group, so that the median is the mean of its two middle values.
     x = values[np.lexsort((values, index))]
     count = np.bincount(index)
@@ -357,7 +369,7 @@ def _medians(values: Floats, index: Codes) -> Floats:
 
 
 def _normal_scores(values: Floats, index: Codes, count: Codes) -> tuple[Floats, Floats]:
-    """Van der Waerden's z of each group against the rest, and its two-sided p-value."""
+    """Van der Waerden's test of each group against the rest: z and two-sided p-value of each group."""
     n = len(values)
     score = ndtri(rankdata(values) / (n + 1))
     score -= score.mean()
@@ -370,7 +382,10 @@ def _normal_scores(values: Floats, index: Codes, count: Codes) -> tuple[Floats, 
 
 
 def _hypergeometric(values: Floats, index: Codes, count: Codes) -> tuple[Floats, Floats]:
-    """Normal deviate and probability of as many or more by chance."""
+    """Test if a group has more sessions with an effect than the rest, by the hypergeometric distribution.
+
+    Returns, for each group, the normal deviate and the probability of as many sessions or more by chance.
+    """
     here = np.bincount(index, values)
     p = np.minimum(hypergeom.sf(here - 1, len(values), int(values.sum()), count), 1.0)
     return -ndtri(np.maximum(p, 1e-300)), p
@@ -384,7 +399,7 @@ def _stepwise(
     score: Callable[[Floats, Codes, Codes], tuple[Floats, Floats]],
     middle: Callable[[Floats], Any],
 ) -> FamilyOfTests:
-    """Compare all groups with the rest, remove the oddest, compare the others."""
+    """Test each group against the rest, remove the most outlying one, and repeat without it."""
 
     def find(level: float) -> list[Test]:
         x, groups = values, code

@@ -50,16 +50,18 @@ from adis_gonio.fleet.session_table import Row, Table, table_of
 FORMAT = "adis-gonio fleet summary 1"
 KINDS = ("unit", "stage", "operator")
 GROUPS = {"unit": "serial", "stage": "stage", "operator": "operator"}
-"""Column that names the groups of a kind."""
+"""Column of the table that names the groups, by kind of group."""
 _ALIKE = 0.9
-"""Share of common sessions above which a fleet cannot distinguish two groups."""
+"""If two groups have at least this share of their sessions in common, the fleet cannot distinguish them."""
 _RMS = "angle"
-"""A root mean square: its logarithm is compared, and the stated u belongs to an angle."""
+"""Name of the rms error of the angle.
+
+Its logarithm is compared between groups. It has no u: the stated u is for a displayed angle."""
 
 
 @dataclass(frozen=True)
 class QuantitySummary(JsonRecord):
-    """One quantity over all sessions that determine it.
+    """Statistics of one quantity over all sessions that determine it.
 
     The JSON document is one value of `parameters`.
 
@@ -82,7 +84,7 @@ class QuantitySummary(JsonRecord):
 
 @dataclass(frozen=True)
 class Frequency(JsonRecord):
-    """Number of the traced sessions that showed an effect."""
+    """Number of sessions in which an effect was found, among the traced sessions."""
 
     document_keys = ("effect", "found", "traced", "share", "wilson_95")
 
@@ -92,18 +94,18 @@ class Frequency(JsonRecord):
 
     @property
     def share(self) -> float:
-        """Share of the traced sessions."""
+        """Share of the traced sessions in which the effect was found."""
         return self.found / self.traced
 
     @property
     def wilson_95(self) -> tuple[float, float]:
-        """Wilson's interval of 95 % for the share."""
+        """Both ends of the 95 % interval of the share, by Wilson."""
         return wilson(self.found, self.traced)
 
 
 @dataclass(frozen=True)
 class Outlying(JsonRecord):
-    """An outlying unit, stage or operator.
+    """A sensor, stage or operator with sessions that differ significantly from the others.
 
     The JSON document is one entry of `outlying.found`.
 
@@ -139,7 +141,7 @@ class Outlying(JsonRecord):
 
 @dataclass(frozen=True)
 class Summary:
-    """Summary of a fleet.
+    """Statistics of a fleet: counts, parameters, effects, and outlying groups.
 
     Attributes
     ----------
@@ -166,7 +168,7 @@ class Summary:
     """Columns of all sessions, for figures."""
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON document."""
+        """The JSON document of the summary."""
         return {
             "format": FORMAT,
             "software": f"adis-gonio {__version__}",
@@ -183,7 +185,10 @@ class Summary:
 
 
 def summarise(rows: Sequence[Row] | Any) -> Summary:
-    """Summary of rows or of a pyarrow table, with the columns `session_table.COLUMNS`, in any order."""
+    """Summarise the sessions of a table, in any order of its rows.
+
+    The table is a list of rows or a pyarrow table, with the columns `session_table.COLUMNS`.
+    """
     table = table_of(rows)
     ok = table["status"] == "ok"
     failed = np.flatnonzero(~ok)
@@ -202,7 +207,7 @@ def summarise(rows: Sequence[Row] | Any) -> Summary:
 
 
 def _codes(names: Any) -> Codes:
-    """Number of each name; -1 for an empty name."""
+    """Replace each name by a number, equal for equal names, and -1 for an empty name."""
     _, codes = np.unique(names, return_inverse=True)
     return np.where(names == "", -1, codes)
 
@@ -226,7 +231,7 @@ def _quantities(table: Table) -> list[str]:
 
 
 def _doubt(table: Table, name: str) -> Floats:
-    """Standard uncertainty (n,) of the values; NaN if it is not stated."""
+    """Standard uncertainties (n,) of the values of a quantity; NaN if a session states none."""
     return np.full(len(table[name]), np.nan) if name == _RMS else table[f"{name}_u"]
 
 
@@ -242,7 +247,7 @@ def _parameters(table: Table, unit: Codes) -> list[QuantitySummary]:
 
 
 def _effects(table: Table) -> list[tuple[str, Any]]:
-    """Each effect found with the rows (n,) that show it, by name."""
+    """List the effects found in any session by name, each with a mask (n,) of the sessions that show it."""
     names, index = np.unique(table["effect_name"], return_inverse=True)
     shown = []
     for k, name in enumerate(names):
@@ -258,7 +263,7 @@ def _frequencies(table: Table, traced: int) -> list[Frequency]:
 
 
 def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[FamilyOfTests]:
-    """Comparisons of all units, stages and operators by all parameters and effects."""
+    """Tests of every sensor, stage and operator against the others, for all parameters and effects."""
     unit = groups["unit"]
     made = []
     for name in _quantities(table):
@@ -299,7 +304,7 @@ def _named(test: Test, tests: int, table: Table, groups: dict[str, Codes]) -> Ou
 
 
 def _twins(kind: str, rows: Any, table: Table, groups: dict[str, Codes]) -> tuple[str, ...]:
-    """Groups of another kind that consist of nearly the same sessions."""
+    """Names of groups of other kinds that have nearly the same sessions as these `rows`."""
     found = []
     for other in KINDS:
         codes = groups[other]
@@ -326,7 +331,7 @@ OUTLYING_HEAD = ["group", "quantity", "here", "the others", "z", "p × tests", "
 
 
 def headline(summary: Summary) -> str:
-    """Headline such as `998 of 1000 sessions have a result, of 334 units on 4 stages.`."""
+    """First sentence, such as `998 of 1000 sessions have a result, of 334 units on 4 stages.`."""
     n = summary.sessions
     verb = "has" if 1 in (n["ok"], n["n"]) else "have"
     text = f"{n['ok']} of {counted(n['n'], 'session')} {verb} a result"
@@ -340,7 +345,7 @@ def headline(summary: Summary) -> str:
 
 
 def remarks(summary: Summary) -> list[str]:
-    """Sentences on failed, traced, doubtful and unnamed sessions."""
+    """Sentences on the numbers of failed, traced, doubtful and unnamed sessions."""
     n = summary.sessions
     sentences = []
     if n["failed"]:
@@ -361,7 +366,7 @@ def remarks(summary: Summary) -> list[str]:
 
 
 def parameter_rows(summary: Summary) -> list[list[str]]:
-    """Rows under `PARAMETER_HEAD`."""
+    """Rows of the table of parameters, with the columns `PARAMETER_HEAD`."""
     return [_parameter(one) for one in summary.parameters]
 
 
@@ -381,7 +386,7 @@ def _parameter(one: QuantitySummary) -> list[str]:
 
 
 def _to_digit_of(sd: float, value: float) -> str:
-    """Value with the decimals of a standard deviation of two digits."""
+    """Format a value with the decimals at which its standard deviation has two digits."""
     if not sd > 1e-6:
         return format_number(value)
     return format_fixed(value, count_decimals(sd))
@@ -395,7 +400,7 @@ def _tau(beyond: Beyond) -> str:
 
 
 def effect_rows(summary: Summary) -> list[list[str]]:
-    """Rows under `EFFECT_HEAD`."""
+    """Rows of the table of effects, with the columns `EFFECT_HEAD`."""
     rows = []
     for one in summary.effects:
         low, high = one.wilson_95
@@ -406,7 +411,7 @@ def effect_rows(summary: Summary) -> list[list[str]]:
 
 
 def outlying_rows(summary: Summary) -> list[list[str]]:
-    """Rows under `OUTLYING_HEAD`."""
+    """Rows of the table of outlying groups, with the columns `OUTLYING_HEAD`."""
     return [_outlying(one) for one in summary.outlying]
 
 
@@ -430,7 +435,7 @@ def _outlying(one: Outlying) -> list[str]:
 
 
 def outlying_text(summary: Summary) -> str:
-    """Sentence on the comparisons and the probability of a false name."""
+    """State how many comparisons were made, and the probability of naming a group by chance."""
     if not summary.tests:
         return (
             f"Nothing could be compared: a comparison needs {FEWEST_UNITS} units, or {FEWEST} units on a"

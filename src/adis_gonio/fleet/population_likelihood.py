@@ -33,36 +33,43 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.fleet.session_evidence import Column, SessionEvidence
 
 MOST = float(np.log(1000.0))
-"""Log of the largest Bayes factor of one unit, so that one extreme session proves no common cause."""
+"""Limit of the log Bayes factor of one session, so that an extreme session proves no common cause."""
 MOST_OF_KNOWN = 100.0
-"""Like `MOST`, if the distribution of an accepted cause is estimated."""
+"""Like `MOST`, for the estimate of the distribution of a cause that is already accepted."""
 SHARES = (0.03, 0.1, 0.2, 0.35, 0.6, 1.0)
-"""Shares w of the units; a cause in fewer than 3 % of them is not common."""
+"""Shares w of affected sessions to try; a cause in fewer than 3 % of them is not common."""
 SPREADS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.0)
-"""Spreads τ about zero (sign not common), in typical standard uncertainties."""
+"""Spreads τ to try for amplitudes that scatter about zero, in typical standard uncertainties."""
 MEANS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.0)
-"""Lengths of the mean μ for a common sign; the spread is then a third of the length."""
+"""Lengths of the mean μ to try for amplitudes of one sign; the spread is a third of the length."""
 RELATIVE_SPREAD = 1 / 3
 
 
 @dataclass(frozen=True)
 class Block:
-    """Score (n, d) and information (n, d, d) of n units by the amplitudes of one cause, scaled."""
+    """Score (n, d) and information (n, d, d) of n sessions with respect to the d amplitudes of one cause.
+
+    The score is the derivative of the log likelihood at amplitude zero, and the information is minus its
+    second derivative. Both are for amplitudes in the scaled unit of `Units.joint`.
+    """
 
     score: Floats
     information: Floats
 
     @property
     def width(self) -> int:
-        """Amplitudes."""
+        """Number d of amplitudes."""
         return int(self.score.shape[1])
 
 
 @dataclass(frozen=True)
 class Group:
-    """Distribution of the amplitudes of affected units: N(mean (d,), spread² 1), in a share of the units.
+    """Distribution of the amplitudes of a cause: normal with `mean` (d,) and `spread` on every axis.
 
-    The unit is the typical standard uncertainty of all sessions or, if `relative`, that of each session.
+    A `share` of the sessions is affected.
+
+    The unit of mean and spread is the typical standard uncertainty over all sessions or, if `relative`, the
+    standard uncertainty of each session.
     """
 
     share: float
@@ -72,12 +79,15 @@ class Group:
 
 
 def log_factor(block: Block, mean: Floats, spread: float | Floats) -> Floats:
-    """Log Bayes factor (n,) of each unit, not limited."""
+    """Log Bayes factor (n,) of each session, affected against unaffected, without an upper limit."""
     return log_factors(block, mean[None], spread)[:, 0]
 
 
 def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
-    """Log Bayes factors (n, h) for several means (h, d); `spread` may have one value per amplitude (d,)."""
+    """Log Bayes factors (n, h) of n sessions for h mean amplitudes (h, d).
+
+    The spread may be one number, or one per amplitude (d,).
+    """
     score, information = block.score, block.information
     shifted = score[:, None, :] - means @ information  # s − Gμ, (n, h, d)
     along = 0.5 * ((score[:, None, :] + shifted) * means).sum(axis=2)
@@ -95,7 +105,7 @@ def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Grid:
-    """Distributions (h of them) fixed before the data, with their prior.
+    """A grid of h trial distributions of the amplitudes, chosen before the data are seen, with their prior.
 
     Attributes
     ----------
@@ -110,18 +120,21 @@ class Grid:
     log_prior: Floats
 
     def group(self, k: int) -> Group:
-        """Distribution k; those from h on are relative."""
+        """Distribution k of the grid; from k = h on, the amplitudes are relative (see `Group`)."""
         relative, k = divmod(k, len(self.share))
         return Group(float(self.share[k]), self.mean[k], float(self.spread[k]), bool(relative))
 
     @property
     def log_priors(self) -> Floats:
-        """Log prior of all distributions (2 h,), the relative ones last."""
+        """Log prior (2 h,) of all distributions: h with amplitudes in their unit, then h relative ones."""
         return np.tile(self.log_prior - np.log(2), 2)
 
 
 def grid_of(width: int) -> Grid:
-    """Grid for a number of amplitudes; half of the prior has no common sign, half has one."""
+    """Make the grid for a cause with `width` amplitudes.
+
+    Half of the prior is for amplitudes that scatter about zero, half for amplitudes with a common sign.
+    """
     # No common sign: zero mean and several spreads.
     still = [(np.zeros(width), spread, 0.5 / len(SPREADS)) for spread in SPREADS]
     ways = _ways(width)
@@ -140,7 +153,10 @@ def grid_of(width: int) -> Grid:
 
 
 def _ways(width: int) -> list[Floats]:
-    """Directions of a common mean: each amplitude with either sign, and two amplitudes together."""
+    """Directions (width,) in which the mean amplitude may point: each amplitude alone with either sign.
+
+    For two amplitudes, the four diagonal directions are included.
+    """
     ways = [sign * row for row in np.eye(width) for sign in (1.0, -1.0)]
     if width == 2:
         ways += [np.array(signs) / np.sqrt(2) for signs in itertools.product((1.0, -1.0), repeat=2)]
@@ -148,7 +164,11 @@ def _ways(width: int) -> list[Floats]:
 
 
 def gains(block: Block, grid: Grid, most: float = MOST) -> Floats:
-    """Log likelihood ln(1 − w + w B) of each unit (n,) at each distribution (h,) of the grid."""
+    """Log likelihood ratio (n, h) of each session at each distribution of the grid, ln(1 − w + w B).
+
+    Here w is the share of affected sessions and B the Bayes factor of the session, affected against
+    unaffected.
+    """
     h = len(grid.share) // len(SHARES)
     factors = np.empty((len(block.score), h))
     for spread in np.unique(grid.spread[:h]):  # all means of one spread in one call
@@ -158,7 +178,10 @@ def gains(block: Block, grid: Grid, most: float = MOST) -> Floats:
 
 
 def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:
-    """Log likelihood ln(1 − w + w B) with ln B limited to `most`."""
+    """Log likelihood ratio ln(1 − w + w B) of a session that is affected with probability w.
+
+    B is the Bayes factor, affected against unaffected; ln B is limited to `most`.
+    """
     cut = np.minimum(log_factor, most)
     if share >= 1:
         return np.asarray(cut)
@@ -166,12 +189,12 @@ def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:
 
 
 _FOREIGN = 1e-3
-"""Probability below which a session's χ² does not belong to the common noise."""
+"""A session with a χ² less probable than this does not have the common noise."""
 
 
 @dataclass(frozen=True)
 class Units:
-    """Sessions of a population.
+    """The evidence of all n sessions of a population, as arrays.
 
     Attributes
     ----------
@@ -179,12 +202,12 @@ class Units:
     columns : tuple of Column
         All columns that any session can determine.
     inflation : (n,) float
-        Factor on each session's noise variance.
+        Factor by which each session's noise variance is enlarged.
     typical : (m,) float
         Median standard uncertainty of each amplitude over the sessions that determine it, in its unit,
         times `Column.weight`.
     z : (n, m) float
-        Scores with the inflated noise; zero if a session does not determine a column.
+        Scores with the enlarged noise; zero if a session does not determine a column.
     length : (n, m) float
         1/u of each amplitude in units of `typical`; zero if a session does not determine it.
     directions : (n, k, m) float32
@@ -203,11 +226,11 @@ class Units:
         return len(self.evidence)
 
     def seen(self, index: Sequence[int]) -> NDArray[np.bool_]:
-        """Mask (n,) of the sessions that determine any of the columns."""
+        """Mask (n,) of the sessions that determine at least one of the columns."""
         return np.asarray((self.length[:, list(index)] > 0).any(axis=1))
 
     def joint(self, index: Sequence[int], relative: Sequence[bool] | bool = False) -> Block:
-        """Score and information for some of the columns.
+        """Score and information of all sessions for some of the columns.
 
         Amplitudes are in `typical` or, if `relative`, in each session's standard uncertainty.
         """
@@ -221,7 +244,7 @@ class Units:
 
 
 def units_of(evidence: Sequence[SessionEvidence]) -> Units:
-    """Arrays of all sessions, sorted so that the order of the argument does not matter."""
+    """Collect the evidence of all sessions in arrays; the order of the argument does not matter."""
     evidence = sorted(evidence, key=lambda one: (one.digest, one.source))
     keys = sorted({key for one in evidence for key in one.keys})
     number = {key: k for k, key in enumerate(keys)}
@@ -252,7 +275,10 @@ def units_of(evidence: Sequence[SessionEvidence]) -> Units:
 
 
 def inflations(evidence: Sequence[SessionEvidence]) -> Floats:
-    """Factor (n,) on each session's noise variance, the larger one of its two directions."""
+    """Factor (n,) by which each session's noise variance is enlarged so that it explains the residuals.
+
+    If the readings have two directions, along the turn and across it, the larger factor is used.
+    """
     known = np.array([one.noise_known for one in evidence], dtype=bool)
     ways = max((len(one.scatter) for one in evidence), default=1)
     out = np.zeros(len(evidence))
@@ -271,7 +297,11 @@ def inflations(evidence: Sequence[SessionEvidence]) -> Floats:
 
 
 def _moderated(ratio: Floats, dof: Floats) -> Floats:
-    """Ratios χ²/ν drawn towards the common ratio, the less the more they scatter beyond χ²."""
+    """Shrink the ratios χ²/ν (n,) of the sessions towards their common ratio.
+
+    The more the ratios scatter beyond the scatter of χ² itself, the less they are shrunk. A ratio that does
+    not belong to the common noise is returned unchanged.
+    """
     from scipy.stats import chi2
 
     ratio = np.maximum(ratio, 1e-12)
@@ -290,5 +320,5 @@ def _moderated(ratio: Floats, dof: Floats) -> Floats:
 
 
 def _median_of(dof: Floats) -> Floats:
-    """Median of χ²/ν by Wilson and Hilferty."""
+    """Median of χ²/ν for `dof` degrees of freedom ν (n,), by the approximation of Wilson and Hilferty."""
     return np.asarray(np.maximum(1 - 2 / (9 * dof), 0.1) ** 3)

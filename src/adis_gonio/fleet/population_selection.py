@@ -37,7 +37,7 @@ from adis_gonio.tracing.thresholds import limits
 
 @dataclass(frozen=True)
 class Candidate:
-    """A cause on some axes.
+    """A cause that may affect sessions, in one of its variants and on certain axes.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class Candidate:
     variant : str
         As in `Column`.
     axes : str
-        Letters of the axes; empty for the stage.
+        Letters of the axes; empty for an effect of the stage, which acts on no single axis.
     index : tuple of int
-        Its columns among the population's columns.
+        Indices of its columns among the columns of the population.
     log_prior : float
     """
 
@@ -62,12 +62,14 @@ class Candidate:
 
     @property
     def kind(self) -> tuple[str, bool]:
-        """Cause, and whether it is a name of the catalogue."""
+        """The cause, and True if it is named in the catalogue of effects."""
         return self.cause, self.named
 
 
 def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
-    """Every cause on each axis and on all axes, with prior shares as in the trace of one session.
+    """List every cause on each axis and on all axes together, with its prior probability.
+
+    The priors are as in the trace of one session.
 
     The share of a name is divided evenly among its variants, or by 1/n among numbers n of cycles.
     """
@@ -96,7 +98,7 @@ def _part(variant: str) -> float:
 def _blocks(
     name: str, index: Sequence[int], columns: Sequence[Column]
 ) -> Iterator[tuple[str, str, tuple[int, ...]]]:
-    """Variant, axes and columns of each candidate of a cause."""
+    """Yield the variant, the axes and the column indices of each candidate of a cause."""
     variants: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
     for k in index:
         variants[columns[k].variant][columns[k].axes].append(k)
@@ -115,7 +117,7 @@ def _blocks(
 
 
 FOLDS = 5
-"""Parts of the units for cross-validation."""
+"""Number of groups into which the sessions are divided for cross-validation."""
 LEAST_UNITS = 5
 """Fewest sessions of a population or a group."""
 WHOLE = 0.5
@@ -126,7 +128,7 @@ Kind = tuple[str, bool]
 
 @dataclass(frozen=True)
 class Membership:
-    """Sessions with a common stage, operator, serial number or variant.
+    """A group of sessions with one common stage, operator, serial number or sensor variant.
 
     Attributes
     ----------
@@ -145,7 +147,7 @@ class Membership:
 
 
 def memberships(units: Units, by: Sequence[str]) -> list[Membership]:
-    """All sessions, and the sessions of each value of the groupings `by`."""
+    """List the groups of sessions: all sessions, and the sessions of each value of the groupings `by`."""
     n = len(units)
     found: list[list[tuple[str, str, NDArray[np.bool_]]]] = []
     for name in by:
@@ -167,7 +169,7 @@ def memberships(units: Units, by: Sequence[str]) -> list[Membership]:
 
 @dataclass(frozen=True)
 class ChosenCause:
-    """A chosen cause: its group of sessions, and the distribution of its amplitudes."""
+    """A cause that was added to the model, its group of sessions, and its amplitudes' distribution."""
 
     candidate: Candidate
     group: Membership
@@ -176,16 +178,16 @@ class ChosenCause:
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of candidates (k) in groups (g), given a model.
+    """Evidence for adding each of k candidates, in each of g groups, to the present model.
 
     Attributes
     ----------
     log_evidence : (k, g) float
         Log evidence of each candidate in each group against the model, averaged over the grid.
     trained, foreseen : (k, g, folds) float
-        Log evidence without a fold, and the log score that it predicts for the fold.
+        Log evidence without the sessions of a fold, and the log score of these sessions, predicted by it.
     best : (k, g) int
-        Most probable distribution of the grid.
+        Index of the most probable distribution of the grid.
     """
 
     log_evidence: Floats
@@ -196,20 +198,20 @@ class Scores:
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """One step of the selection.
+    """One step of the forward selection of causes: the added cause, and the evidence for it.
 
     Attributes
     ----------
     part : ChosenCause
-        Best candidate of the most probable cause, with its distribution of the grid.
+        Best candidate of the most probable cause, with the best distribution of the grid.
     log_evidence : float
         Log evidence of any further cause against the model, averaged over all candidates by their prior.
     posterior : mapping of (cause, named) to float
-        Probability of each cause, if there is one; sums to 1.
+        Probability of each cause, if there is a further cause; sums to 1.
     places : mapping of (by, value) to float
-        Probability of each group, given the cause.
+        Probability of each group, if the cause is right.
     heldout : float
-        Log score of the units of each fold, by the cause that the other folds choose.
+        Log score of the sessions of each fold for the cause that the other folds choose, summed.
     """
 
     part: ChosenCause
@@ -220,7 +222,7 @@ class SelectionStep:
 
 
 class Population:
-    """Units with their candidates and groups."""
+    """Sessions with the causes that may affect them and the groups in which a cause may act."""
 
     def __init__(self, units: Units, candidates: Sequence[Candidate], groups: Sequence[Membership]) -> None:
         self.units = units
@@ -235,7 +237,12 @@ class Population:
     def blocks_given(
         self, parts: Sequence[ChosenCause], index: Sequence[int], relative: bool = False
     ) -> list[tuple[Floats, Block]]:
-        """Log probability (n,) of each combination of present parts, and the block of columns given it."""
+        """Score and information of some columns, with the amplitudes of other causes averaged out.
+
+        The causes `parts` may each be present or absent in a session. The list has an entry for each
+        combination: its log probability (n,) in each session, and the score and information of the columns
+        for this combination.
+        """
         own = self.units.joint(index, relative)
         if not parts:
             return [(np.zeros(len(self.units)), own)]
@@ -262,7 +269,11 @@ class Population:
         log_prior: Floats,
         relative: bool,
     ) -> tuple[Floats, Block]:
-        """Block of columns if some parts are present, with their amplitudes averaged out."""
+        """Score and information of the columns if the causes `chosen` are present.
+
+        The amplitudes of these causes are averaged out. Returned with it is the log probability (n,) of the
+        combination, not normalised.
+        """
         if not chosen:
             return log_prior, own
         held = [k for part in chosen for k in part.candidate.index]
@@ -284,7 +295,10 @@ class Population:
         return log_prior + log_factor(first, mean, spread), Block(score, information)
 
     def by_unit(self, parts: Sequence[ChosenCause], candidate: Candidate, most: float = MOST) -> Floats:
-        """Log gain (n, 2 h) of each unit at each distribution of the candidate's grid."""
+        """Log likelihood ratio (n, 2 h) of each session if a candidate is added to the model.
+
+        There is one column for each distribution of the candidate's grid.
+        """
         grid = grid_of(len(candidate.index))
         out = []
         for relative in (False, True):
@@ -294,7 +308,7 @@ class Population:
         return np.concatenate(out, axis=1)
 
     def scores(self, parts: Sequence[ChosenCause], only: Sequence[Candidate] | None = None) -> Scores:
-        """Score candidates, by default all, in all groups, given a model."""
+        """Score candidates (default: all), in every group, as an addition to the model `parts`."""
         candidates = self.candidates if only is None else only
         shape = (len(candidates), len(self.groups))
         evidence, best = np.zeros(shape), np.zeros(shape, dtype=np.intp)
@@ -311,7 +325,7 @@ class Population:
         return Scores(evidence, trained, foreseen, best)
 
     def step(self, parts: Sequence[ChosenCause]) -> SelectionStep:
-        """Choose the most probable further cause."""
+        """Choose the most probable cause to add to the model `parts`."""
         # Posterior over candidates and groups, then the best candidate of the most probable cause.
         scores = self.scores(parts)
         prior = self.log_prior
@@ -339,12 +353,15 @@ class Population:
 
     @property
     def log_prior(self) -> Floats:
-        """Log prior of each candidate in each group (k, g)."""
+        """Log prior (k, g) of each of k candidates in each of g groups."""
         own = np.array([candidate.log_prior for candidate in self.candidates])
         return np.asarray(own[:, None] + np.array([group.log_prior for group in self.groups]))
 
     def refine(self, parts: Sequence[ChosenCause], part: ChosenCause) -> ChosenCause:
-        """Return the part with the most likely distribution of its amplitudes, given the other parts."""
+        """Find the most likely distribution of the amplitudes of the cause `part`; other causes stay fixed.
+
+        Returns the cause with this distribution.
+        """
         from scipy.optimize import minimize
 
         likely = self.by_unit(parts, part.candidate, MOST_OF_KNOWN)[part.group.inside].sum(axis=0)
@@ -373,7 +390,7 @@ class Population:
         return replace(part, amplitudes=best if at(best) > at(start) else start)
 
     def affected(self, parts: Sequence[ChosenCause], part: ChosenCause) -> Floats:
-        """Probability (n,) that each unit is affected by a part, given the others."""
+        """Probability (n,) that the cause `part` affects each session, given the other causes."""
         amplitudes = part.amplitudes
         share = min(amplitudes.share, 1 - 1e-9)
         # Odds of presence and absence, summed over the combinations of the other parts.
@@ -386,7 +403,10 @@ class Population:
         return np.where(part.group.inside, 1 / (1 + np.exp(-np.clip(odds, -500, 500))), 0.0)
 
     def without_foremost(self, parts: Sequence[ChosenCause], part: ChosenCause, count: int) -> float:
-        """Gain in log likelihood by a part, without the `count` units that gain most."""
+        """Rise of the log likelihood by the cause `part`, without the sessions that favour it most.
+
+        The `count` sessions that favour the cause most are left out of the sum.
+        """
         amplitudes = part.amplitudes
         rows = [
             w + mixed(log_factor(b, amplitudes.mean, amplitudes.spread), amplitudes.share)
@@ -397,14 +417,17 @@ class Population:
 
 
 def parameters_of(group: Group) -> Floats:
-    """Unbounded parameters: logit of the share, log of the spread, and the mean if it is not zero."""
+    """Convert a distribution to unbounded parameters for an optimiser.
+
+    They are the logit of the share, the log of the spread and, if it is not zero, the mean (d,).
+    """
     odds = np.log(group.share / max(1 - group.share, 1e-3))
     centred = bool((group.mean == 0).all())
     return np.array([odds, np.log(group.spread), *([] if centred else group.mean)])
 
 
 def group_at(parameters: Floats, like: Group) -> Group:
-    """Inverse of `parameters_of`."""
+    """Convert the parameters of `parameters_of` back to a distribution like `like`."""
     share = 1 / (1 + np.exp(-np.clip(parameters[0], -8, 12)))
     spread = float(np.exp(np.clip(parameters[1], -4, 5)))
     mean = like.mean if len(parameters) == 2 else parameters[2:]
@@ -412,7 +435,11 @@ def group_at(parameters: Floats, like: Group) -> Group:
 
 
 def _heldout(scores: Scores, prior: Floats) -> float:
-    """Log score of each fold's units for the cause that the other folds choose, summed."""
+    """Held-out log score, summed over the folds.
+
+    For each fold, the other folds choose the cause; the score is how well this cause predicts the sessions
+    of the fold.
+    """
     gain = 0.0
     for fold in range(FOLDS):
         chosen = int((scores.trained[:, :, fold] + prior).argmax())

@@ -32,7 +32,7 @@ from adis_gonio.tracing.thresholds import limits
 
 @dataclass(frozen=True)
 class Affected(JsonRecord):
-    """A session that is probably affected."""
+    """A session that is probably affected by a cause, with this probability."""
 
     source: str
     serial: str
@@ -42,7 +42,7 @@ class Affected(JsonRecord):
 
 @dataclass(frozen=True)
 class Common(JsonRecord):
-    """A cause that sessions have in common.
+    """A cause that several sessions of a population have in common.
 
     The JSON document is one entry of `found`, `sets` or `unnamed`.
 
@@ -75,11 +75,11 @@ class Common(JsonRecord):
         Standard deviation of the amplitudes about the mean, in its unit.
     relative : bool
         True if the amplitudes are similar relative to each session's uncertainty rather than in their
-        unit; `mean` and `spread` then hold for an affected session of median uncertainty.
+        unit; `mean` and `spread` are then for an affected session of median uncertainty.
     p_value : float
         Upper bound of the probability of this evidence without a further cause in any session.
     heldout_gain : float
-        Gain in log likelihood on sessions that were not used to choose the cause.
+        Rise of the log likelihood by the cause, on sessions that were not used to choose it.
     affected : tuple of Affected
         Sessions affected with a probability above one half, the most probable first.
     """
@@ -103,11 +103,11 @@ class Common(JsonRecord):
 
     @property
     def common_sign(self) -> bool:
-        """True if the mean amplitude differs from zero."""
+        """True if the affected sessions have amplitudes of one sign (a mean amplitude other than zero)."""
         return any(value.value != 0 for value in self.mean.values())
 
     def sentence(self) -> str:
-        """Describe the cause in one sentence."""
+        """Describe the cause, its size, and the share of affected sessions in one sentence."""
         what = " or ".join(self.effects) if self.effects else f"something that follows {self.depends_on}"
         axes = f" of {', '.join(self.axes)}" if self.axes else ""
         where = "" if self.by == "all" else f" of {self.by} {self.value}"
@@ -133,7 +133,7 @@ def _p(value: float) -> str:
 
 @dataclass(frozen=True)
 class PopulationResult(JsonRecord):
-    """Causes that many sessions have in common.
+    """Result of a population trace: the causes that many sessions have in common.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class PopulationResult(JsonRecord):
     sets : tuple of Common
         Causes with several names that the data cannot distinguish.
     unnamed : tuple of Common
-        Causes without a name, or perhaps without one.
+        Causes that are unnamed functions, or may be.
     detectable : mapping of str to Reach
     missing : mapping of str to str
         Effects for which no session gives evidence, with the reason.
@@ -165,7 +165,7 @@ class PopulationResult(JsonRecord):
     notes: tuple[str, ...] = ()
 
     def summary(self) -> tuple[str, ...]:
-        """Lines of text, one for each cause and note."""
+        """Lines of text: a heading, then one line for each cause, rejected cause and note."""
         lines = [f"Population of {counted(self.sessions, 'session')}:"]
         for title, every in (
             ("found", self.found),
@@ -181,11 +181,11 @@ class PopulationResult(JsonRecord):
 
 
 GROUPINGS = ("stage", "operator", "serial", "sensor")
-"""Groupings of sessions."""
+"""Groupings in which a cause may be common to a group of sessions."""
 MOST_PARTS = 4
-"""Most causes of one population."""
+"""Largest number of causes that are searched for in a population."""
 FOREMOST = 0.02
-"""Share of the sessions, at least one, without which a common cause must remain probable."""
+"""Share of the sessions (at least one) that favour a cause most; it must be likely without them, too."""
 
 
 def trace_population(
@@ -198,7 +198,7 @@ def trace_population(
     evidence : sequence of SessionEvidence
         Evidence of each session, in any order; sessions with equal digests count once.
     by : sequence of str
-        Groupings to search: `stage`, `operator`, `serial`, `sensor`.
+        Groupings in which a cause is searched for: `stage`, `operator`, `serial`, `sensor`.
 
     Raises
     ------
@@ -242,7 +242,11 @@ def trace_population(
 
 
 def _chosen(population: Population) -> tuple[list[SelectionStep], dict[str, str]]:
-    """Steps of the forward selection, each refined, and the reason if the last step was rejected."""
+    """Select causes one by one until no further cause is probable.
+
+    Returns the selection steps, each with the most likely distribution of amplitudes, and the reason if the
+    last step was rejected.
+    """
     steps: list[SelectionStep] = []
     for _ in range(MOST_PARTS):
         parts = [step.part for step in steps]
@@ -258,7 +262,7 @@ def _chosen(population: Population) -> tuple[list[SelectionStep], dict[str, str]
 
 
 def _objection(population: Population, parts: Sequence[ChosenCause], step: SelectionStep) -> str:
-    """Reason against a step that the likelihood supports, or an empty text."""
+    """Reason to reject a cause although the likelihood supports it, or an empty text."""
     if step.heldout <= 0:
         return "held-out sessions do not agree with it"
     seen = population.units.seen(step.part.candidate.index) & step.part.group.inside
@@ -271,7 +275,10 @@ def _objection(population: Population, parts: Sequence[ChosenCause], step: Selec
 def _keep_supported(
     population: Population, steps: Sequence[SelectionStep]
 ) -> tuple[list[SelectionStep], dict[str, str]]:
-    """Drop the steps that the other steps explain; return the kept steps and the reasons."""
+    """Drop the causes that later causes explain.
+
+    Returns the remaining steps, and the reason for each dropped cause.
+    """
     kept = list(steps)
     dropped: dict[str, str] = {}
     for step in list(steps)[:-1]:
@@ -292,7 +299,7 @@ def _label(kind: Kind) -> str:
 
 
 def _merged(population: Population, steps: Sequence[SelectionStep]) -> list[Common]:
-    """One entry per cause; a further axis of a name is added to the first entry."""
+    """Make one result per cause; if a cause was chosen on several axes, its entries are merged."""
     commons: dict[tuple[str, str, str], Common] = {}
     for k, step in enumerate(steps):
         others = [one.part for j, one in enumerate(steps) if j != k]
@@ -357,7 +364,7 @@ def _common(population: Population, others: Sequence[ChosenCause], step: Selecti
 
 
 def _dependence(names: Sequence[Kind], best: Kind) -> str:
-    """Quantity that an unnamed cause depends on, with its possible names in brackets."""
+    """Name the quantity that an unnamed cause depends on, with possible named causes in brackets."""
     nameless = [name for name, named in names if not named]
     also = [name for name, named in names if named]
     what = best[0] if not best[1] else nameless[0]
@@ -370,7 +377,7 @@ def _unit(units: Units, index: int, probability: float) -> Affected:
 
 
 def _without_evidence(units: Units) -> dict[str, str]:
-    """Effects without evidence in any session, with the reason."""
+    """Map each effect for which no session gives evidence to the reason."""
     shown = {column.cause for column in units.columns if column.named}
     return {
         name: reason for one in units.evidence for name, reason in one.missing.items() if name not in shown

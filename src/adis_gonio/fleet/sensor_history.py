@@ -34,12 +34,12 @@ LISTED = (
     *("when", "path", "operator", "stage", "plan", "method", "effects"),
     *("adequate", "temperature_c", "angle_max_deg"),
 )
-"""Entries of a session's record in the document of `history`."""
+"""Fields of a session's record that the document of `history` includes."""
 
 
 @dataclass(frozen=True)
 class Track(JsonRecord):
-    """One quantity over the sessions that determine it.
+    """Course of one quantity over the sessions of a sensor that determine it.
 
     Attributes
     ----------
@@ -70,28 +70,28 @@ class Track(JsonRecord):
 
     @property
     def label(self) -> str:
-        """Name and unit, such as `Δφ / °`."""
+        """Name of the quantity with its unit, such as `Δφ / °`."""
         return label_quantity(self.name, self.unit)
 
     @property
     def value(self) -> Floats:
-        """Values (n,)."""
+        """Values (n,) of the quantity, one per session that determines it."""
         return np.array([value.value for value in self.values])
 
     @property
     def u(self) -> Floats:
-        """Standard uncertainties (n,)."""
+        """Standard uncertainties (n,) of the values."""
         return np.array([value.u for value in self.values], dtype=float)
 
     @property
     def expanded(self) -> Floats:
-        """U (n,), 95 %."""
+        """Expanded uncertainties U (n,) of the values, 95 %."""
         return np.array([value.U for value in self.values], dtype=float)
 
 
 @dataclass(frozen=True)
 class History:
-    """A sensor over its sessions.
+    """The sessions of one sensor over time, with the course of each quantity.
 
     Attributes
     ----------
@@ -110,11 +110,11 @@ class History:
 
     @property
     def days(self) -> Floats:
-        """Begin of each session in days since 1970, (n,)."""
+        """Time at which each session began, in days since 1970-01-01, (n,)."""
         return np.array([day_of(record.when or "") for record in self.sessions])
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document of `history`."""
+        """The document that `adis-gonio history --json` prints."""
         return json_object(
             serial=self.serial,
             sessions=[
@@ -130,7 +130,7 @@ class History:
 def history_of(
     serial: str, records: Sequence[SessionRecord], *, k: float = CUSUM_K, h: float = CUSUM_H
 ) -> History:
-    """History from records of one serial number.
+    """Make the history of a sensor from the records of its sessions.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def known_serial(serial: str, known: Sequence[str]) -> str:
 
 
 def alike(serial: str, known: Sequence[str]) -> list[str]:
-    """Serial numbers that differ from this one in capitals and spaces only."""
+    """Return the known serial numbers that equal this one if capitals and spaces are ignored."""
 
     def bare(text: str) -> str:
         return "".join(text.split()).casefold()
@@ -179,12 +179,12 @@ def alike(serial: str, known: Sequence[str]) -> list[str]:
 
 
 def day_of(when: str) -> float:
-    """Days since 1970 of an ISO time."""
+    """Convert an ISO time to days since 1970-01-01."""
     return datetime.fromisoformat(when).timestamp() / _DAY_S
 
 
 def date_of(day: float) -> str:
-    """Date (UTC) of a day since 1970; `UsageError` beyond the calendar's end."""
+    """Convert days since 1970-01-01 to a date (UTC); `UsageError` beyond the calendar's end."""
     try:
         return (datetime(1970, 1, 1) + timedelta(days=float(day))).date().isoformat()
     except OverflowError:
@@ -200,7 +200,11 @@ def _unfit(record: SessionRecord) -> str:
 
 
 def _names(records: Sequence[SessionRecord]) -> list[str]:
-    """Quantities to track; in the plane only ΔK of the gains, since their common part is gravity."""
+    """Names of the quantities to track over the sessions.
+
+    A session in the plane determines the gain ratio ΔK only: a common factor of both gains cannot be
+    distinguished from a change of gravity.
+    """
     if any("delta_k" in record.values for record in records):
         return [*_IN_PLANE, ANGLE]
     return [name for name in QUANTITIES if name.startswith(("bias_", "scale_", "skew_"))]
@@ -234,12 +238,12 @@ _ROWS = 9
 
 
 def format_expanded(value: Value) -> str:
-    """Value ± U without unit."""
+    """Format a value with its expanded uncertainty, `value ± U`, without the unit."""
     return format_uncertain(value.value, value.U)
 
 
 def drift_sentences(track: Track) -> list[str]:
-    """Sentences on drift and on scatter between sessions."""
+    """Sentences on the drift of a quantity, and on its scatter between sessions."""
     drift = track.drift
     if drift is None:
         return []
@@ -256,7 +260,7 @@ def drift_sentences(track: Track) -> list[str]:
 
 
 def chart_sentences(track: Track, history: History) -> list[str]:
-    """Sentences on the signals of the control charts."""
+    """Sentences on the sessions at which the control charts of a quantity signal a change."""
     chart = track.chart
     if chart is None:
         return []
@@ -272,7 +276,7 @@ def chart_sentences(track: Track, history: History) -> list[str]:
 
 
 def effect_table(history: History) -> list[list[str]]:
-    """Rows of date, effects found with their axes, and adequacy of the model."""
+    """Table rows (date, effects found, adequacy of the model), one per session."""
     return [[_date(record), _effects(record), _adequate(record)] for record in history.sessions]
 
 
@@ -292,7 +296,7 @@ def _date(record: SessionRecord) -> str:
 
 
 def headline(history: History) -> str:
-    """Headline: number of sessions, drifting quantities, signals of control charts."""
+    """Summarise a history in one line: its sessions, drifting quantities, and signals of control charts."""
     moving = [NAMES.get(name, name) for name, track in history.tracks.items() if track.drifts]
     signals = [
         NAMES.get(name, name)
@@ -306,7 +310,10 @@ def headline(history: History) -> str:
 
 
 def chart_lines(track: Track, width: int = 80) -> list[str]:
-    """Character plot of values over time, at most `width` wide: `●` value, `│` U, `·` weighted mean."""
+    """Plot a quantity over time in characters, at most `width` wide.
+
+    The signs are `●` for a value, `│` for its expanded uncertainty U and `·` for the weighted mean.
+    """
     if not track.values:
         return []
     value, half = track.value, np.nan_to_num(track.expanded)
@@ -338,7 +345,7 @@ def chart_lines(track: Track, width: int = 80) -> list[str]:
 
 
 def value_rows(history: History) -> tuple[list[str], Sequence[list[str]]]:
-    """Head and rows of a table with date and every quantity ± U."""
+    """Return the head and the rows of a table: each session's date and all its quantities ± U."""
     tracks = list(history.tracks.values())
     rows = []
     for n, record in enumerate(history.sessions):

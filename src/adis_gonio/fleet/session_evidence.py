@@ -10,7 +10,7 @@ a session.
 
 An effect of the catalogue has one column for each amplitude, axis by axis. Time constants are on one grid
 in seconds for all sessions, since a part's τ does not depend on the length of a session. Unnamed
-functions (courses in time, harmonics of gravity's direction in the part, dependence on the previous
+functions (courses in time, harmonics of gravity's direction in the sensor, dependence on the previous
 position) have columns too, so that a cause that the catalogue lacks is not given the nearest name. Bias
 and base parameters have no columns, since every session has its own, nor have effects of one dwell: dwell
 7 of one session is not dwell 7 of another.
@@ -40,19 +40,21 @@ from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import TraceResult
 
 TAUS_S = tuple(float(f"{tau:.3g}") for tau in np.geomspace(10.0, 3160.0, 11))
-"""Time constants, a quarter of a decade apart: a course between two loses less than 1 % of its square."""
+"""Time constants in s, a quarter of a decade apart.
+
+A course with a time constant between two of them loses less than 1 % of its sum of squares."""
 MOST_CYCLES = 12
-"""Most cycles per turn of a stage."""
+"""Largest number of cycles per turn of a periodic error of the stage."""
 HARMONICS = (2, 3, 4, 5, 6)
-"""Harmonics of gravity's direction in the part, for an unnamed response."""
+"""Harmonics of the direction of gravity in the sensor that describe an unnamed error."""
 COURSES = 4
-"""Cosines over the session's length, for an unnamed course in time."""
+"""Number of cosines over the length of a session that describe an unnamed course in time."""
 NUISANCE = ("bias", "position_slip", "outlier_dwell")
 
 
 @dataclass(frozen=True)
 class Column:
-    """One amplitude for which a session gives evidence.
+    """An amplitude of a possible effect, for or against which a session gives evidence.
 
     Attributes
     ----------
@@ -62,7 +64,7 @@ class Column:
     variant : str
         Choice and time constant: `degree=2`, `cycles=5`, `tau=316`; or the number of a function.
     axes : str
-        Axis on which it acts; empty for the stage.
+        Axis on which it acts; empty for an effect of the stage, which acts on no single axis.
     parameter, unit : str
         Name of the amplitude in the catalogue, and its unit.
     """
@@ -76,24 +78,31 @@ class Column:
 
     @property
     def key(self) -> str:
-        """Unique name, such as `warm_up|tau=316|x|warm_up_x|mg`, `~time|2|x|2_x|mg`."""
+        """Unique text for the column, such as `warm_up|tau=316|x|warm_up_x|mg` or `~time|2|x|2_x|mg`."""
         mark = "" if self.named else "~"
         return "|".join([mark + self.cause, self.variant, self.axes, self.parameter, self.unit])
 
     @property
     def weight(self) -> float:
-        """Expected relative size within its cause: a random walk in time has 1/k of cosine k."""
+        """Expected size of the amplitude relative to the first amplitude of its cause.
+
+        It is 1, except for an unnamed course in time: a random walk has an amplitude of cosine k in
+        proportion to 1/k.
+        """
         return 1.0 if self.named or self.cause != "time" else 1 / int(self.parameter.split("_")[0])
 
     @classmethod
     def of(cls, key: str) -> Column:
-        """Column of a key; `ValueError` for any other text."""
+        """Make the column from its key; `ValueError` for any other text."""
         cause, variant, axes, parameter, unit = key.split("|")
         return cls(cause.removeprefix("~"), not cause.startswith("~"), variant, axes, parameter, unit)
 
 
 def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[str, str]]:
-    """Terms, each with its columns, and the reason of each effect without columns."""
+    """List the model terms that may act, each with its columns, for the readings of a session.
+
+    Returned with it is the reason for each effect that has no columns.
+    """
     missing: dict[str, str] = {}
     out: list[tuple[Term, list[Column]]] = []
     for name, kind in catalogue("accelerometer").items():
@@ -155,20 +164,20 @@ def _variants(
 
 
 class _Part(NamedTerm):
-    """A named term with only some of its amplitudes."""
+    """A named term of which only some amplitudes are used."""
 
     def __init__(self, term: NamedTerm, chosen: list[int]) -> None:
         super().__init__(term.label, term.covariates, term.cost, term.effect, term.shapes)
         object.__setattr__(self, "_chosen", chosen)
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Columns of the chosen amplitudes."""
+        """Basis functions of the chosen amplitudes, the last axis of the array."""
         chosen: list[int] = self._chosen  # type: ignore[attr-defined]
         return super().columns(ideal, conditions)[..., chosen]
 
 
 def _nameless(data: Readings) -> Iterator[tuple[Term, list[Column]]]:
-    """Unnamed functions, axis by axis."""
+    """Yield the terms of unnamed functions with their columns, one term per function and axis."""
     conditions = data.conditions
     for cause, gain, basis in _functions(conditions, data.planar):
         probe = (
@@ -213,7 +222,10 @@ def _functions(conditions: Conditions, planar: bool) -> Iterator[tuple[str, bool
 
 
 def _harmonic(n: int) -> Callable[[Floats, int], Floats]:
-    """Harmonic n of gravity's direction in the part, (rows, 2)."""
+    """Make the function that returns cos nψ and sin nψ, (rows, 2).
+
+    ψ is the direction of gravity in the plane of X and Y of the sensor.
+    """
 
     def waves(ideal_g: Floats, _: int) -> Floats:
         psi = n * np.arctan2(ideal_g[:, 1], ideal_g[:, 0])
@@ -229,7 +241,7 @@ _STEP = 2.0**-15
 
 @dataclass(frozen=True)
 class ResidualChi2:
-    """χ² of the residual in one direction of the readings, and its degrees of freedom."""
+    """χ² of a residual in one direction, along or across the turn, and its degrees of freedom."""
 
     chi2: float
     dof: float
@@ -237,16 +249,16 @@ class ResidualChi2:
 
 @dataclass(frozen=True)
 class SessionEvidence:
-    """Evidence of one session.
+    """Evidence of one session on the amplitudes of all possible effects.
 
     Attributes
     ----------
     keys : tuple of str
         Columns that this session determines (`Column.key`), m of them.
     z : (m,) float
-        Score of each in its standard uncertainty: N(0, 1) if the effect is absent.
+        Score of each column over its standard uncertainty: N(0, 1) if the effect is absent.
     length : (m,) float
-        1/u of each amplitude alone, in 1/unit.
+        1/u of each amplitude if it is estimated alone, in 1/unit.
     directions : (k, m) float
         Unit vectors; the product of two columns is the correlation of their scores.
     scatter : tuple of ResidualChi2
@@ -254,7 +266,7 @@ class SessionEvidence:
     noise_known : bool
         False if the noise is estimated from the residual alone.
     missing : mapping of str to str
-        Reason of each effect without columns.
+        Effects without columns, with the reason.
     digest, source, serial, operator, stage, sensor : str
         Facts of the session, as in `Provenance`.
     """
@@ -274,7 +286,9 @@ class SessionEvidence:
     sensor: str = ""
 
     def estimate(self, key: str) -> tuple[float, float]:
-        """Amplitude by least squares with this column alone, and its standard uncertainty, in its unit.
+        """Estimate one amplitude by least squares, without other amplitudes.
+
+        Returns the amplitude and its standard uncertainty, in the unit of its column.
 
         `KeyError` if the session does not determine the column.
         """
@@ -284,7 +298,10 @@ class SessionEvidence:
         return float(self.z[k] / self.length[k]), float(1 / self.length[k])
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document, with directions as base64 of 16-bit integers (k, m) in steps of 2⁻¹⁵."""
+        """JSON document of the evidence.
+
+        The directions are base64 of 16-bit integers (k, m) in steps of 2⁻¹⁵.
+        """
         packed = np.clip(np.round(self.directions / _STEP), -32767, 32767).astype("<i2")
         return {
             "format": FORMAT,
@@ -301,7 +318,7 @@ class SessionEvidence:
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> SessionEvidence:
-        """Evidence from its JSON document.
+        """Restore the evidence from the document of `as_dict`.
 
         Raises
         ------
@@ -338,14 +355,14 @@ _TEXTS = ("digest", "source", "serial", "operator", "stage", "sensor")
 
 
 def evidence_of(session: Session, result: TraceResult | None = None) -> SessionEvidence:
-    """Evidence of a session, by one fit of base model and bias; takes milliseconds.
+    """Compute the evidence of a session by one fit of base model and bias; takes milliseconds.
 
     Parameters
     ----------
     session : Session
     result : TraceResult, optional
-        Its trace, if it was traced. Slipped and outlying dwells are then excluded, scatter is part of the
-        noise, and the effects found are evidence at their size.
+        Trace of the session, if there is one. Dwells that it found slipped or outlying are then excluded,
+        the scatter that it found is added to the noise, and the effects found are evidence at their size.
 
     Raises
     ------
@@ -366,7 +383,7 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
 
 
 def _begun(data: Readings) -> Fit:
-    """Fit of base model and bias."""
+    """Fit the base model and a bias of each axis to the readings."""
     bias = _bias(data)
     return Fit.begin(data).with_terms((bias,), (np.zeros(data.axes),)).refit()
 
@@ -424,7 +441,7 @@ def _unit(directions: Floats) -> Floats:
 
 
 def _reduced(unit: Floats) -> Floats:
-    """Reduce columns (rows, m) to the fewest rows (k, m) with the same products."""
+    """Replace columns (rows, m) by shorter ones (k, m) that have equal scalar products."""
     # XᵀX = V S² Vᵀ: rows S Vᵀ have the products of the columns.
     _, s, vt = np.linalg.svd(unit, full_matrices=False)
     kept = s > 1e-5 * (s[0] if s.size else 1.0)
@@ -432,7 +449,10 @@ def _reduced(unit: Floats) -> Floats:
 
 
 def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[ResidualChi2, ...]:
-    """χ² along the turn and across it, with the degrees of freedom after the nuisance parameters."""
+    """χ² of the residual along the turn and across it, each with its degrees of freedom.
+
+    Base model, bias and single dwells reduce the degrees of freedom.
+    """
     data = fit.data
     rows = rest.reshape(len(data), -1)
     base_rows = base.reshape(len(data), -1, base.shape[1])

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from adis_gonio.tracing.trace_result import TraceResult
 
 ANGLE = "angle"
-"""Error of the angle, rms; its u and U belong to a displayed angle."""
+"""Name of the rms error of the angle; its u and U are uncertainties of a displayed angle."""
 QUANTITIES = {
     "delta_k": "1",
     "delta_phi": "deg",
@@ -38,14 +38,14 @@ QUANTITIES = {
 """Unit of each quantity that a record can hold, named as in the document of `fit`; in space the
 skews replace `delta_phi`."""
 PARTS = {"": "value", "_u": "u", "_u95": "U", "_k": "k", "_dof": "dof"}
-"""Columns of a quantity in a row, by ending, with their keys in the document of a value."""
+"""Endings of the columns that a quantity has in a row, with their keys in the JSON form of a value."""
 
 Status = Literal["ok", "failed"]
 
 
 @dataclass(frozen=True)
 class FoundEffect(JsonRecord):
-    """An effect that a trace found, as `found` in the document of `trace`."""
+    """An effect that the trace of a session found, as in the field `found` of the `trace` document."""
 
     effect: str
     axes: tuple[str, ...]
@@ -54,14 +54,14 @@ class FoundEffect(JsonRecord):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> FoundEffect:
-        """Inverse of `as_dict`."""
+        """Restore the effect from the dictionary of `as_dict`."""
         values = {name: value_from(entry) for name, entry in data["parameters"].items()}
         return cls(data["effect"], tuple(data["axes"]), data["p_value"], values)
 
 
 @dataclass(frozen=True)
 class SessionRecord(JsonRecord):
-    """Facts and results of one session's file; text that is not stated and unknown values are None.
+    """Facts and results of one session file; unknown values are None.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class SessionRecord(JsonRecord):
     data_sha256 : str or None
         Digest of the dwells' data, equal for an archive and the CSV exported from it.
     serial, operator, stage : str or None
-        Text of the operator.
+        As the operator stated them.
     sensor : str or None
         Variant.
     plan : str or None
@@ -87,20 +87,20 @@ class SessionRecord(JsonRecord):
         Mean over all samples, °C.
     gravity_mps2 : float or None
     method : str or None
-        Recommended method, which gave these numbers.
+        Recommended method of the fit, by which `values` were determined.
     model_effects : tuple of str
         Effects of the traced model, if that is the answer.
     values : mapping of str to Value
-        `QUANTITIES` that the session determines.
+        Values of those `QUANTITIES` that the session determines.
     angle_max_deg : float or None
-        Largest error of the angle over the dwells, each left out of the fit.
+        Largest held-out error of the angle: each dwell in turn is left out of the fit and predicted.
     traced : bool
         True if a trace ran; otherwise the effects are not known.
     effects : tuple of FoundEffect
     adequate : bool or None
         True if the traced model explains the readings; None without a trace.
     doubts : tuple of str
-        Reasons why the result cannot be right: readings that were kept against a guard.
+        Reasons to doubt the result: dwells that the operator kept although a guard objected.
     status : {"ok", "failed"}
     reason : str
         Reason of a failure, one line.
@@ -139,7 +139,7 @@ class SessionRecord(JsonRecord):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> SessionRecord:
-        """Inverse of `as_dict`."""
+        """Restore the record from the dictionary of `as_dict`."""
         return cls(
             **{
                 **data,
@@ -170,9 +170,11 @@ class SessionRecord(JsonRecord):
 
 
 def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], dict[str, str]]:
-    """Remove records of equal data; return the others by path, and the kept path of each removed one.
+    """Remove records with equal data.
 
-    Of an archive and the CSV exported from it, the file that states more facts is kept.
+    Returns the other records by path, and for each removed record the path of the one that was kept.
+
+    For an archive and the CSV exported from it, the file that states more facts is kept.
     """
     kept, copies, names = [], {}, dict[str, str]()
     for record in sorted(records, key=_unstated):
@@ -187,13 +189,13 @@ def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], dict[st
 
 
 def _unstated(record: SessionRecord) -> tuple[int, str]:
-    """Number of facts that a file does not state, then its path."""
+    """Sort key that puts the file with the most stated facts first, then sorts by path."""
     names = ("when", "serial", "operator", "stage", "plan")
     return sum(getattr(record, name) is None for name in names), record.path
 
 
 def value_from(entry: Mapping[str, Any]) -> Value:
-    """A `Value` from its JSON form."""
+    """Make a `Value` (with its uncertainty) from its JSON form."""
     value, dof = entry["value"], entry["dof"]
     return Value(
         math.nan if value is None else value,
@@ -206,7 +208,7 @@ def value_from(entry: Mapping[str, Any]) -> Value:
 
 @dataclass(frozen=True)
 class Options(JsonRecord):
-    """Computations that every session gets.
+    """Computations that are made for every session.
 
     Attributes
     ----------
@@ -222,20 +224,26 @@ class Options(JsonRecord):
 
     @property
     def key(self) -> str:
-        """Options and version as a text; if it changes, a file may give another result."""
+        """Options and program version as one text.
+
+        A stored record with another text is not used, since the file may now give another result.
+        """
         return json.dumps([self.as_dict(), __version__])
 
 
 @dataclass(frozen=True)
 class Job:
-    """One session: its file, and the SHA-256 of the file's bytes."""
+    """A session to compute: the path of its file, and the SHA-256 of the file's bytes."""
 
     path: str
     digest: str
 
 
 def lost(path: str, reason: str) -> SessionRecord:
-    """Record of a session that was not computed; it has no digest, so that the next run tries again."""
+    """Make the record of a session that could not be computed.
+
+    It has no digest, so that the next run tries the session again.
+    """
     return SessionRecord(path, status="failed", reason=f"{path}: {reason}")
 
 
@@ -263,7 +271,7 @@ def work(path: str, digest: str, options: dict[str, bool], version: str) -> Sess
 
 
 def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) -> SessionRecord:
-    """Fit one session; a broken file gives a record with its reason, never an exception.
+    """Compute the record of one session; a broken file gives a record with the reason, never an exception.
 
     Parameters
     ----------
@@ -289,7 +297,7 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
 
 
 def _facts(session: Session) -> dict[str, Any]:
-    """Facts of the file, known even if the fit fails."""
+    """Fields of the record that the file states, which are known even if the fit fails."""
     origin = provenance_of(session)
     return {
         "data_sha256": origin.sha256,
@@ -309,7 +317,7 @@ def _facts(session: Session) -> dict[str, Any]:
 
 
 def _utc(text: str) -> str | None:
-    """Time in UTC to the second; a time without a zone is in UTC already."""
+    """Convert an ISO time to UTC with a resolution of a second; a time without a zone is taken as UTC."""
     if not text:
         return None
     try:
@@ -350,7 +358,7 @@ def _of_trace(found: TraceResult | None) -> dict[str, Any]:
 
 
 def _evidence(session: Session) -> dict[str, Any] | None:
-    """Evidence of a session for a population; None if it has none, such as a session of one pose."""
+    """Evidence of a session for a population trace; None if it has none, such as a session of one pose."""
     from adis_gonio.fleet.session_evidence import evidence_of
 
     try:

@@ -73,7 +73,7 @@ _USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("",
 
 
 def table_of(rows: Sequence[Row] | Any) -> Table:
-    """Columns of rows, or of a pyarrow table such as `read_parquet` gives.
+    """Convert rows, or a pyarrow table such as `read_parquet` gives, to arrays by column.
 
     `effect_row` (m,) and `effect_name` (m,) replace `effects`: each effect found, with the number of its
     row. Rows are sorted by path.
@@ -101,7 +101,7 @@ def table_of(rows: Sequence[Row] | Any) -> Table:
 
 
 def require_pyarrow() -> Any:
-    """Import pyarrow.
+    """Import pyarrow and return the module.
 
     Raises
     ------
@@ -116,7 +116,9 @@ def require_pyarrow() -> Any:
 
 
 def write_parquet(rows: Sequence[Row], path: str | Path, about: Mapping[str, Any]) -> None:
-    """Write rows; metadata are `unit` and `meaning` of each column, and `adis_gonio` (`about` as JSON).
+    """Write rows to a Parquet file.
+
+    The metadata are `unit` and `meaning` of each column, and `adis_gonio` (`about` as JSON).
 
     Raises
     ------
@@ -145,7 +147,7 @@ def write_parquet(rows: Sequence[Row], path: str | Path, about: Mapping[str, Any
 
 
 def read_parquet(path: str | Path) -> Any:
-    """Table of a fleet as a pyarrow table, for `summarise`.
+    """Read the table of a fleet from a Parquet file as a pyarrow table, for `summarise`.
 
     Raises
     ------

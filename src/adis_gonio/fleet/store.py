@@ -56,7 +56,7 @@ _REPLACED = (
 
 
 class Store:
-    """Records of sessions, by the digests of their files.
+    """Stores the record of every session file, found by the digest of the file.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class Store:
             raise sqlite3.DatabaseError(" ".join(str(found).split())[:80])
 
     def _ours(self) -> bool:
-        """True if the file was a store, by its header or, if that is damaged, by its name."""
+        """True if this program made the file, by its header or, if that is damaged, by its name."""
         with self.path.open("rb") as file:
             head = file.read(72)
         return int.from_bytes(head[68:72], "big") == APPLICATION_ID or self.path.name == NAME
@@ -182,7 +182,7 @@ class Store:
     def _without_file(
         self, verb: str, error: sqlite3.Error, known: sqlite3.Connection | None = None
     ) -> sqlite3.Connection:
-        """Continue in memory with the records of the file; new records are not kept.
+        """Continue with a store in memory that has the records of the file; new records are not saved.
 
         Raises
         ------
@@ -212,7 +212,7 @@ class Store:
         return connection
 
     def _write(self, statements: Iterable[tuple[str, Sequence[Any]]]) -> None:
-        """Execute all statements or none; on a full or read-only disk continue in memory."""
+        """Execute all SQL statements or none; on a full or read-only disk continue in memory."""
         todo = list(statements)
         if not todo:
             return
@@ -236,7 +236,7 @@ class Store:
     # -- writing -----------------------------------------------------------------------------------
 
     def digest_of(self, path: str | Path) -> str:
-        """Digest of a file, which is read only if its length or times have changed; records its path.
+        """SHA-256 of a file, which is read only if its length or times have changed; its path is recorded.
 
         The record of the file's former content is deleted unless another file has that content.
 
@@ -282,7 +282,7 @@ class Store:
         self._write(todo)
 
     def mark_gone(self, places: Sequence[str | Path], paths: Iterable[Path]) -> None:
-        """Mark files below the places that are no longer there; their records stay."""
+        """Mark files below the given places that no longer exist; their records remain in the store."""
         there = {str(path) for path in paths}
         roots = [Path(place).resolve() for place in places]
         held = self._connection.execute("SELECT path FROM files WHERE NOT gone").fetchall()
@@ -295,7 +295,7 @@ class Store:
     # -- reading -----------------------------------------------------------------------------------
 
     def found(self, job: Job, options: Options) -> SessionRecord | None:
-        """Stored record of a job under the present file name; None if it has to be computed."""
+        """Stored record of a job with the file's present name; None if the job has to be computed."""
         row = self._connection.execute(
             "SELECT options, record FROM records WHERE sha256 = ?", (job.digest,)
         ).fetchone()
@@ -307,7 +307,9 @@ class Store:
         return replace(record, path=job.path)
 
     def rows(self, **wanted: str | None) -> list[dict[str, Any]]:
-        """Flat rows by serial number, operator, stage and date, with `copies` (further paths) and `gone`.
+        """Records as flat rows, sorted by serial number, operator, stage and date.
+
+        Each row also has `copies` (other paths of equal files) and `gone` (True if no file is left).
 
         Parameters
         ----------
@@ -326,7 +328,7 @@ class Store:
         return sorted(rows, key=_place)
 
     def records(self, serial: str | None = None) -> list[SessionRecord]:
-        """Records of one serial number or all, in the order of time, each data once."""
+        """Records of one sensor (by serial number) or of all, sorted by time; equal data appear once."""
         return sorted(once(self._records(serial))[0], key=lambda record: record.when or "")
 
     def _records(self, serial: str | None) -> list[SessionRecord]:
@@ -335,7 +337,7 @@ class Store:
         return [SessionRecord.from_dict(json.loads(text)) for (text,) in found]
 
     def serials(self) -> list[str]:
-        """Known serial numbers."""
+        """Serial numbers of all sensors with a record."""
         rows = self._connection.execute(
             "SELECT DISTINCT serial FROM records WHERE serial IS NOT NULL ORDER BY serial"
         )

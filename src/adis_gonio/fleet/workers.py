@@ -1,4 +1,4 @@
-"""Workers: local processes, or the workers of a dask cluster; a worker that dies loses nothing.
+"""Workers that compute sessions: local processes or a dask cluster; a worker that dies loses nothing.
 
 Each process of this machine has one session at a time and a thread here that feeds it, so that it is
 known which session was lost with it. That session is given to a new process; if that one dies as well,
@@ -48,14 +48,14 @@ Arrival = tuple[Job, SessionRecord]
 
 
 def cores() -> int:
-    """Number of cores that this process may use."""
+    """Number of processor cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 class LocalPool:
-    """Processes of this machine.
+    """Computes sessions in several processes on this machine.
 
     Attributes
     ----------
@@ -122,11 +122,11 @@ def _next(arrived: queue.SimpleQueue[Arrival | BaseException]) -> Arrival:
 
 
 class _StoppedError(Exception):
-    """The answer is no longer needed."""
+    """Raised in a thread that waits for an answer which is no longer needed."""
 
 
 class _Hand(threading.Thread):
-    """Gives jobs to a process, one after the other; a job whose process died is given to a new one."""
+    """Thread that gives jobs to one worker process; a job that ended its process is given to a new one."""
 
     def __init__(
         self,
@@ -171,7 +171,7 @@ class _Hand(threading.Thread):
         return lost(job.path, f"its process {how}, {ATTEMPTS} times")
 
     def _ready(self) -> _Worker:
-        """Return the process, or start a new one."""
+        """Return the worker process; start a new one if there is none."""
         how = ""
         for _ in range(STARTS):
             if self.worker is None:
@@ -184,13 +184,13 @@ class _Hand(threading.Thread):
         raise FleetError(f"no worker can be started: the process {how}")
 
     def _end(self) -> str:
-        """End the process, if any, and describe how it ended."""
+        """End the worker process, if there is one, and describe how it ended."""
         worker, self.worker = self.worker, None
         return "" if worker is None else worker.end()
 
 
 class _Worker:
-    """A process and its pipes."""
+    """A worker process and the pipes to it."""
 
     def __init__(self, command: Sequence[str]) -> None:
         self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed in `end`)
@@ -206,12 +206,12 @@ class _Worker:
         self._ready = False
 
     def ready(self) -> bool:
-        """Wait for its first answer; False if it ended before."""
+        """Wait until the process has sent its first line; False if it ended before."""
         self._ready = self._ready or self._answer() is not None
         return self._ready
 
     def ask(self, job: Job, options: Options) -> SessionRecord | None:
-        """Record of a job; None if the process ended."""
+        """Send a job and wait for its record; None if the process ended."""
         request = {"options": options.as_dict(), "version": __version__, **asdict(job)}
         pipe = self._process.stdin
         try:
@@ -251,7 +251,10 @@ class _Worker:
 
 
 def _environment() -> dict[str, str]:
-    """Environment of a worker: this package first, and one thread per process, since each has a core."""
+    """Environment variables of a worker process.
+
+    It imports this package first, and uses one thread, since each worker has a core.
+    """
     home = str(Path(__file__).parents[2])
     paths = [home, *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**dict.fromkeys(_ONE_THREAD, "1"), **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
@@ -291,11 +294,11 @@ CONNECT_S = 10.0
 ALONE_S = 60.0
 """Time for which a cluster may be without a worker before the run ends; others may still start."""
 _ASK_VERSION = "__import__('adis_gonio').__version__"
-"""Evaluated on the workers, which may not have the package at all."""
+"""Expression that workers evaluate to give their version; they may not have the package at all."""
 
 
 class Cluster:
-    """The workers behind a scheduler.
+    """Computes sessions on the workers of a dask scheduler.
 
     Parameters
     ----------
@@ -375,7 +378,7 @@ class Cluster:
                 self._threads()
 
     def _record(self, job: Job, future: Future) -> SessionRecord:
-        """Record of a finished future, fetched again if its worker has died since."""
+        """Wait for the record of a job; if its worker dies, the cluster computes the job again."""
         while True:
             if future.status == "cancelled":
                 raise FleetError(f"the scheduler at {self.address} has gone")
@@ -413,7 +416,7 @@ class Cluster:
         return threads
 
     def _check(self, limit_s: float) -> None:
-        """Check that there are workers and that they have this version."""
+        """Check that the cluster has workers and that they run this version of the program."""
         try:
             self._client.wait_for_workers(1, timeout=limit_s)
         except TimeoutError:
@@ -452,7 +455,7 @@ def _connected(address: str, limit_s: float) -> Client:
 
 
 def _error_text(error: BaseException) -> str:
-    """Text of an error in one line."""
+    """Format an error as one line of text."""
     return " ".join(str(error).split()) or type(error).__name__
 
 

@@ -1,4 +1,4 @@
-"""A calibration handed over: to a firmware, a table, the chip's registers, a certificate.
+"""Export of a calibration: as C header, table, register offsets, certificate or report.
 
 Public names are imported when they are first used.
 """

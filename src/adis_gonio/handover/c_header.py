@@ -45,7 +45,7 @@ FIXED_UDEG = 12
 CHECKS = 8
 RATE_CHECKS = 4
 _FIELDS = {"t": "temperature", "v": "supply"}
-"""Field of a condition in the header's scan and in the polynomials."""
+"""Field of each condition in the header's scan and in the polynomials."""
 _ASCII = str.maketrans(
     {
         "²": "2",
@@ -63,7 +63,7 @@ _ASCII = str.maketrans(
 
 
 def c_header(calibration: Calibration, name: str = DEFAULT_NAME) -> str:
-    """Text of the header.
+    """Text of the C header that corrects readings by a calibration.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def c_header(calibration: Calibration, name: str = DEFAULT_NAME) -> str:
 
 
 def _content(calibration: Calibration, name: str) -> dict[str, Any]:
-    """Content of `header.h.jinja`."""
+    """Values that the template `header.h.jinja` needs for a calibration."""
     polynomial = polynomial_of(calibration)
     fixed = FixedPoint.of(polynomial)
     planes = _planes(calibration)
@@ -146,7 +146,7 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
 
 
 def _rates_content(calibration: Calibration, gyro: GyroCalibration, name: str) -> dict[str, Any]:
-    """Content of `rates.h.jinja`; `FitError` as `rate_polynomial_of`."""
+    """Values for the template `rates.h.jinja`; raises `FitError` like `rate_polynomial_of`."""
     polynomial = rate_polynomial_of(calibration, gyro)
     fixed = FixedRates(polynomial)
     letters = [factor[1] for factor in polynomial.needs if factor.startswith("f")]
@@ -206,7 +206,7 @@ def _rates_content(calibration: Calibration, gyro: GyroCalibration, name: str) -
 
 
 def _whole(number: int) -> str:
-    """Literal of an integer: a long for 32 bits, else a long long; a minus sign goes into brackets."""
+    """Format an integer as a C literal: long up to 32 bits, else long long; in brackets if negative."""
     text = f"{abs(number)}{'L' if abs(number) < 2**31 else 'LL'}"
     return text if number >= 0 else f"(-{text})"
 
@@ -216,20 +216,20 @@ def _listed(numbers: Iterable[int]) -> str:
 
 
 def _single(value: float) -> str:
-    """Literal of a number in single precision, exact by nine digits."""
+    """Format a number as a C literal of type float; nine digits reproduce it exactly."""
     text = f"{float(np.float32(value)):.9g}"
     text = f"{text}f" if any(mark in text for mark in ".e") else f"{text}.0f"
     return f"({text})" if text.startswith("-") else text
 
 
 def _comment(text: str) -> str:
-    """Text that ends no comment and holds ASCII alone, as old compilers want it."""
+    """Make a text safe for a C comment: ASCII only, without comment marks, as old compilers require."""
     plain = " ".join(text.translate(_ASCII).split(" ")).replace("*/", "* /").replace("/*", "/ *")
     return "".join(c if " " <= c < "\x7f" else "?" for c in plain).replace("??", "? ?").rstrip("\\")
 
 
 def _factor(factor: str) -> str:
-    """A factor in C: a name, or the modulus of one."""
+    """Format a factor in C: a variable, or the absolute value of a variable."""
     letter = factor.strip("|")
     return f"({letter} < 0 ? -{letter} : {letter})" if factor.startswith("|") else factor
 
@@ -366,7 +366,7 @@ def _coefficient_lines(calibration: Calibration) -> list[str]:
 
 
 def _remarks(calibration: Calibration) -> list[str]:
-    """Lines on missing parameters, effects without correction, and the offsets that the header needs."""
+    """Comment lines on missing parameters, on uncorrected effects, and on the required offset registers."""
     gyro = calibration.gyro
     rows = _missing(calibration.assumed, calibration.not_corrected)
     offsets = calibration.provenance.offsets_lsb
@@ -391,7 +391,10 @@ def _missing(assumed: Iterable[str], not_corrected: Iterable[NotCorrected]) -> l
 
 
 def _checks(polynomial: Polynomial, fixed: FixedPoint, plane: dict[str, Any]) -> list[dict[str, Any]]:
-    """Scans round a turn at 1 g, between the multiples of 45°, with their angles."""
+    """Test vectors of the header: scans at 1 g around a full turn, with the angles that it must compute.
+
+    The angles avoid the multiples of 45°.
+    """
     psi = (np.arange(CHECKS) + 0.37) * 2 * np.pi / CHECKS
     g = np.zeros((CHECKS, polynomial.axes))
     g[:, 0], g[:, 1] = np.cos(psi), np.sin(psi)
@@ -408,7 +411,10 @@ def _checks(polynomial: Polynomial, fixed: FixedPoint, plane: dict[str, Any]) ->
 
 
 def _rate_checks(fixed: FixedRates, of: Polynomial) -> list[dict[str, str]]:
-    """Turns about every axis, both ways, at forces of 1 g and conditions off their zeros."""
+    """Test vectors of the header: scans with their rates, and the corrected rates that it must compute.
+
+    The turns are about every axis in both senses, at forces of 1 g and at other than nominal conditions.
+    """
     dps = np.array([[250.0, -31.0, 7.0], [-250.0, 90.0, -60.0], [3.0, -4.0, 270.0], [0.0, 0.0, 0.0]])
     g = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.6, -0.8], [0.5, 0.5, 0.7]])
     turns: Whole = np.rint(dps / STEP_DPS).astype(np.int64)

@@ -64,7 +64,7 @@ _ORDER = ("delta_k", "delta_phi")
 
 
 def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Section:
-    """Summary of the trace in sentences."""
+    """Section that summarises the trace in sentences."""
     best = fits[-1] if fits else None
     by_method = ""
     if best is not None:
@@ -87,7 +87,7 @@ def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Sec
 
 
 def answer_section(answer: Answer) -> Section:
-    """The recommended answer: values with u, U and k, and its reason."""
+    """Section on the recommended answer: values with u, U and k, and the reason for the method."""
     table = Table(
         HEAD,
         [line.cells for line in answer.lines],
@@ -100,13 +100,16 @@ def answer_section(answer: Answer) -> Section:
 
 
 def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
-    """ΔK, Δφ and the error of the angle in large numerals; empty for a session in space."""
+    """ΔK, Δφ and the error of the angle as large figures; empty for a session with attitudes in space."""
     wanted = [name for name in (*_ORDER, "angle") if name in values]
     return [_large(name, values[name]) for name in wanted if len(wanted) > 1]
 
 
 def _large(name: str, value: Value) -> KeyFigure:
-    """Value with U; for the error of the angle, U belongs to a displayed angle and is shown separately."""
+    """Format a value with U as a large figure.
+
+    For the error of the angle, U belongs to a displayed angle and is shown separately.
+    """
     if value.k is None:
         return KeyFigure(NAMES[name], with_unit(format_number(value.value, 4), value.unit), UNKNOWN)
     factor = f"k{NO_BREAK}={NO_BREAK}{value.k:.2f}"
@@ -122,7 +125,7 @@ _ANGLES = ("position", "declared", "by gravity", "by the gyro", "found", "how su
 
 
 def positions_section(findings: Sequence[PositionFinding]) -> list[Section]:
-    """Section on wrong positions: declared and measured angles of each, and advice; empty without any."""
+    """Section on wrong positions with declared and measured angles and advice; an empty list if none."""
     if not findings:
         return []
     rows = [
@@ -146,7 +149,7 @@ def _angle(angle: Angle | None) -> str:
 
 
 def budget_section(answer: Answer) -> Section:
-    """Uncertainty budget of ΔK, Δφ and the angle."""
+    """Section with the uncertainty budgets of ΔK, Δφ and the angle."""
     tables = []
     for name, rows in answer.budget.items():
         cells = [
@@ -173,7 +176,7 @@ def budget_section(answer: Answer) -> Section:
 
 
 def scores_section(answer: Answer) -> Section:
-    """Scores of every method on equal readings."""
+    """Section that compares the errors of all methods on equal readings."""
     head, rows = answer.score_rows()
     table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(0,))
     return Section("Methods on the same readings", words=[answer.scored_on], tables=[table] if rows else [])
@@ -188,7 +191,7 @@ _BESIDE = 3
 
 
 def fitted_section(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
-    """Tables of the parameters by method, ΔK and Δφ first."""
+    """Section with the fitted parameters of every method, ΔK and Δφ first."""
     sentences: dict[str, list[str]] = {}
     for fit in fits:
         for warning in fit.warnings:
@@ -229,7 +232,7 @@ def _by_method(fits: Sequence[FitResult]) -> Table:
 
 
 def found_section(traced: TraceResult) -> Section:
-    """Effects found, their alternatives, and unnamed causes."""
+    """Section on the effects found, their alternatives, and unnamed causes."""
     inside = words.inside_only(traced)
     rows = []
     for finding in words.ordered(traced):
@@ -263,7 +266,7 @@ def found_section(traced: TraceResult) -> Section:
 
 
 def within_section(traced: TraceResult) -> Section:
-    """Findings inside the dwells: sentences, figures, and a table of single dwells."""
+    """Section on effects among the samples of a dwell: sentences, figures, and a table by dwell."""
     if not traced.within:
         nothing = (
             "Spikes, stuck values, spectral lines, changes of the noise, drift, settling, steps: none."
@@ -309,7 +312,7 @@ def _place(finding: WithinFinding, place: Place) -> list[str]:
 
 
 def errors_section(traced: TraceResult) -> Section:
-    """Error before and after, step by step."""
+    """Section with the errors before the trace and after each effect that it added."""
     head, rows = words.error_rows(traced)
     base = [[NAMES.get(name, name), str(value)] for name, value in traced.base.items()]
     table = Table(
@@ -326,7 +329,10 @@ def errors_section(traced: TraceResult) -> Section:
 
 
 def steps_section(traced: TraceResult, views: Views) -> Section:
-    """A figure per step: residual against the covariate that explains it, before and after."""
+    """Section with a figure for each effect that the trace added.
+
+    The figure shows the residual before and after, against the covariate that explains it.
+    """
     parts = []
     for number_, (step, view) in enumerate(zip(traced.steps, views.steps, strict=True), 1):
         before = "without it, the others kept" if view.beside_all else "before"
@@ -343,7 +349,7 @@ def steps_section(traced: TraceResult, views: Views) -> Section:
 
 
 def residual_section(views: Views) -> Section:
-    """Residual of the final model against each covariate."""
+    """Section with the residual of the final model against each covariate."""
     roles: tuple[Role, ...] = ("after", "third", "fourth")
     figures = []
     for covariate in dict.fromkeys(panel.covariate for panel in views.left):
@@ -368,7 +374,7 @@ def residual_section(views: Views) -> Section:
 
 
 def rivals_section(traced: TraceResult) -> Section:
-    """Probable models with their probability."""
+    """Section with the most probable models and their probabilities."""
     rows = [
         [" + ".join(rival.terms) or "base model", format_percent(rival.probability)]
         for rival in traced.rivals
@@ -386,7 +392,10 @@ def rivals_section(traced: TraceResult) -> Section:
 
 
 def sight_section(traced: TraceResult) -> Section:
-    """Smallest amplitude of each effect that the session would have shown, and the verdict."""
+    """Section with the smallest amplitude of each effect that the session would have shown.
+
+    It also states if the effect was found, is absent or remains open.
+    """
     seen = words.sight(traced)
     effects_found = {finding.effect for finding in traced.found}
     rows = []
@@ -410,14 +419,14 @@ def sight_section(traced: TraceResult) -> Section:
 
 
 def advice_section(traced: TraceResult) -> Section:
-    """Advice on the next measurements."""
+    """Section with advice on the next measurements."""
     return Section("What to measure next", points=words.advice(traced))
 
 
 def data_section(
     session: Session, traced: TraceResult | None, software: str, reference_c: float | None = None
 ) -> Section:
-    """Data and configuration; `reference_c` is the temperature at which the parameters hold."""
+    """Section on data and configuration; `reference_c` is the temperature to which the parameters apply."""
     observed = _observed(session)
     rows = [[name, text] for name, text in facts(session, observed, software, reference_c) if text]
     parts = []
@@ -440,7 +449,7 @@ def _observed(session: Session) -> Readings | None:
 def facts(
     session: Session, observed: Readings | None, software: str, reference_c: float | None
 ) -> list[tuple[str, str]]:
-    """Names and texts of the known facts of a session; a fact without a text has no row."""
+    """List the known facts of a session, each as a name and a text; a fact without a text has no row."""
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if session.free_turn and session.recording is not None:
         dwells = [session.recording]
@@ -589,7 +598,7 @@ def _reading(covariate: str) -> str:
 
 
 def views(session: Session, result: TraceResult) -> Views:
-    """Residuals of a traced session before and after each step, whatever it is of."""
+    """Residuals of a session before and after each effect that the trace added, for the figures."""
     if not result.fits:
         return series_views(session, result)
     return views_of(readings_of(session), result)

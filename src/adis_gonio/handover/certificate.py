@@ -75,7 +75,7 @@ _TURN_DEG = tuple(range(0, 360, 30))
 
 
 def certificate_text(calibration: Calibration, issued: date | None = None) -> str:
-    """Render a calibration as a certificate in XML.
+    """Render a calibration as a digital calibration certificate in XML.
 
     Parameters
     ----------
@@ -104,12 +104,12 @@ def _add(parent: ET.Element, name: str, text: str | None = None, space: str = DC
 
 
 def _clean(text: str) -> str:
-    """Text in one line, without control characters, which XML forbids."""
+    """Put a text into one line and remove control characters, which XML forbids."""
     return one_line(text.encode("utf-8", "replace").decode("utf-8")) or NOT_STATED
 
 
 def _named(parent: ET.Element, name: str, text: str, element: str = "name") -> ET.Element:
-    """Add a child that begins with a name or another text in one language."""
+    """Add a child element that begins with a name (or another text) in one language, and return it."""
     child = _add(parent, name)
     _add(_add(child, element), "content", text)
     return child
@@ -236,7 +236,7 @@ def _condition(parent: ET.Element, name: str, value: float, unit: str) -> None:
 
 
 def _label(name: str) -> str:
-    """Description of a parameter, with its name in brackets."""
+    """Description of a parameter for the certificate, followed by its name in brackets."""
     stem, _, axes = name.rpartition("_") if kind_of(name) else name.partition("_")
     words = _NAMES.get(name) or (f"{_NAMES[stem]} {axes.upper()}" if stem in _NAMES else "Coefficient")
     return f"{words} ({name})"
@@ -261,7 +261,7 @@ def _real(parent: ET.Element, one: Coefficient) -> None:
 
 
 def _turn(parent: ET.Element, calibration: Calibration) -> None:
-    """Add the uncertainty of angles in the plane of x and y that comes from the calibration."""
+    """Add the uncertainty that the calibration adds to angles in the plane of x and y."""
     u_deg = angle_u_deg(calibration, _TURN_DEG)
     if not np.isfinite(u_deg).all():
         return

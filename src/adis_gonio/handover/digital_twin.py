@@ -30,12 +30,12 @@ from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 
 @dataclass(frozen=True)
 class SamplesNoise:
-    """Noise of single samples, as settings of the simulated chip.
+    """Noise of single samples, as settings of the simulated chip that imitate it.
 
     Attributes
     ----------
     smpl_prd, filter_m : int
-        Settings of the chip with a correlation like that in the samples.
+        Settings of rate and filter with which the chip's samples are correlated like the measured ones.
     white_mg : (axes,) float
         White noise before the filter, rms.
     floor_mg : (axes,) float
@@ -49,7 +49,10 @@ class SamplesNoise:
 
 
 def period_of(dwells: Iterable[Dwell]) -> float:
-    """Sample period in s, from the length of dwells, since coarse times may repeat between samples."""
+    """Sample period in s, by the lengths of the dwells.
+
+    Differences of neighbouring times are not used, since coarse times may repeat.
+    """
     lengths = [np.ptp(dwell.time_s) / (len(dwell) - 1) for dwell in dwells if len(dwell) > 1]
     period_s = float(np.median(lengths)) if lengths else 0.0
     if not period_s > 0:
@@ -58,12 +61,12 @@ def period_of(dwells: Iterable[Dwell]) -> float:
 
 
 def noise_of(session: Session, unit: Unit) -> SamplesNoise:
-    """Noise of a session's samples on the axes of its readings, in their unit.
+    """Determine the noise of a session's samples, as settings of the simulated chip.
 
     The white noise before the filter has the spectral density of the samples at frequency zero, which the
     filter does not change and which determines the readings. An archive states the settings of the chip.
     For a CSV the rate is the nearest one of the chip, and the filter is the one with the variance nearest
-    to that in the samples.
+    to the variance of the samples.
     """
     dwells = [dwell for dwell in session.dwells if len(dwell) > 8]
     if not dwells:
@@ -99,7 +102,7 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
 
 @dataclass(frozen=True)
 class TermEffect(Effect):
-    """A named or unnamed term of a traced model as an effect of the world, with its fitted values.
+    """A named or unnamed term of a traced model as an effect of the simulation, with its fitted values.
 
     Attributes
     ----------
@@ -131,12 +134,15 @@ class TermEffect(Effect):
 
     @classmethod
     def choices(cls) -> tuple[str, ...]:
-        """No choices: the fields are not set by a user."""
+        """Return no choices: a user cannot select variants of this effect."""
         return ()
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the term, without units, since the values are as fitted."""
+        """Parameters of the term with their bounds.
+
+        They have no units, since the values are used as the fit gave them.
+        """
         return tuple(
             Parameter(f"value_{k}", "", float(low), float(high), 0.0)
             for k, (low, high) in enumerate(self._bounds())
@@ -147,12 +153,12 @@ class TermEffect(Effect):
         return np.zeros((0, 2)) if bounds is None else bounds
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
-        """Contribution of the term to the angle, (n,) in rad."""
+        """Angle in rad (n,) by which the term turns the sensor."""
         zeros = np.zeros((len(conditions), self.columns))
         return np.asarray(self.term.added(values, zeros, self._seen(conditions)), np.float64)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Contribution of the term to the readings, (n, axes) in mg."""
+        """Readings in mg (n, axes) that the term adds."""
         added = np.zeros_like(ideal)
         known = ideal[:, : self.columns]
         added[:, : self.columns] = self.term.added(values, known, self._seen(conditions))
@@ -174,13 +180,13 @@ class TermEffect(Effect):
 
 @dataclass(frozen=True)
 class AngleTerm(TermEffect):
-    """A term that turns the part."""
+    """A term of a traced model that changes the angle of the sensor instead of its readings."""
 
     enters = Enters.ATTITUDE
 
 
 class LikeWorld(World):
-    """World with the model, the noise and the surroundings of a measured session.
+    """A simulated world with the model, the noise and the surroundings of a measured session.
 
     Parameters
     ----------
@@ -240,14 +246,14 @@ class LikeWorld(World):
         self._temperature_offset = np.zeros(3)
 
     def temperature_c(self, time_s: Floats) -> Floats:
-        """Measured temperature (n,) in °C; 25 °C if it was not measured."""
+        """Temperature (n,) in °C as the session measured it; 25 °C if it was not measured."""
         history = self._data.conditions.temperature_history
         if history is None:
             return np.full(len(time_s), 25.0)
         return np.interp(time_s - self._offset_s, *history)
 
     def supply_v(self, time_s: Floats) -> Floats:
-        """Measured supply (n,) in V; 5 V if it was not measured."""
+        """Supply voltage (n,) in V as the session measured it; 5 V if it was not measured."""
         conditions = self._data.conditions
         if conditions.supply_v is None:
             return np.full(len(time_s), 5.0)
@@ -255,7 +261,7 @@ class LikeWorld(World):
 
 
 def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, float]:
-    """Settings of a world with the gyro errors of a calibration; unknown parameters are nominal.
+    """Settings of a simulated world for the gyro errors of a calibration; unknown ones are nominal.
 
     The gyros of the world respond to ideal readings of acceleration, the gyros of a calibration to the
     part's readings. The zero rates therefore include the effect of the accelerometers' bias (3,).
@@ -281,7 +287,7 @@ def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, flo
 
 
 def _accel_bias_mg(fit: Fit) -> Floats:
-    """Biases (3,) of the model."""
+    """Biases (3,) of the accelerometers in mg, by the traced model."""
     found = np.zeros(3)
     for term, values in zip(fit.terms, fit.values.terms, strict=True):
         if isinstance(term, NamedTerm) and term.name == "bias":
@@ -396,7 +402,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
 
 
 def _gyros_of(session: Session) -> GyroCalibration | None:
-    """Errors of the gyros; None if the session does not determine them."""
+    """Calibration of the session's gyros; None if the session does not determine one."""
     try:
         return gyros_as_recorded(session)
     except AdisGonioError:
@@ -404,7 +410,7 @@ def _gyros_of(session: Session) -> GyroCalibration | None:
 
 
 def _attitude(fit: Fit, k: int) -> list[float]:
-    """Direction of gravity in dwell k, as an ideal sensor would read it."""
+    """Direction of gravity (3,) in dwell k of the traced model, as an ideal sensor would read it."""
     if fit.data.planar:
         psi = float(fit.values.base[0] + fit.values.attitude[k])
         return [float(np.cos(psi)), float(np.sin(psi)), 0.0]

@@ -11,7 +11,7 @@ the rounding to a µ° (0.5).
 In `float` the header finds the angle without a library: a quotient, a reduction to |q| ≤ tan 22.5°, and a
 polynomial (`ATAN`, relative error 2.6e-9).
 
-Rates of the gyros are integers of 1/256 of 0.018315 °/s, the part's finest LSB, so that one header serves
+Rates of the gyros are integers of 1/256 of 0.018315 °/s, the sensor's finest LSB, so that one header serves
 every range. In °/s, with f the raw readings of the accelerometers in g (within ±2 g), t = (T − 25 °C)/128
 and v = (V − 5 V)/8::
 
@@ -88,14 +88,14 @@ LEAST_GAIN, MOST_GAIN = 0.5, 2.0
 
 @dataclass(frozen=True)
 class Scaled:
-    """A constant as `number` · 2^−`shift`."""
+    """A constant as the integer `number` times 2^−`shift`."""
 
     number: int
     shift: int
 
     @classmethod
     def of(cls, value: float, most_shift: int = 62) -> Scaled:
-        """The format that uses 30 bits; values far below its range become 0."""
+        """Scale a constant so that `number` has 30 bits; values far below the range become 0."""
         if value == 0.0:
             return cls(0, Q)
         shift = min(BITS - math.frexp(value)[1], most_shift)
@@ -104,13 +104,16 @@ class Scaled:
 
 @dataclass(frozen=True)
 class FixedTerm:
-    """A monomial with its coefficient scaled."""
+    """A term of the polynomial with its coefficient as a scaled integer."""
 
     monomial: Monomial
     coefficient: Scaled
 
     def value(self, factors: dict[str, Whole]) -> Whole:
-        """Coefficient times the product of the factors (n,) by name, in Q29."""
+        """Coefficient times the product of its factors (n,), as integers in fixed point.
+
+        `factors` are the values by name, in 2⁻²⁹ of their unit.
+        """
         first, *rest = self.monomial.factors
         product = factors[first]
         for factor in rest:
@@ -120,14 +123,14 @@ class FixedTerm:
 
 @dataclass(frozen=True)
 class FixedPoint:
-    """The constants of the header in fixed point, and its computation.
+    """The constants of the C header in fixed point, and the computation that the header does with them.
 
     Attributes
     ----------
     step : tuple of Scaled
         g per 1/256 step.
     bias : tuple of int
-        In Q29 g; more than 32 bits if the zero of counts is far away.
+        In 2⁻²⁹ g (Q29); more than 32 bits if the zero of a sensor with counts is far away.
     terms : tuple of FixedTerm
     matrix : tuple of tuple of Scaled
     temperature, supply : (int, Scaled)
@@ -145,7 +148,7 @@ class FixedPoint:
 
     @classmethod
     def of(cls, polynomial: Polynomial) -> FixedPoint:
-        """Constants of a polynomial."""
+        """Convert a polynomial to fixed point."""
         p = polynomial
         return cls(
             step=tuple(Scaled.of(step) for step in p.step_g),
@@ -158,7 +161,7 @@ class FixedPoint:
         )
 
     def correct(self, scan: Whole, temperature: Whole | None = None, supply: Whole | None = None) -> Whole:
-        """Gravity (n, axes) in 2⁻²⁹ of local gravity.
+        """Corrected gravity vector (n, axes) in 2⁻²⁹ of local gravity.
 
         Parameters
         ----------
@@ -207,18 +210,18 @@ class FixedPoint:
         supply: Whole | None = None,
         plane: tuple[int, int] = (0, 1),
     ) -> Whole:
-        """Angle (n,) in µ° from the first axis of a plane towards the second."""
+        """Angle (n,) of gravity in µ°, from the first axis of a plane towards the second axis."""
         gravity = self.correct(scan, temperature, supply)
         return atan2_udeg(gravity[:, plane[1]], gravity[:, plane[0]])
 
 
 def cordic_table() -> list[int]:
-    """atan(2⁻ⁱ) in 2⁻³² of a turn."""
+    """Angles atan(2⁻ⁱ) of the CORDIC steps, in 2⁻³² of a full turn."""
     return [round(math.atan2(1, 1 << i) / (2 * math.pi) * (1 << TURN_BITS)) for i in range(CORDIC_STEPS)]
 
 
 def atan2_udeg(y: Whole, x: Whole) -> Whole:
-    """Angle (n,) in µ° of vectors of integers below 2³¹; 0 for the null vector."""
+    """Angle (n,) in µ° of vectors with integer components below 2³¹; 0 for the null vector."""
     ay, ax = np.abs(np.asarray(y, dtype=np.int64)), np.abs(np.asarray(x, dtype=np.int64))
     none = (ax == 0) & (ay == 0)
     # Scale each vector to 2²⁸ … 2²⁹, as the loops of the header do.
@@ -241,7 +244,7 @@ def atan2_udeg(y: Whole, x: Whole) -> Whole:
 
 
 def _shifted(values: Whole, bits: int) -> Whole:
-    """Values divided by 2^bits and rounded to the nearest, halves upwards."""
+    """Values divided by 2^bits and rounded to the nearest integer, halves upwards."""
     return (values + (1 << (bits - 1))) >> bits if bits > 0 else values << -bits
 
 
@@ -256,7 +259,7 @@ def _condition(constants: tuple[int, Scaled], given: Whole | None, n: int) -> Wh
 
 
 def _row(entries: Sequence[Scaled], columns: Sequence[Whole]) -> Whole:
-    """Σ entry · column, columns (n,) each."""
+    """Sum of entry · column (n,) over a row of the matrix."""
     total = np.zeros(len(columns[0]), dtype=np.int64)
     for entry, column in zip(entries, columns, strict=False):
         if entry.number:
@@ -269,20 +272,20 @@ def _row(entries: Sequence[Scaled], columns: Sequence[Whole]) -> Whole:
 
 @dataclass(frozen=True)
 class RatePolynomial:
-    """The header's computation for the gyros.
+    """The gyros' calibration as a polynomial that a firmware can compute.
 
     Attributes
     ----------
     bias : tuple of float
-        °/s.
+        Zero rate of each gyro in °/s.
     terms : tuple of Monomial
-        Rates without a turn, with coefficients in °/s and factors `fx`, `fy`, `fz` (g), `t`, `v`.
+        Terms of the zero rates, with coefficients in °/s and factors `fx`, `fy`, `fz` (g), `t`, `v`.
     warm : tuple of float
-        κ of each gyro, per unit of t; zero if its gain does not follow the temperature.
+        Change κ of each gyro's scale factor per unit of t; zero if it does not depend on temperature.
     matrix : (3, 3) float
-        M.
+        Matrix M that converts free rates to rates of turn (see the module).
     accelerometers : Polynomial
-        Source of temperature, supply, and of the g per 1/256 step, without the calibration.
+        Gives the scaling of temperature, supply and force (g per 1/256 step); its terms are not used.
     """
 
     bias: tuple[float, ...]
@@ -293,7 +296,7 @@ class RatePolynomial:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Factors (`fx` …, `t`, `v`) that it depends on."""
+        """Factors that the rates depend on: forces `fx`, `fy`, `fz`, temperature `t`, supply `v`."""
         used = {factor for term in self.terms for factor in term.factors}
         used |= {"t"} if any(self.warm) else set()
         return tuple(name for name in (*(f"f{axis}" for axis in AXES), "t", "v") if name in used)
@@ -308,7 +311,7 @@ _FORMS: dict[str, tuple[float, tuple[str, ...]]] = {
 
 
 def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> RatePolynomial:
-    """The gyros' polynomial of a calibration.
+    """Convert the calibration of the gyros to a polynomial that a firmware can compute.
 
     Raises
     ------
@@ -347,20 +350,20 @@ def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> RateP
 
 
 class FixedRates:
-    """The gyros' constants in fixed point, and the header's computation with them.
+    """The gyros' constants of the C header in fixed point, and the header's computation with them.
 
     Attributes
     ----------
     step, force_step : Scaled
         °/s per number of a gyro, and g per number of an accelerometer.
     bias : tuple of int
-        In Q20 °/s.
+        In 2⁻²⁰ °/s (Q20).
     terms : tuple of FixedTerm
-        Coefficients such that the sum is in Q20.
+        Terms with coefficients such that their sum is in 2⁻²⁰ °/s.
     warm : tuple of int
-        κ in Q29 per t.
+        Change κ of each gyro's scale factor per unit of t, in 2⁻²⁹.
     matrix : tuple of tuple of Scaled
-        M.
+        Matrix M that converts free rates to rates of turn (see the module).
     """
 
     def __init__(self, polynomial: RatePolynomial) -> None:
@@ -384,7 +387,7 @@ class FixedRates:
         temperature: Whole | None = None,
         supply: Whole | None = None,
     ) -> Whole:
-        """Rates (n, 3) in 1e-6 °/s.
+        """Corrected rates (n, 3) in 1e-6 °/s.
 
         Parameters
         ----------

@@ -15,7 +15,7 @@ from adis_gonio.base.errors import UsageError
 
 @dataclass(frozen=True)
 class Format:
-    """Format of an exported file.
+    """A format in which `adis-gonio export` writes a file.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ ENDINGS = {ending: one.name for one in FORMATS for ending in one.endings}
 
 
 def format_of(name: str) -> str:
-    """Name of the format by a file's ending; `UsageError` lists the known endings."""
+    """Find the export format by the ending of a file name; `UsageError` lists the known endings."""
     lower = name.lower()
     for ending in sorted(ENDINGS, key=len, reverse=True):
         if lower.endswith(ending):

@@ -104,7 +104,7 @@ def _cell(result: GyroFit, name: str) -> str:
 
 
 def _every(result: GyroFit) -> list[Table]:
-    """Tables of the parameters, and of the triad's orientation to the accelerometers."""
+    """Tables of all gyro parameters, and of the orientation of the gyro axes to the accelerometers."""
     captions = (
         "First letter: gyro, second letter: axis of the accelerometers. u: standard uncertainty; U = k·u.",
         "Rotation of the gyros' triad against the accelerometers', and 90° minus its own angles.",
@@ -117,7 +117,7 @@ def _every(result: GyroFit) -> list[Table]:
 
 
 def _scores(result: GyroFit) -> list[Table]:
-    """Table of the residuals of held-out dwells."""
+    """Table of the gyros' errors on held-out dwells, as a list; empty without any."""
     if not result.scores:
         return []
     rows = [
@@ -134,7 +134,7 @@ def _scores(result: GyroFit) -> list[Table]:
 
 
 def _offsets(session: Session) -> list[Table]:
-    """Table of the offset registers: their numbers, and the numbers that remove the zero rates."""
+    """Table of the gyro offset registers: the present numbers, and those that remove the zero rates."""
     if session.sensor not in VARIANTS:
         return []
     try:
@@ -196,7 +196,7 @@ def allan_page(result: AllanResult) -> str:
 
 
 def noise_section(session: Session) -> Section | None:
-    """Section on the gyros' noise; None without gyros, or if the rests are too short."""
+    """Section on the gyros' noise; None without gyros, or if no rest is long enough."""
     try:
         result = fit_allan(session)
     except DataError:
@@ -205,13 +205,13 @@ def noise_section(session: Session) -> Section | None:
 
 
 def shows_slow_noise(result: AllanResult) -> bool:
-    """True if the rests show slow noise, or are long enough to show it."""
+    """True if the records at rest show slow noise, or are long enough to show it."""
     shown = any(axis[kind].present for axis in result.axes for kind in _SLOW)
     return shown or result.longest_s >= LONG_S
 
 
 def section_of(result: AllanResult) -> Section:
-    """Content of `allan_page` as a section of another page."""
+    """Make a section with the content of `allan_page` for another page."""
     return Section(
         f"Noise of the {allan_result.PARTS[result.part]} at rest",
         words=(f"{allan_result.headline(result)}.",),
@@ -221,7 +221,7 @@ def section_of(result: AllanResult) -> Section:
 
 
 def allan_svg(result: AllanResult) -> str:
-    """Allan deviations of all axes with the fitted curves, as one drawing."""
+    """Plot the Allan deviations of all axes with the fitted curves, as one SVG."""
     series = []
     for role, axis in zip(ROLES, result.axes, strict=False):
         curve = axis.curve
@@ -288,7 +288,7 @@ def _figure(result: AllanResult, axis: AxisNoise) -> Figure:
 
 
 def _described(result: AllanResult, axis: AxisNoise) -> str:
-    """Description of the curve in a sentence, for a screen reader."""
+    """Describe the Allan curve of an axis in a sentence, for a screen reader."""
     tau, deviation, unit = axis.curve.tau_s, axis.curve.deviation, format_unit(result.unit)
     first, last, least = (
         f"{format_number(deviation[k])} {unit} at {format_number(tau[k])} s"

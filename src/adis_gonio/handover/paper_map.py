@@ -38,7 +38,7 @@ AXES: tuple[Axis, ...] = ("x", "y")
 
 @dataclass(frozen=True)
 class TableRow:
-    """One row of table 1 for one axis, as printed.
+    """One row of table 1 of the paper for one axis, as printed.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class TableRow:
 
     @property
     def name(self) -> str:
-        """Name such as `SF, X`."""
+        """Name of the parameter and its axis, such as `SF, X`."""
         return f"{self.printed}, {self.axis.upper()}"
 
     @property
@@ -77,20 +77,20 @@ TABLE: tuple[TableRow, ...] = (
     TableRow("non_orthogonality", "N", "deg", "x", 0.0612, 0.051, -0.057, 0.05),
     TableRow("non_orthogonality", "N", "deg", "y", 0.0673, 0.0514, -0.055, 0.05),
 )
-"""Table 1, mean values."""
+"""Mean values in table 1 of the paper."""
 
 RMSD = 0.0033
-"""RMSD that is printed with the specification of SF."""
+"""Root mean square deviation that the paper prints with the specification of SF (scale factor)."""
 
 
 def row_of(key: str, axis: Axis) -> TableRow:
-    """Row of a parameter and an axis."""
+    """Find the row of the paper's table for a parameter and an axis."""
     return next(row for row in TABLE if (row.key, row.axis) == (key, axis))
 
 
 @dataclass(frozen=True)
 class Truth(JsonRecord):
-    """Hidden parameters of simulated sessions.
+    """True parameters of the sensor in simulated sessions.
 
     Attributes
     ----------
@@ -111,18 +111,21 @@ class Truth(JsonRecord):
 
     @property
     def delta_k(self) -> float:
-        """K_x/K_y − 1."""
+        """True gain ratio ΔK = K_x/K_y − 1."""
         return self.scale_x / self.scale_y - 1
 
     @property
     def natural(self) -> tuple[float, float, float, float, float]:
-        """K_x, K_y, Δφ in rad, b_x and b_y in local gravity."""
+        """Gains K_x and K_y, misalignment Δφ in rad, and biases b_x and b_y in g."""
         phi = float(np.radians(self.delta_phi_deg))
         return self.scale_x, self.scale_y, phi, self.bias_x_mg / 1000, self.bias_y_mg / 1000
 
     @property
     def values(self) -> dict[str, float]:
-        """The paper's quantities: relative errors of scales, offsets in g, the angle in degrees, ΔK."""
+        """The true values of the paper's quantities, by name.
+
+        They are relative scale errors, offsets in g, the non-orthogonality in degrees, and ΔK.
+        """
         return {
             "scale_error_x": self.scale_x - 1,
             "scale_error_y": self.scale_y - 1,
@@ -133,13 +136,13 @@ class Truth(JsonRecord):
         }
 
     def with_bias(self, sigma_mg: float, rng: np.random.Generator) -> Truth:
-        """Truth with random biases of standard deviation `sigma_mg`, otherwise unchanged."""
+        """Return a copy with random biases of standard deviation `sigma_mg`."""
         b_x, b_y = sigma_mg * rng.standard_normal(2)
         return replace(self, bias_x_mg=float(b_x), bias_y_mg=float(b_y))
 
 
 def truth_of(column: Axis) -> Truth:
-    """Truth of the sessions of a column: the table's measured values."""
+    """True parameters for the sessions of one column of the table: the table's measured values."""
     return Truth(
         1 + row_of("scale_error", "x").measured,
         1 + row_of("scale_error", "y").measured,
@@ -152,7 +155,7 @@ def truth_of(column: Axis) -> Truth:
 FIXTURES_DEG: tuple[float, ...] = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 BIASES_MG: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 NOISES_MG: tuple[float, ...] = (0.05, 0.16, 0.5, 1.6)
-"""Levels of the map: standard deviations of a declared angle, of the bias of an axis, of a reading."""
+"""Values on the axes of the map: standard deviations of a stage angle, of a bias, and of a reading."""
 
 MMPM_ANGLES_DEG = tuple(40.0 * k for k in range(9))
 COMPARED = ("delta_k", "non_orthogonality")
@@ -163,7 +166,10 @@ _SEARCHED_DEG = (1e-3, 10.0)
 
 @dataclass(frozen=True)
 class Point:
-    """A point of the map: standard deviations of fixture (degrees), bias and noise of a reading (mg)."""
+    """A point of the map: the standard deviations of three random errors of a session.
+
+    They are the errors of a stage angle (degrees), of the bias of an axis (mg) and of a reading (mg).
+    """
 
     fixture_deg: float
     bias_mg: float
@@ -172,7 +178,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Draws:
-    """Random numbers of n sessions, in units of their standard deviation, used at every point.
+    """Random numbers of n sessions, drawn once and scaled at every point of the map.
 
     Attributes
     ----------
@@ -190,7 +196,7 @@ class Draws:
 
     @classmethod
     def of(cls, rng: np.random.Generator, n: int) -> Draws:
-        """Draw n sessions."""
+        """Draw the random numbers of n sessions from the generator."""
         sizes = (len(FOUR), len(MMPM_ANGLES_DEG))
         alpha = np.radians(rng.uniform(-GREATEST_ALPHA_DEG, GREATEST_ALPHA_DEG, n))
         fixture = tuple(rng.standard_normal((n, size)) for size in sizes)
@@ -202,7 +208,7 @@ class Draws:
 def readings(
     truth: Truth, angles_deg: Sequence[float], alpha_rad: Floats, fixture_rad: Floats, added: Floats
 ) -> Floats:
-    """Readings (n, positions, 2) of X and Y in local gravity, by the planar model.
+    """Simulate readings (n, positions, 2) of X and Y in units of local gravity, by the planar model.
 
     Parameters
     ----------
@@ -218,7 +224,10 @@ def readings(
 
 
 def by_positions(angles_deg: Sequence[float], natural: Floats, *, bias: bool) -> Floats:
-    """Parameters (n, 6) of readings (n, positions, 2) by least squares with the declared angles."""
+    """Fit the parameters (n, 6) of n sessions by least squares, with the declared angles.
+
+    `natural` are the readings (n, positions, 2) in local gravity.
+    """
     theta = np.radians(np.asarray(angles_deg, dtype=float))
     # Linear problem U = A cos θ + B sin θ (+ b) of each axis, solved for all sessions at once.
     columns = [np.cos(theta), np.sin(theta)] + [np.ones_like(theta)] * bias
@@ -226,7 +235,14 @@ def by_positions(angles_deg: Sequence[float], natural: Floats, *, bias: bool) ->
 
 
 def estimates(truth: Truth, point: Point, draws: Draws) -> dict[str, dict[str, Floats]]:
-    """ΔK and Δφ (degrees) of every session by each method that uses readings alone."""
+    """ΔK and Δφ (degrees) of every session at a point of the map, for four methods.
+
+    The methods are `paper`, `two-position`, `four-position` and `mmpm`, which need only the readings and
+    the declared angles.
+
+    The methods are `paper`, `two-position`, `four-position` and `mmpm`; `ml` and the trace need whole
+    sessions.
+    """
     fixture = math.radians(point.fixture_deg)
     at_four, at_nine = (
         readings(
@@ -256,7 +272,7 @@ def estimates(truth: Truth, point: Point, draws: Draws) -> dict[str, dict[str, F
 
 
 def errors(truth: Truth, point: Point, draws: Draws) -> dict[str, dict[str, float]]:
-    """Error of ΔK and of Δφ (degrees) by method, rms over the sessions with a result."""
+    """Errors of ΔK and Δφ (degrees) by method, rms over the sessions with a result."""
     true = truth.values
     return {
         method: {key: rms(values[key] - true[key]) for key in COMPARED}
@@ -273,7 +289,10 @@ def rms(values: Floats) -> float:
 def crossing_deg(
     truth: Truth, bias_mg: float, noise_mg: float, draws: Draws, key: str = "delta_k"
 ) -> float | None:
-    """Fixture error in degrees above which the paper's method is better; None if there is none to 10°."""
+    """Fixture error in degrees above which the paper's method is better than MMPM.
+
+    Returns None if there is no such error up to 10°.
+    """
 
     # Log ratio of the errors; it changes its sign at the crossing.
     def excess(log_deg: float) -> float:
@@ -290,7 +309,7 @@ def crossing_deg(
 
 @dataclass(frozen=True)
 class Map:
-    """The map of ΔK and Δφ.
+    """Errors of ΔK and Δφ by method, over a grid of fixture error, bias and noise.
 
     Attributes
     ----------
@@ -299,8 +318,8 @@ class Map:
     error : mapping of Point to mapping
         Errors by method and parameter.
     crossing : mapping of (bias, noise) to float or None
-        Fixture error in degrees above which the paper's ΔK is better than MMPM's; None if there is none
-        to 10°.
+        Fixture error in degrees above which the paper's ΔK is better than the ΔK by MMPM; None if there
+        is no such error up to 10°.
     """
 
     draws: int
@@ -308,16 +327,16 @@ class Map:
     crossing: Mapping[tuple[float, float], float | None]
 
     def ratio(self, point: Point, key: str) -> float:
-        """Error of the paper's method over the error of MMPM."""
+        """Error of the paper's method over the error of MMPM, for one parameter at one point."""
         return self.error[point]["paper"][key] / self.error[point]["mmpm"][key]
 
     @property
     def least_ratio_phi(self) -> float:
-        """Ratio at the most favourable point of the map for the paper's Δφ."""
+        """Smallest ratio of the errors of Δφ, paper's method over MMPM, among all points of the map."""
         return min(self.ratio(point, "non_orthogonality") for point in self.error)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """JSON form of the map."""
         return {
             "draws": self.draws,
             "points": [{**asdict(point), "error": error} for point, error in self.error.items()],
@@ -330,7 +349,7 @@ class Map:
 
 
 def map_of(truth: Truth, draws: Draws) -> Map:
-    """Compute the whole map from readings."""
+    """Compute the errors at all points of the map from simulated readings."""
     points = [Point(f, b, n) for n in NOISES_MG for b in BIASES_MG for f in FIXTURES_DEG]
     return Map(
         len(draws.alpha_rad),

@@ -50,7 +50,7 @@ def build_page(done: Study) -> str:
 
 
 def sections(done: Study) -> tuple[Section, ...]:
-    """Sections of the page."""
+    """Sections of the HTML page of the study."""
     return (
         _summary(done),
         _table(done),
@@ -63,7 +63,7 @@ def sections(done: Study) -> tuple[Section, ...]:
 
 
 def verdicts(done: Study) -> tuple[str, ...]:
-    """Sentences on the results."""
+    """Sentences that state the results of the study."""
     printed = printed_verdicts().values()
     signed = sum(verdict["nearer"] == "paper" for verdict in printed)
     unsigned = sum(verdict["nearer_without_sign"] == "paper" for verdict in printed)
@@ -175,7 +175,7 @@ def _figure_3(done: Study) -> Section:
 
 
 def figures_3(done: Study) -> dict[str, tuple[str, str]]:
-    """The three graphs as SVG with their captions, by parameter."""
+    """The three graphs of the paper's figure 3 as SVG with captions, by parameter."""
     made = {}
     for key, (printed, unit) in _GRAPHS.items():
         cells = [cell for cell in done.table.cells if cell.row.key == key]
@@ -264,7 +264,11 @@ def _map(done: Study) -> Section:
 
 
 def map_figures(done: Study) -> dict[str, tuple[str, str]]:
-    """Crossing lines of ΔK, and the ratio at the usual noise, as SVG with captions."""
+    """Figures of the map as SVG with captions.
+
+    They show the fixture error at which both methods are equally good for ΔK, and the ratio of their errors
+    at the usual noise.
+    """
     biases = [bias for bias in BIASES_MG if bias > 0]
     lines = [
         Series(

@@ -1,6 +1,6 @@
-"""The seed paper reproduced from one seed: simulated sessions, table 1, map, effect of a bias.
+"""The study of the seed paper, repeated with simulated sessions: table 1, map, effect of a bias.
 
-Sessions are recorded through chip and driver, as by `adis-gonio simulate`. Every part is measured twice
+Sessions are recorded through chip and driver, as by `adis-gonio simulate`. Every sensor is measured twice
 on its stage: at four positions, every 90°, and at nine, every 40°. The paper's method, the closed form
 and `four-position` use the first session, MMPM, `ml` and the trace the second.
 """
@@ -67,7 +67,7 @@ METHODS = (*USES, TRACED)
 
 @dataclass(frozen=True)
 class Part:
-    """A simulated part on its stage.
+    """A simulated sensor on its stage.
 
     Attributes
     ----------
@@ -98,12 +98,12 @@ class Part:
 
     @property
     def url(self) -> str:
-        """URL of the simulated sensor."""
+        """URL by which `open_sensor` opens the simulated sensor."""
         settings = "".join(f"&{name}={float(value)!r}" for name, value in self._pairs().items())
         return f"sim:?seed={self.seed}{settings}" + (f"&effects={self.effects}" if self.effects else "")
 
     def command(self, plan_name: str, output: str = "one.session") -> str:
-        """Command `simulate` that records this session."""
+        """Command line of `adis-gonio simulate` that records a session of this sensor."""
         words = ["adis-gonio", "simulate", "--plan", plan_name, "--dwell", f"{DWELL_S:g}"]
         words += ["--seed", str(self.seed)]
         for name, value in self._pairs().items():
@@ -114,7 +114,7 @@ class Part:
 
 
 def measured(part: Part, plan_name: str) -> Session:
-    """Record one session of a part."""
+    """Record one session of a simulated sensor with the named plan, and load it."""
     with tempfile.TemporaryDirectory() as folder, open_sensor(part.url) as sensor:
         world = sensor.bus.world  # type: ignore[attr-defined]  # the simulator's bus has one
         path = Path(folder) / "one.session"
@@ -134,7 +134,7 @@ def measured(part: Part, plan_name: str) -> Session:
 
 @dataclass(frozen=True)
 class MethodValues:
-    """Values of one method for one part; None for values that it does not determine.
+    """Values by one method for one simulated sensor; None for values that it does not determine.
 
     Attributes
     ----------
@@ -159,10 +159,10 @@ _FROM_FIT = {
 
 
 def quantities(result: FitResult | TraceResult) -> MethodValues:
-    """The paper's parameters from a result.
+    """Convert the result of a fit or a trace to the quantities of the paper.
 
     The paper gives ΔK and Δφ only. Its scales follow from them: the scale of X from equation 6 (the
-    length of (U_x1, U_x2)), the scale of Y from that and ΔK.
+    length of (U_x1, U_x2)), the scale of Y from the scale of X and ΔK.
     """
     if isinstance(result, TraceResult):
         stated = dict(result.base)
@@ -185,7 +185,7 @@ def quantities(result: FitResult | TraceResult) -> MethodValues:
 
 @dataclass(frozen=True)
 class Results:
-    """Values of each method for one part, and the reasons of the methods that refused it."""
+    """Values of every method for one simulated sensor, and the reasons of methods that gave no result."""
 
     part: Part
     found: Mapping[str, MethodValues]
@@ -193,7 +193,7 @@ class Results:
 
 
 def results_of(part: Part, traced: bool = False) -> Results:
-    """Measure a part and apply every method."""
+    """Record the sessions of one simulated sensor and apply every method; `traced` adds the trace."""
     sessions = {name: measured(part, name) for name in PLANS}
     found: dict[str, MethodValues] = {}
     refused: dict[str, str] = {}
@@ -208,7 +208,7 @@ def results_of(part: Part, traced: bool = False) -> Results:
 
 
 def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Results]:
-    """Results of many parts, each given with a flag for the trace, in their order."""
+    """Results of many simulated sensors, each given with a flag for the trace; the order is kept."""
     if jobs <= 1:
         return [results_of(*one) for one in with_progress(parts)]
     # Only the parent handles Ctrl-C, so that the processes print no tracebacks.
@@ -220,7 +220,7 @@ def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Resul
 
 
 def facts_of(results: Results) -> dict[str, Any]:
-    """JSON form of one part's results."""
+    """JSON form of the results of one simulated sensor."""
     return {
         "seed": results.part.seed,
         "values": {method: dict(found.values) for method, found in results.found.items()},
@@ -232,17 +232,17 @@ def facts_of(results: Results) -> dict[str, Any]:
 BIAS_MG = 10.0
 """Standard deviation of an axis's bias in the sessions with a bias."""
 COLUMNS = ("paper", "mmpm")
-"""Methods of the table, with their printed values in fields of `TableRow`."""
+"""Methods of the table; their printed values are the fields of `TableRow` with these names."""
 
 
 @dataclass(frozen=True)
 class MethodSpread:
-    """Statistics of a method over sessions.
+    """Statistics of one quantity by one method over many sessions.
 
     Attributes
     ----------
     mean, spread : float or None
-        Mean and standard deviation over the sessions; None if the method does not determine the quantity.
+        Mean and standard deviation of the quantity; None if the method does not determine it.
     u : float or None
         Standard uncertainty that the method states, rms over the sessions.
     error : float or None
@@ -260,26 +260,26 @@ class MethodSpread:
 
 @dataclass(frozen=True)
 class Cell:
-    """A row of table 1 with the statistics of the simulated sessions by method."""
+    """A row of the paper's table 1, with statistics of the simulated sessions for each method."""
 
     row: TableRow
     ours: Mapping[str, MethodSpread]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """JSON form of the row."""
         return json_object(name=self.row.name, **asdict(self.row), sessions=self.ours)
 
 
 @dataclass(frozen=True)
 class Comparison(JsonRecord):
-    """Table 1.
+    """The paper's table 1 with the statistics of simulated sessions.
 
     Attributes
     ----------
     cells : tuple of Cell
         In the order of the table.
     gain : mapping of str to MethodSpread
-        ΔK by method for column X; the table does not have it, though the method determines it.
+        ΔK by method for column X, which the printed table lacks although the paper's method determines it.
     """
 
     cells: tuple[Cell, ...] = field(metadata=key("rows"))
@@ -287,7 +287,7 @@ class Comparison(JsonRecord):
 
 
 def table_of(results: Mapping[Axis, Sequence[Results]]) -> Comparison:
-    """Table 1 from the sessions of its two columns."""
+    """Compute table 1 of the paper from the results of simulated sessions, for both of its columns."""
     cells = []
     for row in TABLE:
         key = row.key if row.key == "non_orthogonality" else f"{row.key}_{row.axis}"
@@ -297,7 +297,7 @@ def table_of(results: Mapping[Axis, Sequence[Results]]) -> Comparison:
 
 
 def spread_of(results: Sequence[Results], method: str, key: str) -> MethodSpread:
-    """Statistics of one quantity by one method."""
+    """Statistics of the quantity `key` by one method, over the sessions."""
     values, uncertainties = [], []
     for one in results:
         found = one.found.get(method)
@@ -319,7 +319,10 @@ def spread_of(results: Sequence[Results], method: str, key: str) -> MethodSpread
 
 
 def parts_with_bias(rng: np.random.Generator, count: int) -> list[Part]:
-    """Parts with the table's gains and misalignment and random biases of standard deviation `BIAS_MG`."""
+    """Draw simulated sensors with random biases of standard deviation `BIAS_MG`.
+
+    Gains and misalignment are taken from the paper's table.
+    """
     true = truth_of("x")
     hidden = (true.with_bias(BIAS_MG, rng) for _ in range(count))
     return [Part(seed=int(rng.integers(2**31)), truth=truth) for truth in hidden]
@@ -327,7 +330,7 @@ def parts_with_bias(rng: np.random.Generator, count: int) -> list[Part]:
 
 @dataclass(frozen=True)
 class BiasError(JsonRecord):
-    """Error of Δφ with a bias, by method.
+    """Errors of Δφ, by method, on sessions of sensors that have a bias.
 
     Attributes
     ----------
@@ -356,7 +359,7 @@ class BiasError(JsonRecord):
 
 
 def errors_with_bias(results: Sequence[Results], rng: np.random.Generator, draws: int = 2000) -> BiasError:
-    """Compare the errors of Δφ by the paper's method and by `ml` on sessions with a bias."""
+    """Compare the errors of Δφ by the paper's method and by `ml` on sessions of sensors with a bias."""
     key = "non_orthogonality"
     answered = [one for one in results if "paper" in one.found and "ml" in one.found]
     theirs, ours = (_errors(answered, method) for method in ("paper", "ml"))
@@ -376,7 +379,7 @@ def errors_with_bias(results: Sequence[Results], rng: np.random.Generator, draws
 
 
 def _errors(results: Sequence[Results], method: str) -> Floats:
-    """Errors of Δφ in degrees; NaN if a method does not determine it."""
+    """Errors of Δφ in degrees, one per session (n,); NaN if the method does not determine it."""
     key = "non_orthogonality"
     values = [one.found[method].values[key] for one in results]
     true = [one.part.truth.values[key] for one in results]
@@ -384,7 +387,11 @@ def _errors(results: Sequence[Results], method: str) -> Floats:
 
 
 def printed_verdicts() -> dict[str, dict[str, Any]]:
-    """Method that is nearer to the measured column of the printed table, with the sign of N and without."""
+    """For each row of the paper's table, state which printed method is nearer to the measured value.
+
+    The methods are compared twice: by their values, and by their absolute values. The second comparison
+    ignores the sign of the non-orthogonality N, which is negative for MMPM.
+    """
     verdicts = {}
     for row in TABLE:
         paper, mmpm = abs(row.paper - row.measured), abs(row.mmpm - row.measured)
@@ -401,21 +408,21 @@ def printed_verdicts() -> dict[str, dict[str, Any]]:
 SESSIONS = 10
 LEAST_SESSIONS, MOST_SESSIONS = 2, 10_000
 TRACED_SHARE = 5
-"""One part of this many is traced, but at least one of each kind."""
+"""One of this many simulated sensors is traced, but at least one of each kind."""
 _TRACED = (*AXES, "bias")
 _MOST_JOBS = 8
 
 
 @dataclass(frozen=True)
 class Study:
-    """The paper reproduced.
+    """Results of the study that repeats the paper with simulated sensors.
 
     Attributes
     ----------
     seed, sessions : int
-        Seed of all random numbers, and number of parts of each kind.
+        Seed of all random numbers, and number of simulated sensors of each kind.
     results : mapping of str to sequence of Results
-        Results of the parts of column `x` and `y`, and of the parts with `bias`.
+        Results of the simulated sensors of the table's columns `x` and `y`, and of those with a `bias`.
     """
 
     seed: int
@@ -427,11 +434,11 @@ class Study:
 
     @property
     def command(self) -> str:
-        """Command that repeats the study."""
+        """Command line that repeats this study with its seed."""
         return f"adis-gonio paper --seed {self.seed} --sessions {self.sessions}"
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON document of `paper`."""
+        """The document that `adis-gonio paper --json` prints."""
         truths = {f"column_{column}": truth_of(column).as_dict() for column in AXES}
         return {
             "command": f"{self.command} --json",
@@ -454,14 +461,14 @@ class Study:
 def reproduce(
     seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None, *, draws: int = DRAWS
 ) -> Study:
-    """Reproduce the paper.
+    """Repeat the paper's study with simulated sensors.
 
     Parameters
     ----------
     seed : int
         Seed of all random numbers, not negative.
     sessions : int
-        Number of parts of each kind: column X, column Y, and with a bias.
+        Number of simulated sensors of each kind: for column X, for column Y, and with a bias.
     jobs : int, optional
         Number of processes; by default one per core.
     draws : int
@@ -502,7 +509,10 @@ def reproduce(
 
 
 def _measured(kinds: Mapping[str, Sequence[Part]], traced: int, jobs: int) -> dict[str, Sequence[Results]]:
-    """Results by kind; the first parts of the kinds in `_TRACED` are also traced."""
+    """Compute the results of all simulated sensors, by kind.
+
+    The first sensors of each kind in `_TRACED` are also traced.
+    """
     work = [
         (part, k < traced and kind in _TRACED)
         for kind, parts in kinds.items()

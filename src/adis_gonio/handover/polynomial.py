@@ -1,6 +1,6 @@
 """A calibration as the polynomial that a firmware computes.
 
-A scan consists of integers in 1/256 of a step (an LSB of the part), so that a mean of many scans keeps
+A scan consists of integers in 1/256 of a step (an LSB of the sensor), so that a mean of many scans keeps
 its digits. In units of the standard g::
 
     free_i  = (scan_i − bias_i) · step_i                     bias in steps
@@ -44,7 +44,7 @@ SETTLED_G = 2.0**-30
 
 
 def angle_u_deg(calibration: Calibration, angles_deg: Sequence[float]) -> Floats:
-    """Standard uncertainty (n,) of angles in the plane of x and y by the calibration; NaN if not known."""
+    """Standard uncertainty (n,) that the calibration adds to angles in the x-y plane; NaN if unknown."""
     psi = np.radians(angles_deg)
     gravity = np.zeros((len(psi), calibration.axes))
     gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
@@ -53,7 +53,7 @@ def angle_u_deg(calibration: Calibration, angles_deg: Sequence[float]) -> Floats
 
 @dataclass(frozen=True)
 class Monomial:
-    """Contribution to the reading of an axis: a coefficient in g times factors.
+    """One term of the polynomial: a coefficient in g times factors, added to the reading of an axis.
 
     Attributes
     ----------
@@ -69,13 +69,13 @@ class Monomial:
 
     @property
     def of_reading(self) -> bool:
-        """False if it depends on temperature and supply alone."""
+        """True if the term depends on readings, not on temperature and supply alone."""
         return any(factor not in ("t", "v") for factor in self.factors)
 
 
 @dataclass(frozen=True)
 class Input:
-    """A condition in the scan: t or v = (number − zero) · step."""
+    """Scaling of temperature or supply for the polynomial: t or v = (number − zero) · step."""
 
     zero: int
     step: float
@@ -83,12 +83,12 @@ class Input:
 
 @dataclass(frozen=True)
 class Polynomial:
-    """The polynomial of a calibration.
+    """The calibration as a polynomial that a firmware can compute.
 
     Attributes
     ----------
     words : bool
-        True if steps are LSB of the part.
+        True if a step of the readings is an LSB of the sensor.
     step_g, bias : tuple of float
         g per 1/256 step, and bias in 1/256 steps, of each axis.
     monomials : tuple of Monomial
@@ -116,12 +116,12 @@ class Polynomial:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Conditions (`t`, `v`) that it depends on."""
+        """Conditions that the polynomial depends on: `t` (temperature), `v` (supply)."""
         return tuple(c for c in ("t", "v") if any(c in one.factors for one in self.monomials))
 
 
 def polynomial_of(calibration: Calibration) -> Polynomial:
-    """Polynomial of a calibration.
+    """Convert a calibration to a polynomial that a firmware can compute.
 
     Raises
     ------
@@ -202,7 +202,11 @@ def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
 
 
 def _passes(monomials: tuple[Monomial, ...]) -> int:
-    """Number of passes after which a ← free − Σ(a) has settled, by the contraction of Σ over the range."""
+    """Number of passes after which the iteration a ← free − Σ(a) has settled.
+
+    Σ is the sum of all terms. Each pass multiplies the error by at most the largest slope of Σ within the
+    range of readings.
+    """
     largest, slope = np.zeros(3), np.zeros(3)
     for one in monomials:
         # Largest value and slope of this monomial for |a| up to `RANGE_G` and |t|, |v| up to 1.

@@ -1,4 +1,4 @@
-"""Offset words: biases and zero rates of a calibration as numbers for the part's offset registers."""
+"""Offset words: biases and zero rates of a calibration as numbers for the sensor's offset registers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from adis_gonio.tracing.trace_calibrations import load_calibration, load_gyro_ca
 
 @dataclass(frozen=True)
 class OffsetWord(JsonRecord):
-    """A number for an offset register, which the part adds to its outputs.
+    """The number for one offset register, which the sensor adds to its output.
 
     The JSON document is the entry `calibration` of a register in `registers --json`.
 
@@ -50,7 +50,9 @@ class OffsetWord(JsonRecord):
     def of(
         cls, name: str, bias: Coefficient, offsets: Sequence[int] | None, k: int, lsb: float, unit: str
     ) -> OffsetWord:
-        """Word of a register, the k-th of those that held `offsets` during the session.
+        """Compute the number of one offset register that removes a bias.
+
+        It is the k-th of the registers with the numbers `offsets` during the session.
 
         Raises
         ------
@@ -70,12 +72,12 @@ class OffsetWord(JsonRecord):
 
     @property
     def value(self) -> float:
-        """Offset that the number adds, in `unit`."""
+        """Offset that the register adds to the output with this number, in `unit`."""
         return self.lsb * self.number
 
     @property
     def remainder(self) -> float:
-        """Part of the bias that rounding to integers leaves, in `unit`."""
+        """Remaining bias after the correction, due to the rounding of the number, in `unit`."""
         return self.bias + (self.number - (self.before or 0)) * self.lsb
 
     def __str__(self) -> str:
@@ -84,7 +86,7 @@ class OffsetWord(JsonRecord):
 
 
 def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
-    """Numbers that remove the bias from the part's outputs.
+    """Compute the numbers for the offset registers that remove the bias from the accelerometers' outputs.
 
     Raises
     ------
@@ -110,7 +112,7 @@ def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
 
 
 def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:
-    """Numbers that remove the zero rates from the gyros' outputs; `FitError` if one is too large."""
+    """Compute the offset register numbers that remove the gyros' zero rates; `FitError` if too large."""
     return tuple(
         OffsetWord.of(
             f"{axis.upper()}GYRO_OFF",
@@ -125,7 +127,9 @@ def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:
 
 
 def offset_words_in(path: str | Path) -> tuple[OffsetWord, ...]:
-    """Words of gyros and accelerometers by a calibration's file or a session, as far as it gives them.
+    """Compute the numbers for offset registers from the file of a calibration or a session.
+
+    The numbers are for gyros and accelerometers, as far as the file determines them.
 
     Raises
     ------
@@ -154,7 +158,7 @@ def offset_words_in(path: str | Path) -> tuple[OffsetWord, ...]:
 
 
 def registers_text(calibration: Calibration) -> str:
-    """Lines `NAME=NUMBER` as `adis-gonio registers` takes them, with the corrected biases as comments.
+    """Lines `NAME=NUMBER` for `adis-gonio registers`, with the corrected biases as comments.
 
     Raises
     ------

@@ -36,7 +36,9 @@ ROWS = 100_000
 
 
 def write_parquet(session: Session, path: str | Path) -> None:
-    """Write all samples with the columns of the samples CSV; missing values are null.
+    """Write all samples of a session to a Parquet file; missing values are null.
+
+    The columns are as in the samples CSV.
 
     The metadata key `adis_gonio` has the session without its samples as JSON; each column has its unit.
 
@@ -81,7 +83,7 @@ def _type(pa: Any, name: str) -> Any:
 
 
 def _units(session: Session, first: Dwell) -> dict[str, str]:
-    """Columns of the first dwell with their units."""
+    """Map each column that the first dwell has to its unit."""
     by_kind = {"a": session.accel_unit, "g": session.gyro_unit}
     own = {"time_s": "s", "angle_deg": "deg", "temp_c": "degC", "supply_v": "V"}
     return {
@@ -117,7 +119,7 @@ def _joined(waiting: list[dict[str, Any]], names: list[str]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ExportSource:
-    """Source of an export: a session with its method, or the file of a calibration.
+    """The source of an export: the file of a session or of a calibration, with options.
 
     Attributes
     ----------
@@ -133,7 +135,7 @@ class ExportSource:
     overrides : Overrides or None
         Corrections of the session's metadata.
     gyros : Path or None
-        Session or calibration of the part's gyros, used instead of the gyros of this session.
+        Session or calibration of the sensor's gyros, used instead of the gyros of this session.
     """
 
     path: Path
@@ -145,7 +147,7 @@ class ExportSource:
     gyros: Path | None = None
 
     def check(self, kind: str) -> None:
-        """Raise `UsageError` for options that have no meaning for a format."""
+        """Raise `UsageError` if an option has no meaning for the format `kind`."""
         samples_only = BY_NAME[kind].holds == "samples"
         if samples_only and (self.method is not None or self.traced):
             raise UsageError(f"--method and --trace go with coefficients: {kind} has the samples only")
@@ -159,7 +161,7 @@ class ExportSource:
             raise UsageError("--name goes with --format c-header")
 
     def write(self, kind: str, path: Path) -> list[str]:
-        """Write a format to a new or empty file; return remarks on its content.
+        """Write the source in a format to a new or empty file; return remarks on the content.
 
         If the registers changed during the session, only the data are written, since a calibration would
         hold for no state of the registers.
@@ -226,7 +228,7 @@ class ExportSource:
         return fit(session, method=self.method)
 
     def _json(self, session: Session) -> str:
-        """JSON of the calibration, if the session determines one, the fit or trace, and the session."""
+        """JSON document of the session with its calibration, if it determines one, and its fit or trace."""
         about = session_dict(session)
         if not self.samples:
             del about["dwells"]

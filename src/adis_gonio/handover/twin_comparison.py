@@ -22,16 +22,16 @@ from adis_gonio.tracing.trace_result import TraceResult
 
 @dataclass(frozen=True)
 class TwinComparison(JsonRecord):
-    """Comparison of a measured session with its twin.
+    """Comparison of a measured session with its digital twin: residuals, Allan deviation, spectrum.
 
     Attributes
     ----------
     residual_measured, residual_twin : (r,) float
         Whitened residuals of the readings under one model, in their standard uncertainty.
     p_residual : float
-        Kolmogorov-Smirnov test of equal distributions.
+        p-value of the Kolmogorov-Smirnov test that both residuals have equal distributions.
     p_variance : float
-        Two-sided F test of equal χ² per degree of freedom.
+        p-value of the two-sided F test that χ² per degree of freedom is equal.
     tau_s : (t,) float
         Averaging times of the Allan deviations.
     allan_measured_mg, allan_twin_mg : (t, axes) float
@@ -58,35 +58,39 @@ class TwinComparison(JsonRecord):
 
     @property
     def agrees(self) -> bool:
-        """True if residuals agree (1 %), and Allan deviations and densities within a factor of 1.5."""
+        """True if the twin's residuals and noise agree with the measured ones.
+
+        The residuals are tested at a level of 1 %; Allan deviations and densities may differ by a factor of
+        1.5.
+        """
         return min(self.p_residual, self.p_variance) >= 0.01 and all(
             abs(np.log(ratio)) < np.log(1.5) for ratio in (self.allan_ratio, self.density_ratio)
         )
 
     @property
     def allan_ratio(self) -> float:
-        """Measured over twin, geometric mean over averaging times and axes."""
+        """Measured Allan deviation over the twin's, geometric mean over averaging times and axes."""
         return _ratio(self.allan_measured_mg, self.allan_twin_mg)
 
     @property
     def density_ratio(self) -> float:
-        """Measured over twin, geometric mean over frequencies and axes."""
+        """Measured noise density over the twin's, geometric mean over frequencies and axes."""
         return _ratio(self.density_measured, self.density_twin)
 
     @property
     def residual_sd_measured(self) -> float:
-        """Standard deviation of the measured session's residuals."""
+        """Standard deviation of the residuals of the measured session."""
         return float(np.std(self.residual_measured))
 
     @property
     def residual_sd_twin(self) -> float:
-        """Standard deviation of the twin's residuals."""
+        """Standard deviation of the residuals of the twin."""
         return float(np.std(self.residual_twin))
 
 
 @solvable
 def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
-    """Compare a session with its twin under one model, refitted to both from the values of the trace."""
+    """Compare a session with its twin: fit the traced model to both, compare residuals and noise."""
     from scipy import stats
 
     ours, theirs = readings_of(measured), readings_of(twin)
@@ -138,19 +142,22 @@ def _p_variance(ours: Fit, theirs: Fit) -> float:
 
 
 def _samples(session: Session, data: Readings) -> list[Floats]:
-    """Samples of every dwell minus their mean, in mg."""
+    """Samples (n, axes) of each dwell minus their mean, in mg."""
     parts = [data.unit.mg(dwell.accel) for dwell in session.dwells if len(dwell)]
     return [part - part.mean(axis=0) for part in parts]
 
 
 def _allan(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
-    """Overlapping Allan deviation, pooled over dwells, at octaves of the averaging time."""
+    """Averaging times in s and overlapping Allan deviations of all dwells together, one per octave."""
     times, deviation = overlapping(samples)
     return period_s * np.array(times, dtype=float), deviation
 
 
 def _density(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
-    """Amplitude density by Welch's method, averaged over dwells and then over thirds of an octave."""
+    """Frequencies in Hz and amplitude densities by Welch's method, averaged over all dwells.
+
+    The densities are averaged over bands of a third of an octave.
+    """
     from scipy import signal
 
     length = int(min(1024, np.median([len(part) for part in samples])))
@@ -171,7 +178,10 @@ def _density(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats
 
 
 def _common(curves: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, list[Floats]]:
-    """Interpolate the second curve (log-log) at the places of the first one, over their common range."""
+    """Interpolate the second curve at the abscissas of the first one, over their common range.
+
+    Both curves are logarithmic in both axes. Returns the abscissas and both curves.
+    """
     (place, ours), (other, theirs) = curves
     inside = (place >= other[0] * 0.999) & (place <= other[-1] * 1.001)
     at = np.log(place[inside])
@@ -190,7 +200,9 @@ _AXES = "xyz"
 
 
 def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Section | None:
-    """Simulate a session by its own model and compare; None if the trace has no model.
+    """Make the report section that compares a session with its digital twin.
+
+    Returns None if the trace has no model.
 
     Raises
     ------

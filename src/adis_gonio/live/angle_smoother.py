@@ -1,7 +1,8 @@
-"""The angle of the part as samples arrive: gyros and gravity together, by a smoother with a fixed lag.
+"""The angle of the sensor as samples arrive, from gyros and gravity, by a smoother with a fixed lag.
 
-A filter runs over steps of about 20 ms. The reported angle is that a lag ago, with all later samples:
-every step within the lag gets a new model with the present knowledge of the disturbance around it.
+A Kalman filter runs over time steps of about 20 ms. The reported angle lags behind the newest sample and
+uses all samples up to it. For this the model of every step within the lag is computed again from the
+present estimate of the disturbance around it.
 `smooth` computes the angle of a whole recording with the same model. docs/smoothing.md explains the
 model.
 """
@@ -49,19 +50,21 @@ __all__ = ["LAG_S", "AngleSmoother", "GyroKnowledge", "Sensing", "SmoothedAngle"
 
 SPAN_S = 1.0
 REST_DPS = 1.0
-"""Largest variation of a gyro over the span, in steps, at which its zero is learnt."""
+"""The gyros' zero rates are learnt if the rates of the time steps vary by no more than this over the
+span."""
 REST_MG = 10.0
 ACROSS_DPS = 4.0
-"""A turn about X and Y above this, on the average of a second, is out of the plane if it is also more than
-`TILT` of the turn about Z: a bearing's wobble, axes that are not square."""
+"""A mean rate about X and Y over a second is a turn out of the plane if it exceeds this plus `TILT` times
+the rate about Z. Smaller rates come from a bearing's wobble or from axes that are not square."""
 TILT = 0.1
-"""Largest change of gravity out of the plane within the span, as a share of itself."""
+"""Largest change within the span of the component of gravity out of the plane, as a share of gravity."""
 
 
 class PlaneWatch:
     """Detect turns out of the plane of X and Y, which the model of the angle assumes.
 
-    The zeros of the two gyros across the axis are learnt at rest; before the first rest they are unknown.
+    The zero rates of the gyros are estimated at rest. Before the first rest they are unknown, and turns are
+    detected by gravity alone.
     """
 
     def __init__(self, length_s: float) -> None:
@@ -69,7 +72,7 @@ class PlaneWatch:
         self._zero: Floats | None = None
 
     def see(self, rate_dps: Floats, accel_mg: Floats) -> float:
-        """Take a step; return the part of the angle's rate (°/s) that the planar model neglects in it."""
+        """Add a time step; return the error (°/s) of the angle's rate by turns out of the plane."""
         self._rows.append(np.concatenate([rate_dps, accel_mg]))
         if len(self._rows) == self._rows.maxlen:
             rows = np.array(self._rows)
@@ -85,12 +88,12 @@ class PlaneWatch:
         return float(abs(z * (x * about[0] + y * about[1])) / square) if square > 1.0 else 0.0
 
     def forget(self) -> None:
-        """Forget the steps before a gap."""
+        """Delete the stored time steps, because a gap in the samples follows."""
         self._rows.clear()
 
     @property
     def out_of_plane(self) -> bool:
-        """True if the part was turned out of the plane within the span."""
+        """True if the sensor turned out of the plane of X and Y within the last `SPAN_S` seconds."""
         if len(self._rows) < 4:
             return False
         rows = np.array(self._rows)
@@ -106,29 +109,33 @@ class PlaneWatch:
 
 
 LAG_S = 0.5
-"""Default: a longer lag adds little (docs/results/index.md)."""
+"""Default delay of the reported angle; a longer delay reduces its uncertainty little
+(docs/results/index.md)."""
 LONGEST_LAG_S = 10.0
 DOUBT = 4.0
-"""Distance of the zero rate, in uncertainties of a calibration of the gyros, that refutes the
-calibration."""
+"""The gyros' calibration is rejected if the estimated zero rate differs from it by this many standard
+uncertainties."""
 SATURATED_MG = 100.0
-"""Disturbance of gravity while the gyro is saturated (D): a radius of 40 mm."""
+"""Assumed disturbance of gravity while the gyro is saturated (D), by the acceleration at 40 mm from the
+axis."""
 _NOTES = ("gap", "saturated", "out_of_plane")
 
 Corrected = Callable[[Floats, "float | None"], Floats]
-"""Turns a reading (3,) in mg at a temperature into gravity (3,) in mg, in the part's orthogonal frame."""
+"""Function that computes gravity (3,) in mg, in orthogonal axes, from a reading (3,) in mg and a
+temperature."""
 
 
 @dataclass(frozen=True)
 class SmoothedAngle:
-    """The angle at one time.
+    """The smoothed angle at one time, with its uncertainty and the gyro's zero rate.
 
     Attributes
     ----------
     time_s : float
         Time of the angle by the samples' times, with the chip's filter delay subtracted.
     angle_deg, u_deg : float
-        Within ±180°, 0 if gravity is along X; standard uncertainty by noise, motion and drift.
+        Angle within ±180°, which is 0 if gravity is along X, and its standard uncertainty by noise, motion
+        and drift.
     rate_dps : float
         Rate of turn at that time, without the known errors of the gyro.
     zero_dps, zero_u_dps : float
@@ -136,8 +143,8 @@ class SmoothedAngle:
     accel_mg : (3,) float
         Reading of the accelerometers in the step of that time.
     notes : tuple of str
-        Events within a second before, or since: `gap`, `saturated`, `out_of_plane`; and
-        `gyro_calibration` if the gyros' calibration cannot belong to this part.
+        Events from a second before this time until now: `gap`, `saturated`, `out_of_plane`; and
+        `gyro_calibration` if the gyros' calibration cannot belong to this sensor.
     """
 
     time_s: float
@@ -152,7 +159,7 @@ class SmoothedAngle:
 
 @dataclass(frozen=True)
 class Kept:
-    """A step older than the lag, for `smooth`."""
+    """A filtered time step that the live reading no longer needs, kept for `smooth`."""
 
     time_s: float
     drift_deg: float
@@ -161,7 +168,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A step with gravity's reading, turned back by the gyros to the beginning of the segment."""
+    """A time step, and gravity rotated back by the turn measured since the last gap."""
 
     turned: Turned
     level: complex
@@ -170,21 +177,22 @@ class _Seen:
 
 
 class AngleSmoother:
-    """Takes samples and reports the angle a lag behind them.
+    """Estimates the angle from samples as they arrive, with a fixed delay (lag).
 
     Parameters
     ----------
     sensing : Sensing
     gyros : GyroKnowledge, optional
-        By default of an uncalibrated part.
+        Uncertainties of the gyros; by default of uncalibrated gyros.
     lag_s : float
-        0 for the filter alone.
+        Delay of the reported angle; 0 for the filter without smoothing.
     corrected : callable, optional
-        Corrects accelerometers; without it the readings count as they are.
+        Function that corrects accelerometer readings; by default they are not corrected.
     bend : float
-        Standard deviation of the slope of gravity's angle: `motion_model.BEND` without a calibration.
+        Standard deviation of the relative error of the accelerometers' angle scale; without a calibration
+        `motion_model.BEND`.
     keeps : bool
-        Keep every step, for `finish`.
+        Keep every filtered time step, so that `finish` returns them.
 
     Raises
     ------
@@ -228,21 +236,22 @@ class AngleSmoother:
     def feed(
         self, time_s: Floats, accel_mg: Floats, gyro_dps: Floats, temperature_c: Floats | None = None
     ) -> None:
-        """Take samples: times (n,) that increase, readings (n, 3), rates (n, 3), temperatures (n,)."""
+        """Add samples: increasing times (n,), readings (n, 3), rates (n, 3), temperatures (n,)."""
         for increment in self._stepper.feed(time_s, accel_mg, gyro_dps, temperature_c):
             self._arrive(increment)
 
     def restart(self) -> None:
-        """Restart after a break of the link: the part may have been turned or off, and the clock reset.
+        """Start again after a break of the link, when the sensor may have been turned or switched off.
 
-        The learnt errors are kept; the angle starts from gravity again.
+        The estimated errors of the gyro are kept. The angle starts from gravity again, since the sensor's
+        clock may have been reset too.
         """
         self._stepper = Stepper(self._sensing)
         self._waiting = None
         self._restarted = True
 
     def _arrive(self, increment: Increment) -> None:
-        """Take a step once its successor is known, because both neighbours give the change of its rate."""
+        """Process the time step before this one; both its neighbours are needed for the change of rate."""
         if self._waiting is None:
             self._waiting = (increment, None)
             return
@@ -268,7 +277,7 @@ class AngleSmoother:
             self._done -= 1
 
     def _pass(self, state: StateEstimate) -> None:
-        """Advance the filter by a step."""
+        """Advance the Kalman filter by the oldest waiting time step."""
         passed = advance(state, self._step_of(self._done, state))
         self._state = self._doubt_calibration(passed.filtered)
         if self._kept is not None:
@@ -277,7 +286,10 @@ class AngleSmoother:
         self._done += 1
 
     def _doubt_calibration(self, state: StateEstimate) -> StateEstimate:
-        """Widen the state, once, if the zero rate refutes the calibration of the gyros."""
+        """Return the state with the uncertainty of an uncalibrated gyro if its zero rate is implausible.
+
+        This happens once, if the estimated zero rate contradicts the calibration of the gyros.
+        """
         stated = self._gyros
         if self._doubted or stated.calibration is None or abs(state.mean[ZERO]) < DOUBT * stated.zero_dps:
             return state
@@ -286,12 +298,12 @@ class AngleSmoother:
         covariance = state.covariance.copy()
         places = [ZERO, SCALE, G_X, G_Y]
         u = np.array([open_.zero_dps, open_.scale, open_.g_dps_per_g, open_.g_dps_per_g])
-        # Variances of an uncalibrated gyro in addition.
+        # Add the variances of an uncalibrated gyro.
         covariance[places, places] += u * u
         return StateEstimate(state.mean, covariance)
 
     def finish(self) -> list[Kept]:
-        """Pass all remaining steps after the last sample; return the kept steps."""
+        """Filter all remaining time steps after the last sample; return the steps kept for `smooth`."""
         while self._state is not None and self._done < len(self._seen):
             self._pass(self._state)
         return self._kept or []
@@ -321,7 +333,10 @@ class AngleSmoother:
         )  # fmt: skip
 
     def _level(self, turned: Turned) -> complex:
-        """Gravity turned back by the gyros, without the known errors of gyro and lever."""
+        """Return gravity (complex, mg) rotated back by the turn that the gyro measured since the last gap.
+
+        The known errors of the gyro and the acceleration by the distance from the axis are removed.
+        """
         assert self._state is not None
         known = self._state.mean
         # Turn by the gyro without its known errors, and gravity without the lever arm.
@@ -353,7 +368,10 @@ class AngleSmoother:
     # -- the angle -----------------------------------------------------------------------------------
 
     def angle(self) -> SmoothedAngle | None:
-        """The angle a lag ago, with all later samples; None before the first lag is over."""
+        """Return the angle at `lag_s` before the newest sample, estimated from all samples so far.
+
+        None until a lag has passed.
+        """
         if self._state is None or not self._done:
             return None
         state, passed = self._state, list[Passed]()
@@ -381,13 +399,13 @@ class AngleSmoother:
         return at.increment.time_s - self._sensing.delay_s
 
     def _drift_deg(self, at: Turned) -> float:
-        """Standard deviation of the angle by the accelerometers' 1/f noise without a state."""
+        """Return the angle's standard deviation in degrees by slow 1/f noise that is not in the state."""
         return math.degrees(slow_drift_mg(self._sensing.drift_mg) / max(abs(at.gravity), 1.0))
 
 
 @dataclass(frozen=True)
 class SmoothedTurn:
-    """Angles of a recording.
+    """Smoothed angles of a whole recording.
 
     Attributes
     ----------
@@ -410,7 +428,7 @@ def smooth(
     corrected: Corrected | None = None,
     bend: float = BEND,
 ) -> SmoothedTurn:
-    """Smooth samples (n,), (n, 3) in mg, (n, 3) in °/s of a whole recording.
+    """Return the smoothed angles of a whole recording of n times, readings (mg) and rates (°/s).
 
     The disturbance of a step is estimated over the second before it and the half second after it.
     """

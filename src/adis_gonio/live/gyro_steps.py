@@ -1,8 +1,9 @@
-"""Samples to steps: means of a few samples, with the turn between the middles of two steps by the gyros.
+"""Group samples into time steps: means of a few samples, and the turn by the gyros between two steps.
 
-Within a step the gyros turn the accelerometers back to the step's middle, so that motion does not smear
-them. The chip's filter delays gyros and accelerometers equally: the integral of filtered rates is the
-filtered angle, and both belong to the same time, a delay before the sample.
+Within a step, the accelerations are rotated to the middle of the step by the turn that the gyros measured,
+so that motion does not blur their mean. The chip's filter delays gyros and accelerometers equally: the
+integral of filtered rates is the filtered angle, and both belong to a time before the sample by the delay
+of the filter.
 """
 
 from __future__ import annotations
@@ -17,22 +18,22 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 
 ZERO_DPS = 3.0
-"""Zero rate of an uncalibrated gyro (D)."""
+"""Standard uncertainty of the zero rate of an uncalibrated gyro (D)."""
 TURN_ON_DPS = 0.2
-"""Possible change of a calibrated zero: another start, another temperature (D)."""
+"""Standard uncertainty of a calibrated zero rate after another start or at another temperature (D)."""
 GAIN_U = 0.01
 """Relative error of an uncalibrated gain (D: the sheets at hand state none)."""
 G_DPS_PER_G = 0.05
-"""Sensitivity to acceleration (CHIP, B)."""
+"""Standard uncertainty of the gyro's sensitivity to acceleration (CHIP, B)."""
 WALK_DPS_PER_RT_S = 0.003
 """Random walk of a zero (D): an Allan floor of 0.015 °/s within half a minute."""
 
 
 class GyroCorrection(Protocol):
-    """Correction of gyros, such as `calibrate.GyroCalibration`."""
+    """Interface of an object that corrects gyro readings, such as `calibrate.GyroCalibration`."""
 
     def correct(self, rate_dps: Floats, force_g: Floats, temperature_c: Floats | None) -> Floats:
-        """Rates (n, 3) in °/s without the calibrated errors."""
+        """Return the rates (n, 3) in °/s with the calibrated errors removed."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +43,12 @@ class GyroKnowledge:
     Attributes
     ----------
     zero_dps, scale, g_dps_per_g : float
-        Of zero rate, gain, and sensitivity to acceleration along each axis of the plane.
+        Standard uncertainty of the zero rate, the relative gain, and the sensitivity to acceleration along
+        each axis of the plane.
     walk_dps_per_rt_s : float
         Random walk of the zero rate.
     calibration : GyroCorrection or None
-        Corrects rates first.
+        Calibration applied to the rates before they are used.
     """
 
     zero_dps: float = ZERO_DPS
@@ -57,9 +59,9 @@ class GyroKnowledge:
 
     @classmethod
     def of(cls, calibration: GyroCorrection | None, u: Mapping[str, float | None] | None) -> GyroKnowledge:
-        """Combine a calibration with its standard uncertainties by name (`gyro_bias_z`, `gyro_scale_z`, …).
+        """Make the knowledge of the gyros from a calibration and its standard uncertainties by name.
 
-        An unstated uncertainty has the value of an uncalibrated part.
+        Names are `gyro_bias_z`, `gyro_scale_z`, …; the default is the uncertainty of an uncalibrated gyro.
         """
         if calibration is None:
             return cls()
@@ -72,7 +74,7 @@ class GyroKnowledge:
         )
 
     def corrected(self, rate_dps: Floats, accel_mg: Floats, temperature_c: float | None) -> Floats:
-        """Rate (3,) without the calibrated errors."""
+        """Return a rate (3,) in °/s with the calibrated errors removed, if there is a calibration."""
         if self.calibration is None:
             return rate_dps
         warm = None if temperature_c is None else np.array([temperature_c])
@@ -84,7 +86,7 @@ STEP_S = 0.02
 GAP_PERIODS = 1.5
 """Sample periods above which the time between samples is a gap."""
 HAND_DPS_PER_RT_S = 50.0
-"""Change of the rate by a hand during a gap, as a random walk (D): a turn of 90° in 1.5 s."""
+"""Random walk of the rate if a hand turns the sensor during a gap (D): about 90° in 1.5 s."""
 BEGIN_S = 0.05
 """Gap in which a hand may begin to turn; in a shorter one it continues its motion."""
 OVER_RANGE = 0.98
@@ -100,11 +102,11 @@ class Sensing:
     Attributes
     ----------
     period_s : float
-        Between samples.
+        Time between samples.
     noise_mg, gyro_noise_dps : float
         White noise (rms) of a sample ahead of the filter.
     filter_m : int
-        M of the chip's filter; 0 none.
+        The number M that sets the length 2^M of the chip's filter; 0 for no filter.
     gyro_range_dps : float or None
         None if unknown: then no saturation is detected.
     drift_mg : float
@@ -123,43 +125,47 @@ class Sensing:
 
     @property
     def step_samples(self) -> int:
-        """Samples of a step, at least a boxcar of the filter, so that steps are nearly independent."""
+        """Number of samples averaged into a time step.
+
+        At least the length of the filter's boxcar, so that the steps are nearly independent.
+        """
         return max(1, 1 << self.filter_m, round(STEP_S / self.period_s))
 
     @property
     def delay_s(self) -> float:
-        """Delay of the filter."""
+        """Delay of the sensor's filter in s."""
         return ((1 << self.filter_m) - 1) * self.period_s
 
     @property
     def step_noise_mg2(self) -> float:
-        """Variance of the mean of a step."""
+        """Variance in mg² of the mean acceleration of a time step by white noise."""
         return self.noise_mg**2 / self.step_samples
 
     @property
     def angle_walk_deg2_per_s(self) -> float:
-        """Variance of the angle per second by the gyro's white noise."""
+        """Growth of the angle's variance by the gyro's white noise, in degrees² per second."""
         return self.gyro_noise_dps**2 * self.period_s
 
 
 @dataclass(frozen=True)
 class Increment:
-    """A step of samples, against the step before.
+    """Means of the samples of a time step, and the turn since the step before.
 
     Attributes
     ----------
     time_s : float
         Middle of the step, by the samples' times.
     length_s : float
-        Since the middle of the step before.
+        Time since the middle of the step before.
     turned_deg : (3,) float
         Integral of the gyros over that time.
     unseen_deg2 : float
-        Variance of the turn about Z that the gyros missed: between samples, in gaps, in saturation.
+        Variance of the turn about Z that the gyros did not measure: between samples, in gaps, in
+        saturation.
     rate_dps, accel_mg : (3,) float
-        Means; the accelerometers at the middle of the step.
+        Mean rate and acceleration of the step; the accelerations are rotated to the middle of the step.
     gap_s : float
-        Longest gap since the step before; 0 none.
+        Longest gap between samples since the step before; 0 if there was none.
     saturated : bool
         The gyro of Z was at the end of its range.
     temperature_c : float or None
@@ -177,7 +183,7 @@ class Increment:
 
 
 class Stepper:
-    """Makes steps of samples from blocks of any length; the steps do not depend on the blocks."""
+    """Groups samples into time steps of fixed length, however they are divided into blocks."""
 
     def __init__(self, sensing: Sensing) -> None:
         self._sensing = sensing
@@ -193,7 +199,7 @@ class Stepper:
     def feed(
         self, time_s: Floats, accel_mg: Floats, gyro_dps: Floats, temperature_c: Floats | None = None
     ) -> list[Increment]:
-        """Take samples (n,), (n, 3), (n, 3); return the steps that they complete."""
+        """Add n samples (times, accelerations, rates, temperatures); return the completed time steps."""
         warm = np.full(len(time_s), np.nan) if temperature_c is None else temperature_c
         # Columns: time, three accelerations, three rates, temperature.
         self._rows = np.concatenate([self._rows, np.column_stack([time_s, accel_mg, gyro_dps, warm])])
@@ -234,7 +240,7 @@ class Stepper:
         return step
 
     def _turns(self, time_s: Floats, rates: Floats) -> Floats:
-        """Turn (n, 3) at each sample since some time, by trapezoids."""
+        """Return the integral (n, 3) of the rates up to each sample, in degrees, by trapezoids."""
         if self._last is None:
             self._last = np.concatenate([time_s[:1], np.zeros(3), rates[0]])
         times = np.concatenate([self._last[:1], time_s])
@@ -248,9 +254,10 @@ class Stepper:
         return turn
 
     def _miss(self, lengths_s: Floats) -> None:
-        """Add the variance of missed turns and note gaps.
+        """Add the variance of turns that were missed between samples, and record the longest gap.
 
-        The rate between two samples is a bridge of a random walk, whose integral has the variance q L³/12.
+        Between two samples the rate is a random walk with known ends (a Brownian bridge); its integral has
+        the variance q L³/12.
         """
         hand = np.where(lengths_s > BEGIN_S, max(self._walk, HAND_DPS_PER_RT_S**2), self._walk)
         self._unseen += float((hand * lengths_s**3).sum()) / 12
@@ -267,7 +274,7 @@ class Stepper:
         return saturated
 
     def _follow(self, rate_dps: float, length_s: float) -> None:
-        """Follow the random walk of the rate over the last second."""
+        """Update the estimate of how fast the rate varies (as a random walk) over the last second."""
         if self._rate_before is not None and length_s > 0:
             share = min(1.0, length_s)
             # Exponential mean of squared changes over one second.

@@ -1,8 +1,8 @@
 """The present angle from arriving samples: raw, corrected, and with uncertainty.
 
 The angle is positive for the stage's positive turn. The raw angle takes the readings as they are: equal
-gains, square axes and no bias. It is 0 at the stage's zero if a calibration states that, else where X
-reads +1 g.
+gains, square axes and no bias. If a calibration states the stage's zero, the angle is 0 there, otherwise it
+is 0 if X reads +1 g.
 """
 
 from __future__ import annotations
@@ -29,21 +29,22 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
 
 EVERY_S = 0.1
-"""Time between two readings of the angle: a person can follow these."""
+"""Default time between two readings of the angle, which a person can follow."""
 
 
 @dataclass(frozen=True)
 class LiveAngle:
-    """The angle over one short span of samples.
+    """Reading of the angle, averaged over a short span of samples.
 
     Attributes
     ----------
     time_s : float
         End of the span, since the first sample.
     angle_deg : float
-        By the uncorrected readings, within ±180°.
+        Angle computed from the uncorrected readings, within ±180°.
     corrected_deg : float or None
-        By the calibration; None without one, and if gravity is across the plane.
+        Angle computed with the calibration; None without a calibration, or if gravity is perpendicular to
+        the plane.
     u_deg : float or None
         Standard uncertainty of the corrected angle: by the noise of the newest samples, and by the
         calibration. Without a calibration by the noise alone. None if unknown, and with a single sample.
@@ -56,7 +57,8 @@ class LiveAngle:
     lost : int
         Samples missed since the first.
     smoothed : Smoothed or None
-        By gyros and gravity together, a lag ago; None without gyros, and before the first lag is over.
+        Angle at one lag before the newest sample, computed from gyros and gravity together; None without
+        gyros and until a lag has passed.
     """
 
     time_s: float
@@ -70,14 +72,14 @@ class LiveAngle:
     smoothed: Smoothed | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form: one flat object; the entries of `smoothed` are null without it."""
+        """Return the reading as one flat JSON object, with nulls for the missing entries of `smoothed`."""
         document = asdict(self)
         smoothed = document.pop("smoothed") or dict.fromkeys(Smoothed.__dataclass_fields__)
         return document | smoothed | {"notes": list(smoothed["notes"] or ())}
 
 
 def raw_angle_deg(accel_mg: Floats) -> Floats:
-    """Angles (n,) within ±180° of readings (n, 2 or more) in any unit; 0 where X reads +1 g.
+    """Return the angles (n,) within ±180° of readings (n, 2 or more) in any unit; 0 if X reads +1 g.
 
     From U_x = G cos(−θ), U_y = G sin(−θ): the convention of `model.measurement` with α = 0.
     """
@@ -85,7 +87,7 @@ def raw_angle_deg(accel_mg: Floats) -> Floats:
 
 
 class AngleMeter:
-    """Turns blocks of samples into readings of the angle.
+    """Computes readings of the angle from blocks of samples.
 
     Parameters
     ----------
@@ -125,7 +127,7 @@ class AngleMeter:
         self._resume_s = self._last_s = 0.0
 
     def feed(self, block: Block) -> LiveAngle | None:
-        """Take samples; return a reading at the end of a span."""
+        """Add a block of samples; return a reading if they complete a span, else None."""
         self._lost += block.lost
         if not len(block):
             return None
@@ -140,7 +142,7 @@ class AngleMeter:
         return self._reading(blocks, self._first_s)
 
     def restart(self) -> None:
-        """Restart after a break of the link, which may have changed the angle and the sensor's clock.
+        """Start again after a break of the link, which may have changed the angle and the sensor's clock.
 
         Times continue, without the time of the break if the clock started again.
         """
@@ -150,7 +152,7 @@ class AngleMeter:
             self._smoother.restart()
 
     def continue_from(self, before: AngleMeter) -> None:
-        """Continue the times and losses of another meter."""
+        """Continue the time axis and the count of lost samples of a meter that this one replaces."""
         self._resume_s, self._lost = before._last_s, before._lost
 
     def _reading(self, blocks: list[Block], first_s: float) -> LiveAngle:
@@ -166,7 +168,7 @@ class AngleMeter:
             spread_mg = self._kept.std(axis=0, ddof=1)
             u_mg = spread_mg / math.sqrt(max(1.0, len(accel) * self._independent))
         if spread_mg is not None and len(self._kept) >= self._window:
-            # The upper limit alone: `bringup` reports a stuck axis.
+            # Only the upper limit is tested: a stuck axis is reported by `bringup`.
             still = bool((spread_mg <= self._limits.upper).all())
         raw_deg, u_deg = self._raw(mean, u_mg)
         corrected_deg = None
@@ -214,7 +216,7 @@ class LiveSource:
     noise_mg, step_mg : float
         As `AngleMeter` takes them.
     part : str
-        Its variant.
+        Name of the sensor's variant.
     offsets_lsb, gyro_offsets_lsb : tuple of int or None
         Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF and in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF; None without
         registers.
@@ -230,12 +232,12 @@ class LiveSource:
 
 
 def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration:
-    """Calibration for the present offset registers of a sensor.
+    """Return the calibration adapted to the present values of a sensor's offset registers.
 
     Raises
     ------
     UsageError
-        It belongs to another part, or takes readings in counts.
+        The calibration belongs to another sensor, or is for readings in counts.
     """
     where = calibration.provenance
     if where.counts:
@@ -254,7 +256,7 @@ def open_live(
     data_ready: bool | None = None,
     gyros: bool = True,
 ) -> Iterator[LiveSource]:
-    """Open a sensor and run its samples, two blocks per span; its settings are not changed.
+    """Open a sensor and start sampling, with two blocks per span; its settings are not changed.
 
     Parameters
     ----------
@@ -278,7 +280,7 @@ def open_live(
             settings = source.sensor.configuration()
             measuring: Measuring = settings
             count = _block_samples(measuring)
-            # With an unknown range the gyros have no scale.
+            # If the range of the gyros is unknown, their scale factor is unknown too.
             turning = GYRO_OUT if gyros and settings.gyro_range_dps is not None else ()
             names = (*ACCEL_OUT, TEMP_OUT[0], *turning)
             stream: SampleStream = source.sensor.stream(names, block_scans=count, data_ready=data_ready)
@@ -297,14 +299,14 @@ Opener = Callable[[], AbstractContextManager[LiveSource]]
 
 
 class LiveBlocks:
-    """Blocks of a sensor, which is opened again after a break of its link.
+    """Iterator over the blocks of samples of a sensor; after a break of its link it is opened again.
 
     Parameters
     ----------
     opener : callable
-        Opens the sensor, each time.
+        Function that opens the sensor, at the start and after each break.
     patience_s : float
-        Time of the attempts after a break; 0 raises the error.
+        Time for which opening is attempted again after a break; 0 raises the error at once.
     broken : callable
         Called with the error of each break, before the first attempt.
     sleep : callable
@@ -340,7 +342,7 @@ class LiveBlocks:
         return self
 
     def __next__(self) -> Block:
-        """Next block; raises the error of the break if the sensor does not return in time."""
+        """Return the next block; if the link breaks and does not return in time, raise its error."""
         try:
             return next(self._blocks)
         except (BusError, ChipError) as error:
@@ -367,7 +369,7 @@ class LiveBlocks:
             return
 
     def close(self) -> None:
-        """Close the sensor; the settings of a lost one cannot be restored."""
+        """Restore the sensor's settings and close it; if the link is lost they cannot be restored."""
         stack, self._stack = self._stack, ExitStack()
         with suppress(BusError, ChipError):
             stack.close()
@@ -376,9 +378,10 @@ class LiveBlocks:
 def live_angles(
     blocks: LiveBlocks, calibration: Calibration | None = None, *, lag_s: float
 ) -> Iterator[LiveAngle]:
-    """Angles of a running sensor, one after another, over breaks of its link.
+    """Yield the angles of a running sensor; after a break of its link it is opened again.
 
-    The learnt errors are kept after a break if the settings and offsets of the sensor are unchanged.
+    The estimated errors of the gyro are kept after a break if the settings and offsets of the sensor are
+    unchanged.
 
     Raises
     ------

@@ -1,13 +1,14 @@
-"""The part's turn in the plane as a linear model: state, unknown errors, disturbance of gravity.
+"""The turn of the sensor in the plane as a linear model: state, unknown errors, disturbance of gravity.
 
 The state has the angle (deg), the zero rate of the gyro (°/s), the relative error of its gain, its
-sensitivity to acceleration along X and Y (°/s/g), the distance of the part from the stage's axis (mm, X
-and Y), the disturbance of gravity across it (mg, now and a step ago: an autoregressive process of second
-order), and the fast octaves of the accelerometers' 1/f noise across gravity (mg).
+sensitivity to acceleration along X and Y (°/s/g), the distance of the sensor from the stage's axis (mm, X
+and Y), the disturbance of the reading perpendicular to gravity (mg, in this time step and the one before:
+an autoregressive process of second order), and the fast octaves of the accelerometers' 1/f noise in this
+direction (mg).
 
 The gyro is a known input except for its errors. These enter with measured factors, so the model stays
-linear. The error of the gain walks as the part turns, because accelerometers without a perfect
-calibration bend the scale of the angle differently at each angle.
+linear. The error of the gain is a random walk in the angle, because imperfectly calibrated accelerometers
+distort the scale of the angle differently at each angle.
 
 **Disturbance.** With gravity alone, the accelerometers turned back by the gyros would be constant. Their
 changes within the last second, both components together, are the disturbance: the sensor's white noise,
@@ -43,31 +44,32 @@ from adis_gonio.live.gyro_steps import TURN_ON_DPS, GyroKnowledge, Increment, Se
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 BACK_S, AHEAD_S = 1.0, 0.5
-"""Span that shows the disturbance of a step; fewer later steps if they have not arrived."""
+"""The disturbance of a step is estimated from the steps in this span before and after it; from fewer if
+later steps have not arrived."""
 LEAST_STEPS = 8
 START_MG = 20.0
-"""Level before the first steps have shown it (D): a part held in the hand."""
+"""Assumed disturbance in mg until `LEAST_STEPS` steps are known (D): a sensor held in the hand."""
 SHOCK = 16.0
-"""A step with a square this many times larger than in the span is a shock, and counts alone: one Gaussian
-step in nine million."""
+"""A step is a shock if its squared deviation is this many times the typical square in the span, which
+happens by chance once in nine million Gaussian steps. A shock raises the variance of its own step only."""
 STATIONARY = 0.97
 _MEDIAN = 2 * math.log(2)
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Disturbance of one step, on each component, in mg².
+    """Disturbance of gravity in one time step: white noise and an autoregressive process.
 
     Attributes
     ----------
     white_mg2 : float
-        Of this step alone: sensor and shock.
+        Variance of the white noise of the sensor in this step, plus the square of a shock.
     coloured_mg2 : float
         Variance of the autoregressive process.
     first, second : float
-        Its coefficients.
+        Coefficients of the process for the steps one and two before.
     drive_mg2 : float
-        Variance of its innovations.
+        Variance of the innovations of the process.
     """
 
     white_mg2: float
@@ -78,7 +80,7 @@ class Disturbance:
 
 
 def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
-    """Estimate the disturbance of a step by the steps around it.
+    """Estimate the disturbance of gravity in a time step from the steps around it.
 
     Parameters
     ----------
@@ -91,7 +93,7 @@ def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
     """
     if len(level) < LEAST_STEPS:
         return coloured(sensor_mg2, START_MG**2, 0.5, 0.0)
-    # Mean and slope come from the gyro's zero and slow changes, and are no disturbance.
+    # Mean and slope are removed: they come from the gyro's zero rate and from slow changes.
     place, square = _places(len(level))
     centred = level - level.sum() / len(level)
     rest = centred - place * ((place @ centred) / square)
@@ -115,7 +117,11 @@ def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
 
 
 def coloured(white_mg2: float, variance_mg2: float, first: float, second: float) -> Disturbance:
-    """Disturbance with a given variance and two autocorrelations, made stationary."""
+    """Return a disturbance with white noise and an autoregressive process of second order.
+
+    `variance_mg2` is the variance of the process, `first` and `second` are its autocorrelations at lags
+    of one and two steps. They are limited to values at which the process is stationary.
+    """
     r1 = min(max(first, -STATIONARY), STATIONARY)
     r2 = min(max(second, 2 * r1**2 - STATIONARY), STATIONARY)
     # Yule–Walker equations of second order.
@@ -132,34 +138,38 @@ def _places(count: int) -> tuple[Floats, float]:
 
 
 OCTAVES = 17
-"""Number of octaves between two hertz and a day, for a calibration of yesterday."""
+"""Octaves of frequency from 2 Hz down to one cycle a day: the calibration may be a day old."""
 CORNERS_HZ = 2.0 ** np.array([0.5, -1.5, -3.5])
-"""Corners of the processes: the middles of six octaves from the fastest on."""
+"""Corner frequencies of the 1/f processes, each in the middle of two of the six fastest octaves."""
 DRIFT_STATES = len(CORNERS_HZ)
 _EACH = 2
 
 
 def slow_drift_mg(floor_mg: float) -> float:
-    """Standard deviation, on an axis, of the octaves without a state."""
+    """Return the standard deviation in mg, on an axis, of the 1/f noise that the filter does not model.
+
+    This is the noise in the octaves that are slower than the octaves of the state.
+    """
     return floor_mg * math.sqrt((OCTAVES - _EACH * DRIFT_STATES) / 2)
 
 
 def drift_process_mg2(floor_mg: float) -> float:
-    """Variance of each process by the Allan floor."""
+    """Return the variance in mg² of each 1/f process, given the Allan deviation's minimum in mg."""
     return floor_mg**2 * _EACH / 2
 
 
 def drift_memory(length_s: float, turn_deg: float) -> Floats:
-    """Remaining share (DRIFT_STATES,) after a time and a turn.
+    """Return the factors (DRIFT_STATES,) by which the 1/f processes decay in a time and a turn.
 
-    The noise belongs to the sensor's axes: as the part turns, another axis is across gravity.
+    A turn also reduces the correlation: the noise belongs to the sensor's axes, and after a turn another
+    axis is perpendicular to gravity.
     """
     return np.asarray(np.exp(-2 * np.pi * CORNERS_HZ * length_s) * math.cos(math.radians(turn_deg)))
 
 
 @dataclass(frozen=True)
 class StateEstimate:
-    """Mean (k,) and covariance (k, k)."""
+    """Mean (k,) and covariance (k, k) of the state vector."""
 
     mean: Floats
     covariance: Floats
@@ -167,7 +177,7 @@ class StateEstimate:
 
 @dataclass(frozen=True)
 class TimeStep:
-    """One step of the model.
+    """Matrices of one time step of the model, with the symbols of the module's equations.
 
     Attributes
     ----------
@@ -195,14 +205,14 @@ class TimeStep:
 
 @dataclass(frozen=True)
 class Passed:
-    """A step after the filter.
+    """A time step with the states and the gain that the filter computed for it.
 
     Attributes
     ----------
     predicted, filtered : StateEstimate
-        Before the step's observation and after it.
+        State before and after the correction by the step's observation.
     innovation, innovation_variance : float
-        Observed minus predicted, and its variance; 0 and inf without an observation.
+        Observed minus predicted angle, and its variance; 0 and inf without an observation.
     gain : (k,) float
     step : TimeStep
     """
@@ -216,7 +226,7 @@ class Passed:
 
 
 def advance(state: StateEstimate, step: TimeStep) -> Passed:
-    """Advance the filter by one step."""
+    """Advance the Kalman filter by one time step: predict the state, then correct it by the observation."""
     f = step.transition
     covariance = f @ state.covariance @ f.T + step.process
     predicted = StateEstimate(f @ state.mean + step.shift, 0.5 * (covariance + covariance.T))
@@ -234,7 +244,7 @@ def advance(state: StateEstimate, step: TimeStep) -> Passed:
 
 
 def backward(passed: Sequence[Passed]) -> list[StateEstimate]:
-    """State of every step by the observations of all these steps."""
+    """Return the smoothed state of every step, given the observations of all these steps."""
     smoothed: list[StateEstimate] = []
     adjoint = _Adjoint(len(passed[0].gain) if passed else 0)
     for one in reversed(passed):
@@ -244,7 +254,7 @@ def backward(passed: Sequence[Passed]) -> list[StateEstimate]:
 
 
 def smooth_lagged(state: StateEstimate, later: Sequence[Passed]) -> StateEstimate:
-    """Filtered state with the observations of later steps (fixed lag)."""
+    """Return a filtered state corrected by the observations of the later steps (fixed-lag smoother)."""
     adjoint = _Adjoint(len(state.mean))
     for one in reversed(later):
         adjoint.pass_back(one)
@@ -252,7 +262,7 @@ def smooth_lagged(state: StateEstimate, later: Sequence[Passed]) -> StateEstimat
 
 
 class _Adjoint:
-    """Information of later observations on a state, for the backward pass."""
+    """Vector and matrix that carry the information of later observations back to earlier states."""
 
     def __init__(self, size: int) -> None:
         self._vector, self._matrix = np.zeros(size), np.zeros((size, size))
@@ -263,7 +273,7 @@ class _Adjoint:
         return StateEstimate(state.mean - p @ self._vector, 0.5 * (covariance + covariance.T))
 
     def pass_back(self, one: Passed) -> None:
-        """Move from after a step to before it."""
+        """Carry the information back over one time step, and add the step's own observation."""
         h, f = one.step.design, one.step.transition
         if np.isfinite(one.innovation_variance):
             # Cᵀ λ − h innovation/variance and Cᵀ Λ C + h hᵀ/variance, C = I − gain hᵀ, written out.
@@ -284,14 +294,14 @@ ANGLE, ZERO, SCALE, G_X, G_Y, LEVER_X, LEVER_Y, NOW, BEFORE = range(9)
 DRIFT = slice(9, 9 + DRIFT_STATES)
 SIZE = 9 + DRIFT_STATES
 LEVER_MM = 50.0
-"""Standard deviation of the part's distance from the axis (D)."""
+"""Standard deviation of the sensor's distance from the stage's axis (D)."""
 BEND = 0.012
 """Standard deviation of the raw angle's slope by bias, gains and Δφ of uncalibrated accelerometers: bias
 10 mg, gains ±2 %, ±0.25° (CHIP, B and D)."""
 OPEN_DEG = 90.0
 """Standard deviation of an unknown angle."""
 LEAST_MG = 50.0
-"""Shortest gravity across the axis that shows an angle."""
+"""Smallest component of gravity in the plane, in mg, from which an angle is computed."""
 ACROSS_S = 0.5
 """Time over which a turn out of the plane keeps its direction (D)."""
 _MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
@@ -299,13 +309,13 @@ _MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
 
 @dataclass(frozen=True)
 class Turned:
-    """A step of the model, with corrected readings.
+    """A time step with corrected readings, in the form that the linear model needs.
 
     Attributes
     ----------
     increment : Increment
     turn_deg : float
-        About Z.
+        Turn about Z during the step.
     gravity : complex
         x − i y of gravity in the plane, in mg: its phase is the angle.
     force_g : (2,) float
@@ -313,10 +323,11 @@ class Turned:
     rate_dps, spin_rad_s2 : float
         Rate of turn, and its change.
     across_dps : float
-        Part of the angle's rate that the planar model neglects: gravity out of the plane times turns
-        about X, Y.
+        Rate of the angle that the planar model neglects, caused by gravity out of the plane together with
+        turns about X and Y.
     lost : bool
-        The gap before the step is so long that the angle is unknown; the part may have been switched off.
+        True if the gap before the step is so long that the angle is unknown and the sensor may have been
+        switched off.
     """
 
     increment: Increment
@@ -330,12 +341,12 @@ class Turned:
 
     @property
     def gravity_deg(self) -> float:
-        """Angle by gravity alone."""
+        """Angle in degrees computed from the direction of gravity alone, without the gyro."""
         return math.degrees(math.atan2(self.gravity.imag, self.gravity.real))
 
     @property
     def lever_mg(self) -> tuple[complex, complex]:
-        """Change of `gravity` by a millimetre along X and along Y."""
+        """Change of `gravity` in mg per millimetre of distance from the stage's axis, along X and Y."""
         spin = math.radians(self.rate_dps)
         square = spin * spin * _MG_PER_MM
         change = self.spin_rad_s2 * _MG_PER_MM
@@ -343,14 +354,15 @@ class Turned:
 
 
 class MotionModel:
-    """Makes steps of the linear model.
+    """Builds the matrices of the linear model for each time step.
 
     Parameters
     ----------
     sensing : Sensing
     gyros : GyroKnowledge
     bend : float
-        Standard deviation of the slope of gravity's angle.
+        Standard deviation of the relative error of the accelerometers' angle scale, which varies with the
+        angle.
     """
 
     def __init__(self, sensing: Sensing, gyros: GyroKnowledge, bend: float = BEND) -> None:
@@ -360,7 +372,7 @@ class MotionModel:
         self._drift_mg2 = drift_process_mg2(sensing.drift_mg)
 
     def begin(self, angle_deg: float) -> StateEstimate:
-        """State before the first step, with an unknown angle."""
+        """Return the state before the first step, with the uncertainty of an unknown angle."""
         gyros = self._gyros
         u = np.array([
             OPEN_DEG, gyros.zero_dps, math.hypot(gyros.scale, self._bend), gyros.g_dps_per_g,
@@ -372,11 +384,14 @@ class MotionModel:
         return StateEstimate(mean, np.diag(u**2))
 
     def step(self, turned: Turned, disturbance: Disturbance, before: StateEstimate) -> TimeStep:
-        """Model of a step; its observation is gravity's angle on the turn next to the prediction."""
+        """Return the matrices of the linear model for a step, with the angle of gravity as the observation.
+
+        The observed angle is shifted by whole turns to the value nearest to the predicted angle.
+        """
         length_s = turned.increment.length_s
         f = np.eye(SIZE)
         seen_deg = turned.gravity_deg
-        # The angle changes by the gyro minus its errors, times measured factors.
+        # The angle changes by the turn that the gyro measured, minus its errors times measured factors.
         f[ANGLE, ZERO] = -length_s
         f[ANGLE, SCALE] = -turned.turn_deg
         f[ANGLE, G_X], f[ANGLE, G_Y] = -length_s * turned.force_g

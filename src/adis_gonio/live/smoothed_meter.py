@@ -1,7 +1,8 @@
-"""The smoothed angle of a running sensor, with the share of its calibration in the uncertainty.
+"""The smoothed angle of a running sensor, with an uncertainty that includes the calibration.
 
-Impossible values are reported and widen u: a length of gravity at rest that contradicts the calibration,
-and a zero rate that the gyros' calibration excludes, such as with the file of another part.
+Impossible values are reported and increase the uncertainty. They are a length of gravity at rest that
+contradicts the calibration, and a zero rate that the gyros' calibration excludes, such as with the file of
+another sensor.
 """
 
 from __future__ import annotations
@@ -26,16 +27,16 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
 
 GENERIC_WALK_DEG = 0.021
-"""Angle random walk in a second of unknown gyros, as in the family (CHIP, B)."""
+"""Angle random walk in one second of gyros of unknown noise, typical of the sensor family (CHIP, B)."""
 LENGTH_K = 3.0
-"""Smallest error of gravity's length, in standard uncertainties, that refutes a calibration."""
+"""A calibration is rejected if the length of gravity is wrong by this many standard uncertainties."""
 LENGTH_FLOOR = 1e-3
-"""Smallest relative error that does so: gravity differs from place to place, and a bias with
-temperature."""
+"""Relative error of the length of gravity that is always allowed, because gravity differs from place to
+place and biases change with temperature."""
 Z_ERROR = 0.05
 """Relative error of Z if a calibration in the plane does not determine it (CHIP, B and D)."""
 _BEND_PER_U = 2.0
-"""Slope of an error with two cycles a turn, per its size."""
+"""Largest slope of an angle error with two cycles per turn, relative to its amplitude."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,9 @@ class Smoothed:
     Attributes
     ----------
     smoothed_deg, smoothed_u_deg : float
-        A lag ago, within ±180°, on the scale of `corrected_deg` with a calibration, else of `angle_deg`;
-        standard uncertainty by noise, motion and drift, and by the calibration if it states one.
+        Angle at one lag before the newest sample, within ±180°. Its zero is the zero of `corrected_deg`
+        with a calibration, else of `angle_deg`. Standard uncertainty by noise, motion, drift and
+        calibration.
     lag_s : float
         Age of the angle at `time_s`: the smoother's lag, its step, the chip's filter delay.
     rate_dps : float
@@ -68,12 +70,12 @@ class Smoothed:
 
 
 def sensing_of(measuring: Measuring, part: str, noise_mg: float) -> Sensing:
-    """Properties of a sensor by its settings and its variant.
+    """Return the properties of a sensor that the smoother needs, from its settings and its variant.
 
     Parameters
     ----------
     noise_mg : float
-        Of a sample at rest, behind the filter.
+        Noise (rms) of a sample at rest, after the filter.
     """
     period_s = measuring.sample_period_s
     settings = measuring if isinstance(measuring, Configuration) else None
@@ -91,7 +93,7 @@ def sensing_of(measuring: Measuring, part: str, noise_mg: float) -> Sensing:
 
 
 class SmoothedMeter:
-    """Feeds a smoother with blocks of samples and reports its angle with the calibration's share.
+    """Passes blocks of samples to a smoother; adds the calibration's uncertainty to its angle.
 
     Parameters
     ----------
@@ -99,7 +101,7 @@ class SmoothedMeter:
     calibration : Calibration or None
         As `calibration_for` returns it.
     lag_s : float
-        0 for the filter alone.
+        Delay of the reported angle; 0 for the filter without smoothing.
     """
 
     def __init__(
@@ -118,10 +120,10 @@ class SmoothedMeter:
             bend=BEND if calibration is None else _bend_of(calibration),
         )
         self._off = 0.0
-        """Error of gravity's length at the last rest if it refutes the calibration, else 0."""
+        """Relative error of gravity's length at the last rest if it contradicts the calibration, else 0."""
 
     def feed(self, block: Block) -> None:
-        """Take samples; blocks without gyros are ignored."""
+        """Add a block of samples; a block without gyro readings is ignored."""
         columns = session_columns(block)
         if not len(block) or not all(name in columns for name in ("gx", "gy", "gz")):
             return
@@ -129,11 +131,11 @@ class SmoothedMeter:
         self._smoother.feed(block.time_s, block.accel_mg, gyro, columns.get("temp_c"))
 
     def restart(self) -> None:
-        """Restart after a break of the link; see `AngleSmoother.restart`."""
+        """Start again after the link to the sensor broke; see `AngleSmoother.restart`."""
         self._smoother.restart()
 
     def take_rest(self, mean_mg: Floats, temperature_c: float | None) -> None:
-        """Take a reading (3,) at rest: check the length of gravity against the calibration."""
+        """Compare the length of a reading (3,) in mg at rest with gravity by the calibration."""
         calibration = self._calibration
         if calibration is None:
             return
@@ -141,10 +143,10 @@ class SmoothedMeter:
         along = math.hypot(float(gravity[0]), float(gravity[1]))
         if along < 0.1:
             return
-        # A calibration in the plane has no Z: the raw reading counts, with a larger error.
+        # A calibration in the plane has no Z: use the raw reading of Z, with a larger error.
         planar = len(gravity) < 3
         z = float(mean_mg[2]) / calibration.gravity_mg if planar else float(gravity[2])
-        # Error of the length of gravity, and its allowance.
+        # Relative error of the length of gravity, and the largest allowed error.
         off = abs(math.hypot(along, z) - 1.0)
         _, u_deg = corrected_angle(calibration, mean_mg, temperature_c)
         across = abs(z) * Z_ERROR if planar else 0.0
@@ -152,7 +154,10 @@ class SmoothedMeter:
         self._off = off if off > LENGTH_K * allowed else 0.0
 
     def reading(self, end_s: float) -> Smoothed | None:
-        """The angle a lag before samples that end at a time; None before the first lag is over."""
+        """Return the smoothed angle at one lag before `end_s`, the time of the last sample.
+
+        None until a lag has passed.
+        """
         angle, calibration = self._smoother.angle(), self._calibration
         if angle is None:
             return None
@@ -168,7 +173,7 @@ class SmoothedMeter:
         )
 
     def _corrected(self, accel_mg: Floats, temperature_c: float | None) -> Floats:
-        """Gravity (2,) or (3,) in mg; zeros if the calibration has no answer."""
+        """Return the calibrated gravity vector in mg; zeros if the calibration cannot compute it."""
         assert self._calibration is not None
         gravity = self._calibration.apply(accel_mg, temperature_c) * self._calibration.gravity_mg
         return np.nan_to_num(gravity)
@@ -177,9 +182,10 @@ class SmoothedMeter:
 def corrected_angle(
     calibration: Calibration, mean_mg: Floats, temperature_c: float | None, u_mg: Floats | None = None
 ) -> tuple[float | None, float | None]:
-    """Angle by a calibration, positive for the stage's positive turn, and its u, in degrees.
+    """Return the angle of a reading by a calibration, and its standard uncertainty, in degrees.
 
-    The angle is None if the reading is far too short or too long, u also if it is not finite.
+    The angle is positive for the stage's positive turn. It is None if the reading is far too short or too
+    long; the uncertainty is None also if it is not finite.
 
     Parameters
     ----------
@@ -201,8 +207,11 @@ def corrected_angle(
 
 
 def _bend_of(calibration: Calibration) -> float:
-    """Standard deviation of the calibrated angle's slope: by its u without the u of its zero."""
-    # u of the angle at eight angles over a turn.
+    """Return the standard uncertainty of the calibrated angle's slope (change per degree turned).
+
+    It is derived from the uncertainty of the angle, without the uncertainty of its zero.
+    """
+    # Standard uncertainty of the angle at eight angles over a turn.
     psi = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     unit = np.stack([np.cos(psi), np.sin(psi), np.zeros(8)], axis=1)[:, : calibration.axes]
     u_deg = calibration.angle(calibration.readings_of(unit), plane="xy").u_deg

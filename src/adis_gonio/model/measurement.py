@@ -48,10 +48,10 @@ if TYPE_CHECKING:
     from adis_gonio.model.effects.base import Conditions
 
 SKEW_AXES: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
-"""Axes that skew_xy, skew_xz and skew_yz lie between."""
+"""Indices of the two axes of each skew: skew_xy, skew_xz, skew_yz."""
 
 SENSOR_SPREAD = 0.2
-"""Prior standard deviation of gains, skews and misalignment (rad) of any part that is sold as a sensor."""
+"""Prior standard deviation of gains, skews and misalignment (rad) of any device sold as a sensor."""
 SEEN = 0.02
 """Least visible effect of a gain or a skew for it to be fitted: the root mean square over the poses of the
 change of the norm for a value of 1, after the other base parameters and a bias are removed. Six faces of a
@@ -61,18 +61,18 @@ skew of degrees."""
 
 @dataclass(frozen=True)
 class BaseParameter:
-    """A parameter of the base model.
+    """A parameter of the base model, with its unit, nominal value and prior.
 
     Attributes
     ----------
     unit : str
         Unit in results: `deg` (radians inside), `1`, or the measurement's own.
     nominal : float
-        Value of a perfect part, in natural units (rad, 1).
+        Value of a perfect sensor, in natural units (rad, 1).
     spread : float
         Prior standard deviation about the nominal value; inf if nothing is known (the start angle).
     low, high : float
-        Limits of real parts.
+        Limits for real sensors, in natural units.
     """
 
     name: str
@@ -84,31 +84,31 @@ class BaseParameter:
 
     @property
     def per_natural(self) -> float:
-        """Result per natural unit: 180/π for degrees."""
+        """Factor from the natural unit (rad, 1) to `unit`: 180/π for degrees, else 1."""
         return 180 / math.pi if self.unit == "deg" else 1.0
 
     def stated(self, value: float) -> float:
-        """Value in `unit`; the start angle is wrapped to ±180°."""
+        """Convert a value from natural units to `unit`; the start angle is wrapped to ±180°."""
         out = value * self.per_natural
         return wrap_degrees(out) if self.unit == "deg" and math.isinf(self.spread) else out
 
 
 class Measurement(ABC):
-    """Readings of n dwells as a function of base parameters (p,) and attitudes.
+    """Equations for the readings of n dwells as a function of base parameters (p,) and attitudes.
 
     Attributes
     ----------
     parameters : tuple of BaseParameter
     axes : int
-        Columns of a reading.
+        Number of axes of a reading.
     freedom : int
-        Unknown directions in which the attitude of a dwell may move: columns of `tangent`.
+        Number of unknown angles in the attitude of a dwell; the last dimension of `tangent`.
     part : str
         Part of the sensor that gives the readings, as in `Effect.parts`.
     unit : str
         Unit of the readings and of the terms that effects add.
     full : float
-        Reading in `unit` at which the amplitude of an unnamed function is stated.
+        Reading in `unit` for which the trace states the amplitude of a function that has no named cause.
     driven_by : tuple of str
         Covariates of unnamed functions in addition to the conditions: `reading`, `force`, `rotation`.
     named_forms : mapping of str to tuple of str
@@ -131,20 +131,20 @@ class Measurement(ABC):
 
     @property
     def size(self) -> float:
-        """Typical size of a reading, in `unit`: local gravity if the measurement has one."""
+        """Typical size of a reading, in `unit`: local gravity for accelerometers, else `full`."""
         return float(getattr(self, "gravity_mg", self.full))
 
     @property
     def constant(self) -> bool:
-        """True if a constant on each axis is a base parameter."""
+        """True if the base model contains a constant (bias) for each axis."""
         return False
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Quantity (n, axes) that the gains multiply, in units of `full`."""
+        """Quantity (n, axes) that the scale factors multiply, as a fraction of `full`."""
         return ideal / self.full
 
     def pose(self, reading: Floats, conditions: Conditions) -> Floats | None:
-        """Unit vector of gravity (n, axes) in the part; None if it is unknown."""
+        """Unit vector (n, axes) of gravity along the sensor's axes, from the readings; None if unknown."""
         return np.asarray(reading / np.linalg.norm(reading, axis=1, keepdims=True))
 
     @property
@@ -153,23 +153,23 @@ class Measurement(ABC):
         return tuple(parameter.name for parameter in self.parameters)
 
     def index(self, name: str) -> int:
-        """Place of a base parameter."""
+        """Index of a base parameter in `parameters`, by its name."""
         return self.names.index(name)
 
     @property
     def nominal(self) -> Floats:
-        """Base parameters (p,) of a perfect part."""
+        """Base parameters (p,) of a perfect sensor, in natural units."""
         return np.array([parameter.nominal for parameter in self.parameters])
 
     def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
-        """True for readings (n,) that can be predicted without another reading in their pose."""
+        """For each reading (n,): True if its pose alone determines it, as for a sensor at rest."""
         return np.ones(len(conditions), dtype=bool)
 
     @abstractmethod
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
-        """Rough base parameters (p,) and attitudes of readings (n, axes).
+        """Estimate rough starting values: base parameters (p,), and the attitude of each reading (n, axes).
 
         Parameters
         ----------
@@ -183,30 +183,30 @@ class Measurement(ABC):
 
     @abstractmethod
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Readings (n, axes) in `unit` at the attitudes, with the part turned by (n,) rad from them."""
+        """Ideal readings (n, axes) in `unit` at the attitudes, rotated further by `turn_rad` (n,)."""
 
     @abstractmethod
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """∂ideal/∂attitude, (n, axes, freedom) in `unit` per rad."""
+        """Derivative of `ideal` with respect to the attitude, (n, axes, freedom) in `unit` per rad."""
 
     @abstractmethod
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """∂ideal/∂base, (n, axes, p) in `unit` per natural unit."""
+        """Derivative of `ideal` by the base parameters, (n, axes, p) in `unit` per natural unit."""
 
     @abstractmethod
     def moved(self, attitude: Floats, step: Floats) -> Floats:
-        """Attitudes after a step (n, freedom) in rad."""
+        """Return the attitudes after a change `step` (n, freedom) in rad."""
 
     def deviation_rad(self, attitude: Floats) -> Floats:
-        """Distance (n, freedom) of the attitudes from the declared ones, to which the fixture pulls."""
+        """Angles (n, freedom) in rad of the attitudes from the declared ones, which a fit penalizes."""
         return np.zeros((len(attitude), self.freedom))
 
     @abstractmethod
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """Output of the calibrated sensor for readings (n, axes): gravity in units of local gravity."""
+        """Calibrated output for readings (n, axes); of accelerometers, in units of local gravity."""
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """True for base parameters (p,) that these dwells can determine."""
+        """For each base parameter (p,): True if the given dwells can determine it."""
         return np.ones(len(self.parameters), dtype=bool)
 
 
@@ -234,7 +234,10 @@ class PlanarTurn(Measurement):
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
-        """Linear least squares on cosine and sine; nominal values for fewer than two declared angles."""
+        """Fit A cos θ + B sin θ to the declared dwells; return base parameters (4,) and δ (n,).
+
+        Fewer than two different declared angles leave the scale factors and Δφ nominal.
+        """
         reading = reading / self.gravity_mg
         shown = np.arctan2(reading[:, 1], reading[:, 0])
         theta = -turn_rad[declared]
@@ -255,7 +258,7 @@ class PlanarTurn(Measurement):
         return base, attitude
 
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """K_x G cos ψ and K_y G sin(ψ + Δφ)."""
+        """Ideal readings K_x G cos ψ and K_y G sin(ψ + Δφ), (n, 2) in mg."""
         alpha, k_x, k_y, skew = base
         psi = alpha + turn_rad + attitude
         ideal = np.empty((len(psi), 2))
@@ -265,7 +268,7 @@ class PlanarTurn(Measurement):
         return ideal
 
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """−K_x G sin ψ and K_y G cos(ψ + Δφ)."""
+        """Derivative of the readings with respect to δ: −K_x G sin ψ and K_y G cos(ψ + Δφ), (n, 2, 1)."""
         alpha, k_x, k_y, skew = base
         psi = alpha + turn_rad + attitude
         slope = np.empty((len(psi), 2, 1))
@@ -275,7 +278,7 @@ class PlanarTurn(Measurement):
         return slope
 
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """By α, K_x, K_y, Δφ."""
+        """Derivative of the readings with respect to α, K_x, K_y and Δφ, (n, 2, 4)."""
         alpha, _, k_y, skew = base
         psi = alpha + turn_rad + attitude
         columns = np.zeros((len(psi), 2, 4))
@@ -287,34 +290,34 @@ class PlanarTurn(Measurement):
         return columns
 
     def moved(self, attitude: Floats, step: Floats) -> Floats:
-        """δ after a step."""
+        """Deviations δ (n,) in rad after a change by `step` (n, 1)."""
         return np.asarray(attitude + step[:, 0])
 
     def deviation_rad(self, attitude: Floats) -> Floats:
-        """δ itself."""
+        """Deviations δ from the declared angles, as (n, 1) in rad."""
         return np.asarray(attitude[:, None])
 
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """Gravity (n, 2), the y axis squared up."""
+        """Gravity (n, 2) along two perpendicular axes, in units of local gravity; Δφ is removed from y."""
         _, k_x, k_y, skew = base
         x, y = reading[..., 0] / (self.gravity_mg * k_x), reading[..., 1] / (self.gravity_mg * k_y)
         return np.stack([x, (y - x * math.sin(skew)) / math.cos(skew)], axis=-1)
 
     def angle_rad(self, base: Floats, reading: Floats) -> Floats:
-        """Angle ψ (n,) in rad that the calibrated goniometer shows for readings free of their effects."""
+        """Angle ψ (n,) in rad that a calibrated goniometer shows, for readings without effects."""
         gravity = self.calibrated(base, reading)
         return np.asarray(np.arctan2(gravity[..., 1], gravity[..., 0]))
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """All parameters; without declared angles the start angle is part of the attitudes."""
+        """For each base parameter (4,): True, except for the start angle if no angle is declared."""
         return np.array([bool(declared.any()), True, True, True])
 
 
 @dataclass(frozen=True)
 class FreeAttitude(Measurement):
-    """Poses in space; the attitude of a dwell is the unit vector (n, 3) of gravity in the frame of D.
+    """Poses in space; the attitude of a dwell is the unit vector (3,) of gravity in the frame of D.
 
-    Only the length of a calibrated reading has information.
+    Directions are unknown, so only the length of a calibrated reading informs a fit.
 
     Attributes
     ----------
@@ -338,21 +341,21 @@ class FreeAttitude(Measurement):
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
-        """One gain for all axes, and the directions of the readings."""
+        """Starting values: one scale factor for all axes without skews, (6,), and the directions (n, 3)."""
         length = np.linalg.norm(reading, axis=1, keepdims=True)
         gain = float(length.mean()) / self.gravity_mg
         return np.array([gain, gain, gain, 0.0, 0.0, 0.0]), reading / length
 
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """G diag(K) D u."""
+        """Ideal readings G diag(K) D u (n, 3) in mg, with u the unit vector of gravity."""
         return np.asarray(self.gravity_mg * attitude @ sensitivity(base).T)
 
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Along two directions across u."""
+        """Derivative of the readings by u along two directions normal to u, (n, 3, 2) in mg per rad."""
         return np.asarray(self.gravity_mg * np.einsum("jk,nkm->njm", sensitivity(base), across(attitude)))
 
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """By three gains and three skews."""
+        """Derivative of the readings with respect to three scale factors and three skews, (n, 3, 6)."""
         columns = np.zeros((len(attitude), 3, 6))
         ideal = self.gravity_mg * attitude @ axes_matrix(base[3:]).T
         for axis in range(3):
@@ -363,17 +366,17 @@ class FreeAttitude(Measurement):
         return columns
 
     def moved(self, attitude: Floats, step: Floats) -> Floats:
-        """Unit vectors after a step across them."""
+        """Unit vectors (n, 3) after a small rotation `step` (n, 2) along the directions of `across`."""
         # Step in the tangent plane, then back to unit length.
         turned = attitude + (across(attitude) @ step[:, :, None])[:, :, 0]
         return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """Gravity (n, 3)."""
+        """Gravity (n, 3) in the frame of D, in units of local gravity."""
         return np.asarray(reading / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Gains that a pose shows, and skews that are independent of gains and biases: see `SEEN`.
+        """For each base parameter (6,): True if the poses determine it; the limit is `SEEN`.
 
         The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias.
         """
@@ -392,12 +395,14 @@ class FreeAttitude(Measurement):
 
 
 def sensitivity(base: Floats) -> Floats:
-    """Matrix diag(K) D (3, 3) of three gains and three skews (6,) in rad."""
+    """Sensitivity matrix diag(K) D (3, 3) of `base` (6,): three scale factors, three skews in rad."""
     return np.asarray(base[:3, None] * axes_matrix(base[3:]))
 
 
 def axes_matrix(skews_rad: Floats) -> Floats:
-    """Directions D (3, 3) of the axes of (skew_xy, skew_xz, skew_yz) in rad; see the module.
+    """Matrix D (3, 3) with the directions of the three axes as rows, from their skews in rad.
+
+    The skews are (skew_xy, skew_xz, skew_yz); the text of the module defines them.
 
     Raises
     ------
@@ -415,7 +420,7 @@ def axes_matrix(skews_rad: Floats) -> Floats:
 
 
 def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
-    """∂D/∂skew, (3, 3, 3) with the skew first."""
+    """Derivatives of D with respect to each skew, (3, 3, 3); the first index is the skew."""
     axes = axes_matrix(skews_rad)
     (s_xy, s_xz, _), (c_xy, c_xz, c_yz) = np.sin(skews_rad), np.cos(skews_rad)
     y, z = axes[2, 1], axes[2, 2]
@@ -432,7 +437,7 @@ def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
 
 
 def gains_and_skews(gram: Floats) -> tuple[Floats, Floats]:
-    """Gains (d,) and skews (pairs,) in rad of a matrix diag(K) D Dᵀ diag(K) (d, d), d 2 or 3."""
+    """Recover scale factors (d,) and skews (pairs,) in rad from diag(K) D Dᵀ diag(K) (d, d), d = 2 or 3."""
     # The diagonal has the squared gains; the rest has the cosines between the axes.
     gains = np.sqrt(np.diag(gram))
     cosines = gram / np.outer(gains, gains)
@@ -441,7 +446,7 @@ def gains_and_skews(gram: Floats) -> tuple[Floats, Floats]:
 
 
 def across(unit: Floats) -> Floats:
-    """Two directions across each unit vector, (n, 3, 2)."""
+    """Two perpendicular directions normal to each unit vector (n, 3), as columns of (n, 3, 2)."""
     # The coordinate axis with the smallest component is never parallel to the vector.
     axis = np.eye(3)[np.abs(unit).argmin(axis=1)]
     first = _cross(unit, axis)
@@ -450,7 +455,7 @@ def across(unit: Floats) -> Floats:
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Products a × b (n, 3); `numpy.cross` takes more than twice as long for the rows of a session."""
+    """Cross products of the rows, (n, 3); faster than `numpy.cross` by more than a factor of two."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
@@ -461,7 +466,7 @@ FULL_DPS = 100.0
 
 @dataclass(frozen=True)
 class MeanRate(Measurement):
-    """The mean rate over a dwell or a turn; its "attitude" is the true mean rate (n, 3) in °/s.
+    """The mean rate of turn over a dwell or a turn; as "attitude" it has the true rate (n, 3) in °/s.
 
     The rate is known (`Conditions.rate_dps`), so that no attitude is free.
     """
@@ -481,24 +486,24 @@ class MeanRate(Measurement):
 
     @property
     def constant(self) -> bool:
-        """The zero rates are a constant on each axis."""
+        """True: the base model contains a zero rate for each axis."""
         return True
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Rates of turn (n, 3) in hundreds of °/s; 0 at rest, for any zero rate."""
+        """True rates of turn (n, 3) in units of 100 °/s; 0 for dwells at rest."""
         if conditions.rate_dps is None:
             return np.zeros_like(ideal)
         return conditions.rate_dps / self.full
 
     def pose(self, reading: Floats, conditions: Conditions) -> Floats | None:
-        """Unit vector (n, 3) of the readings of the accelerometers."""
+        """Unit vector (n, 3) of the accelerometer readings; None if these were not recorded."""
         if conditions.force_g is None:
             return None
         length = np.linalg.norm(conditions.force_g, axis=1, keepdims=True)
         return np.asarray(conditions.force_g / np.maximum(length, 1e-12))
 
     def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
-        """True for intervals at rest; only turns about an axis show its gain."""
+        """For each interval (n,): True if it is at rest; a turning one also depends on scale factors."""
         if conditions.rate_dps is None:
             return super().by_pose(conditions)
         return np.asarray(~conditions.rate_dps.any(axis=1))
@@ -506,7 +511,7 @@ class MeanRate(Measurement):
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
-        """Mean of the readings at rest as zero rates, and the true rates."""
+        """Starting values in °/s: mean reading at rest as zero rates (3,), and the true rates (n, 3)."""
         rate = np.zeros_like(reading) if conditions.rate_dps is None else conditions.rate_dps
         # Readings at rest show the zero rates; without rest, subtract the true rates.
         still = ~rate.any(axis=1)
@@ -514,21 +519,21 @@ class MeanRate(Measurement):
         return rest.mean(axis=0), rate
 
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """True rate plus zero rate (n, 3) in °/s."""
+        """Ideal readings: true rate plus zero rate, (n, 3) in °/s."""
         return np.asarray(attitude + base)
 
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Empty array (n, 3, 0): no attitude is free."""
+        """Empty array (n, 3, 0), because the true rates are known and no attitude is fitted."""
         return np.zeros((len(attitude), self.axes, 0))
 
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """∂ideal/∂base: ones, (n, 3, 3)."""
+        """Derivative of the readings by the zero rates: an identity matrix for each reading, (n, 3, 3)."""
         return np.tile(np.eye(self.axes), (len(attitude), 1, 1))
 
     def moved(self, attitude: Floats, step: Floats) -> Floats:
-        """Return the rates unchanged."""
+        """Return the true rates unchanged, because they are known."""
         return attitude
 
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """Rates (n, 3) in °/s without the zero rates."""
+        """Readings minus the zero rates, (n, 3) in °/s."""
         return np.asarray(reading - base)

@@ -1,6 +1,6 @@
 """Measured data as plain records: samples, dwells, turns, sessions; local gravity. No files or devices.
 
-A *dwell* is the scans taken while the part is at rest in one *position*; a *session* is all dwells with
+A *dwell* is the scans taken while the sensor is at rest in one *position*; a *session* is all dwells with
 their circumstances. A *turn* is the samples between two dwells; a samples CSV with positions has none, an
 archive has the samples before and after its dwells, a continuous recording has all. Files become sessions
 in `adis_gonio.record`; fits read them in `adis_gonio.fitting`.
@@ -41,7 +41,7 @@ _SLIPS = {0.01: "cm/s² (Gal)", 1e-5: "mGal", 9.80665: "g", 9.80665e-3: "mg", 0.
 
 
 def checked_gravity_mps2(value: float, *, anywhere: bool = False) -> float:
-    """Return a stated local gravity in m/s² if it exists on Earth.
+    """Return a stated local gravity in m/s², or raise `UsageError` if it does not exist on Earth.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def checked_gravity_mps2(value: float, *, anywhere: bool = False) -> float:
 
 
 def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:
-    """Normal gravity of the WGS 84 ellipsoid in m/s² (Somigliana's formula, second order in height).
+    """Normal gravity in m/s² at a latitude and height, of the WGS 84 ellipsoid (Somigliana's formula).
 
     Real gravity differs by tens of mGal (1e-5 m/s² each). ΔK and Δφ do not depend on it; the scale factors
     get an uncertainty of about 3e-5.
@@ -86,20 +86,20 @@ def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:
 
 
 REVERSED_DEG = 10.0
-"""A smaller motion back counts as unevenness of the hand."""
+"""Angle in degrees up to which a motion back counts as unevenness of the hand, not as a reversal."""
 NEARLY_DEG = 5.0
-"""Angle that may be missing from a full turn."""
+"""Angle in degrees that may be missing from a full turn."""
 
 
 class Sweeps:
-    """Counts full turns of an angle that is observed in steps: on and on, or forth and back.
+    """Counts full turns of an angle that is observed step by step, in one direction or back and forth.
 
     Attributes
     ----------
     angle_deg : float
-        Present angle from the start, with its sign.
+        Present angle relative to the start, with its sign.
     span_deg : float
-        From the smallest angle to the largest.
+        Largest minus smallest angle so far.
     """
 
     def __init__(self) -> None:
@@ -109,7 +109,7 @@ class Sweeps:
         self._from = self._farthest = 0.0
 
     def see(self, angle_deg: float) -> None:
-        """Add the next unwrapped angle."""
+        """Update the counts by the next angle in degrees, unwrapped (without jumps of 360°)."""
         self.angle_deg = angle_deg
         self._least, self._greatest = min(self._least, angle_deg), max(self._greatest, angle_deg)
         on = self._farthest - self._from
@@ -121,17 +121,17 @@ class Sweeps:
 
     @property
     def span_deg(self) -> float:
-        """From the smallest angle to the largest."""
+        """Largest minus smallest angle so far, in degrees."""
         return self._greatest - self._least
 
     @property
     def travelled_deg(self) -> float:
-        """Total path, forth and back, without the tremor of the hand."""
+        """Total angle travelled in both directions, in degrees; reversals of 10° or less do not count."""
         return self._gone + abs(self._farthest - self._from)
 
     @property
     def full(self) -> int:
-        """Number of full turns; a full turn back counts too."""
+        """Number of full turns so far, in either direction."""
         if self.span_deg < 360.0 - NEARLY_DEG:
             return 0
         return int((self.travelled_deg + NEARLY_DEG) // 360.0)
@@ -175,7 +175,7 @@ class Turn:
 
 
 def turns_of_recording(recording: Dwell, dwells: Sequence[Dwell]) -> tuple[Turn, ...]:
-    """Turns of a continuous recording between its dwells; views of its rows, no copies."""
+    """Turns between successive dwells of a continuous recording, as views of its rows."""
     made = []
     for before, after in pairwise(dwells):
         low = int(recording.time_s.searchsorted(before.time_s[-1], side="right"))
@@ -220,7 +220,7 @@ METADATA = ("operator", "serial", "stage")
 
 @dataclass(frozen=True)
 class Dwell:
-    """Samples of one position.
+    """Samples recorded in one position, with the conditions of the dwell.
 
     Attributes
     ----------
@@ -266,7 +266,7 @@ class Dwell:
         return f"Dwell({self.position}: {angle}, {counted(len(self), 'sample')})"
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Columns (n,) of the samples CSV that the dwell has; an angle that is not known is NaN."""
+        """Columns (n,) of the samples CSV that this dwell has, by name; an unknown angle is NaN."""
         n = len(self)
         made: dict[str, NDArray[Any]] = {
             "time_s": self.time_s,
@@ -287,7 +287,7 @@ class Dwell:
 
 @dataclass(frozen=True)
 class Session(ComputedOnce):
-    """All dwells of a calibration with their circumstances.
+    """All dwells of a calibration, with their circumstances.
 
     Attributes
     ----------
@@ -305,14 +305,14 @@ class Session(ComputedOnce):
     reading_u_mg : float or None
         Standard uncertainty of a dwell that has one sample only.
     title, operator, serial, stage : str
-        Name of the session, the operator, the part's serial number and the stage, as written down; each
+        Name of the session, the operator, the sensor's serial number and the stage, as written down; each
         is kept as one printable line.
     source : str
         File that it came from.
     notes : tuple of str
         Remarks of the reader of the file, one line each (segmentation, an unfinished session).
     cut_by_stillness : bool
-        True if the dwells were cut out of a continuous recording, so that rest of the part is not declared.
+        True if the dwells were cut out of a continuous recording, so that rest is not declared.
     recording : Dwell or None
         The whole continuous recording, including the samples between dwells.
     free_turn : bool
@@ -356,7 +356,7 @@ class Session(ComputedOnce):
         return f"Session({name}: {held}, {self.sensor})"
 
     def to_pandas(self) -> pd.DataFrame:
-        """Samples as a data frame with the columns of the samples CSV (extra: pandas)."""
+        """All samples as a pandas data frame with the columns of the samples CSV (extra: pandas)."""
         from adis_gonio.base.tables import frame
 
         columns: dict[str, list[Any]] = {}
@@ -369,7 +369,7 @@ class Session(ComputedOnce):
 
     @cached_property
     def turns(self) -> tuple[Turn, ...]:
-        """Samples between dwells that follow one another; read when first asked for.
+        """Turns (samples between successive dwells); read from the file when first asked for.
 
         Empty if the file has nothing between its dwells, as a samples CSV with positions.
         """
@@ -382,12 +382,12 @@ class Session(ComputedOnce):
 
     @property
     def sampled(self) -> tuple[Dwell, ...]:
-        """Dwells with the samples of an export; a free turn counts as one dwell."""
+        """Dwells in the form in which they are exported: a free turn counts as one dwell."""
         return (self.recording,) if self.free_turn and self.recording is not None else tuple(self.dwells)
 
     @property
     def free_attitudes(self) -> bool:
-        """True if declared angles have no information."""
+        """True if the declared angles carry no information (`fixture_sigma_deg` is infinite)."""
         return self.fixture_sigma_deg is not None and math.isinf(self.fixture_sigma_deg)
 
     @property
@@ -396,5 +396,5 @@ class Session(ComputedOnce):
         return 1000.0 * self.gravity_mps2 / STANDARD_GRAVITY_MPS2
 
     def used_for(self, use: Use) -> Session:
-        """Session with the dwells of one use only."""
+        """Copy of the session that contains only the dwells for one use, such as fit or check."""
         return replace(self, dwells=tuple(dwell for dwell in self.dwells if dwell.use == use))

@@ -31,7 +31,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class KeyFigure:
-    """A large number with its name above it.
+    """A result shown in large numerals, with its name above it.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class KeyFigure:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of texts; columns named in `numeric` are set to the right.
+    """A table of texts; columns listed in `numeric` are aligned to the right.
 
     Its first column names the rows. Two columns without a head are a list of names and their texts.
 
@@ -73,7 +73,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """A section; the order of its parts is key figures, words, list, figures, tables, notes.
+    """A section of a page; it shows key figures, words, list, figures, tables and notes in this order.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Section:
     parts: Sequence[Section] = ()
     """Subsections."""
     key: Sequence[KeyFigure] = ()
-    """The answer, in large numerals."""
+    """Main results of the section, shown in large numerals."""
     folded: bool = False
     """True if the section is closed on a screen until it is opened; on paper it is always open."""
 
@@ -118,7 +118,9 @@ def render(
     begun: str = "",
     software: str = f"adis-gonio {__version__}",
 ) -> str:
-    """A page of a kind (`Calibration report`) that loads nothing; every text is escaped and printable.
+    """Return a complete HTML page that loads nothing; every text is escaped and printable.
+
+    A kind of page is, for example, `Calibration report`.
 
     Parameters
     ----------
@@ -156,10 +158,10 @@ def _filled(section: Section) -> bool:
 
 
 def _number_kept(cell: str) -> str:
-    """Text of a number that may only be broken before its uncertainty."""
+    """Text of a number with unbreakable spaces, so that a line may break only before its uncertainty."""
     return cell.replace(" ", NO_BREAK).replace(f"{NO_BREAK}±", " ±")
 
 
 def _unit_kept(head: str) -> str:
-    """Head of a column that is never broken between slash and unit."""
+    """Text of a column head with an unbreakable space between the slash and the unit."""
     return head.replace(" / ", f" /{NO_BREAK}")

@@ -39,7 +39,7 @@ _NAMESPACE = re.compile(r"\{[^}]*\}")
 
 
 def inline_svg(drawing: str, colours: Mapping[str, str], *, title: str, description: str = "") -> str:
-    """One `<svg>` element from a file of matplotlib.
+    """Convert an SVG file of matplotlib to one `<svg>` element for a page.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def inline_svg(drawing: str, colours: Mapping[str, str], *, title: str, descript
 
 
 def _attributes(element: ET.Element, colours: Mapping[str, str]) -> None:
-    """Adapt the attributes of an element to a page."""
+    """Replace colours and other attributes of an SVG element so that they suit a page."""
     given = {_NAMESPACE.sub("", key): value for key, value in element.attrib.items()}
     if element.tag in ("g", "text"):
         given.pop("id", None)
@@ -114,7 +114,7 @@ def _short(found: re.Match[str]) -> str:
 
 
 def _say_style_once(group: ET.Element) -> None:
-    """Move the common style of the markers to their group."""
+    """Move the style that all markers of a group share from the markers to the group."""
     markers = group.findall("use")
     if len({marker.get("style") for marker in markers}) == 1:
         group.set("style", markers[0].get("style", ""))
@@ -123,7 +123,7 @@ def _say_style_once(group: ET.Element) -> None:
 
 
 def _rename(root: ET.Element, name: str) -> None:
-    """Replace the ids by the name of the figure and a number."""
+    """Replace the ids in an SVG by ids made of the figure's name and a number."""
     named = [element for element in root.iter() if element.get("id")]
     new = {element.get("id", ""): f"{name}{k}" for k, element in enumerate(named)}
     for element in named:
@@ -181,7 +181,7 @@ _SETTINGS: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class Series:
-    """Points or a line.
+    """A series of points or a line in a plot.
 
     Attributes
     ----------
@@ -206,7 +206,7 @@ class Series:
 
 
 def require_matplotlib() -> None:
-    """Check that plots can be drawn before the data for them are computed.
+    """Check that matplotlib is installed, before the data for plots are computed.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def plot(
     width: int = 400,
     height: int = 265,
 ) -> str:
-    """Plot as one `<svg>` element.
+    """Draw a plot and return it as one `<svg>` element.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def plot(
 
 
 def _clean(one: Series, x_log: bool, y_log: bool, x_range: tuple[float, float] | None) -> Points:
-    """x, y and error (n,) of the points that can be drawn."""
+    """The points of a series that can be drawn: x, y and error, each (n,)."""
     x, y = np.asarray(one.x, dtype=float).ravel(), np.asarray(one.y, dtype=float).ravel()
     error = np.zeros(len(y)) if one.error is None else np.asarray(one.error, dtype=float).ravel()
     low, high = x_range or (-math.inf, math.inf)
@@ -309,7 +309,7 @@ def _clean(one: Series, x_log: bool, y_log: bool, x_range: tuple[float, float] |
 
 
 def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
-    """Draw a series and return its line for the legend."""
+    """Draw a series into the axes; return the line that represents it in the legend."""
     x, y, error = points
     alike: dict[str, Any] = {"color": _COLOURS[role], "clip_on": False}
     if one.style != "points":
@@ -332,13 +332,13 @@ def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
 def _upright(
     x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Upright strokes at x from `low` to `high`, all (n,), as one line with gaps, (3n,)."""
+    """Vertical strokes at x from `low` to `high`, all (n,), joined to one line with gaps, (3n,)."""
     gap = np.full(len(x), np.nan)
     return np.stack([x, x, gap], axis=1).ravel(), np.stack([low, high, gap], axis=1).ravel()
 
 
 def _scale(axes: Axes, x_range: tuple[float, float] | None, x_ticks: Mapping[float, str] | None) -> None:
-    """Limits and ticks of both axes."""
+    """Set the limits and the ticks of both axes."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullLocator
 
     if x_range is not None:
@@ -362,7 +362,7 @@ def _scale(axes: Axes, x_range: tuple[float, float] | None, x_ticks: Mapping[flo
 
 
 def _legend(figure: Figure, lines: Sequence[Line2D], width: int) -> None:
-    """A legend above the axes, in as many columns as there is room for."""
+    """Add a legend above the axes, with as many columns as fit into the width."""
     if lines:
         column = 34 + _CHARACTER * max(len(str(line.get_label())) for line in lines)
         figure.legend(

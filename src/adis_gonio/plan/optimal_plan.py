@@ -30,7 +30,8 @@ from adis_gonio.plan.prediction import (
 from adis_gonio.record.plans import Plan, Position, plan
 
 LEAST, MOST = 4, 100
-"""Positions of a searched plan: fewer determine no bias, and for more a search gains nothing."""
+"""Fewest and most positions of a searched plan: fewer do not determine a bias, and with more a search does
+not improve the plan."""
 DRAWN = 3
 """Random plans at the start of a search, in addition to even spacing in several orders and tumble."""
 _GOLDEN = (3 - math.sqrt(5)) / 2
@@ -46,10 +47,10 @@ class Gain(JsonRecord):
     over : str
         The other plan.
     figure : float
-        Criterion of the other plan, in the units of `MEANING`.
+        Criterion of the other plan, as the quantity that `MEANING` describes.
     criterion : float
         Figure of the other plan divided by the figure of the best plan (for `tell-apart` the inverse);
-        above 1 for a gain.
+        above 1 if the best plan is better.
     u : dict of str to float
         Ratio of the standard uncertainties, the other plan to the best plan, for each parameter and the
         angle.
@@ -69,12 +70,11 @@ class BestPlan:
     ----------
     best : {"angle", "parameters", "tell-apart"}
     beware : tuple of str
-        Possible effects.
+        Effects that the session may have, which the plan shall detect.
     figure : float
-        The criterion, in the units of `MEANING`.
+        The criterion of the plan, as the quantity that `MEANING` describes.
     separations : dict of str to float
-        For each amplitude of typical size of these effects, the standard uncertainties by which it is
-        detected.
+        For each amplitude of these effects, its typical size divided by its standard uncertainty.
     gains : tuple of Gain
         Comparison with even spacing, and with tumble if the number of positions is even.
     seed : int
@@ -91,11 +91,11 @@ class BestPlan:
 
     @property
     def plan(self) -> Plan:
-        """The plan itself."""
+        """The plan that the search found."""
         return self.prediction.plan
 
     def made_for(self) -> dict[str, Any]:
-        """Facts about the search that a plan file keeps."""
+        """Return the settings and the result of the search, as they are stored in a plan file."""
         return {
             "best": self.best,
             "beware": list(self.beware),
@@ -107,7 +107,7 @@ class BestPlan:
         }
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form: the prediction, and facts about the search."""
+        """Return the JSON object of the prediction, the search and the comparison with other plans."""
         return {
             **self.prediction.as_dict(),
             **self.made_for(),
@@ -174,12 +174,12 @@ def best_plan(
 
 
 def even_plan(positions: int) -> Plan:
-    """Return evenly spaced angles in one turn, in order."""
+    """Return a plan with this number of evenly spaced angles in one turn, in ascending order."""
     return Plan("even", tuple(Position(360.0 * k / positions) for k in range(positions)))
 
 
 def _both_sides_plan(positions: int) -> Plan:
-    """Return evenly spaced angles, every second one approached from above."""
+    """Return a plan of evenly spaced angles in which every second angle is approached from above."""
     return Plan(
         "even, both sides",
         tuple(Position(360.0 * k / positions, 1 if k % 2 == 0 else -1) for k in range(positions)),
@@ -187,7 +187,7 @@ def _both_sides_plan(positions: int) -> Plan:
 
 
 def interleaved_plan(positions: int) -> Plan:
-    """Return evenly spaced angles, each about a golden section of the turn from the one before.
+    """Return a plan of evenly spaced angles, ordered in steps of about 0.38 turns (golden section).
 
     Slow changes with time are then not correlated with the angle.
     """
@@ -199,7 +199,10 @@ def interleaved_plan(positions: int) -> Plan:
 
 
 def _rivals(positions: int) -> tuple[Plan, ...]:
-    """Plans with which the best plan is compared: even spacing, and tumble for an even number."""
+    """Return the usual plans with which the best plan is compared.
+
+    These are even spacing and, for an even number of at least six positions, the tumble.
+    """
     tumble = (plan("tumble", positions // 2),) if positions % 2 == 0 and positions >= 6 else ()
     return (even_plan(positions), *tumble)
 
@@ -216,7 +219,10 @@ def _starts(ground: Candidates, positions: int, rng: np.random.Generator) -> lis
 
 
 def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates, criterion: Criterion) -> Gain:
-    """Compare with another plan; its criterion is computed at the nearest angles of the grid."""
+    """Return the improvement of the best plan over another plan in criterion and uncertainties.
+
+    The criterion of the other plan is computed at the nearest angles of the grid.
+    """
     theirs = criterion.figure(ground.information(ground.nearest(other)))
     reach = predict_uncertainty(other, ours.bench)
     pairs = {name: (value.u, ours.reach.parameters.get(name)) for name, value in reach.parameters.items()}
@@ -240,7 +246,8 @@ def fewest_positions(
 ) -> BestPlan:
     """Search for the best plan with the fewest positions for an angle error (rms over the turn).
 
-    The search begins with the fewest interleaved positions and goes down while a plan keeps the error.
+    The search begins with the smallest sufficient number of interleaved positions, and reduces the number
+    as long as the best plan has no larger error.
 
     Raises
     ------
@@ -265,7 +272,7 @@ def _error_deg(reach: PlanUncertainty) -> float:
 
 
 def _fewest_interleaved(bench: Bench, angle_deg: float) -> int:
-    """Fewest interleaved positions for an angle error, by bisection.
+    """Return the smallest number of interleaved positions that reach an angle error, by bisection.
 
     In one slow turn, more positions can be worse than fewer: the 1/f noise of a longer session has the
     period of the turn. Interleaved positions avoid that.
@@ -292,7 +299,7 @@ def _fewest_interleaved(bench: Bench, angle_deg: float) -> int:
 
 
 def positions_in(bench: Bench, minutes: float) -> int:
-    """Number of positions that fit into a time, by the time model of a session.
+    """Return the number of positions that fit into a time, by the time model of a session.
 
     Raises
     ------
@@ -331,7 +338,7 @@ _FIGURE: dict[Best, str] = {
 
 
 def prediction_lines(prediction: Prediction, found: BestPlan | None = None) -> Iterator[str]:
-    """Lines about a prediction and about the search, the headline first."""
+    """Yield the lines of text that describe a prediction and the search, starting with the headline."""
     yield headline(prediction)
     if found is not None:
         beware = f" {', '.join(found.beware)}" if found.best == "tell-apart" else ""
@@ -359,7 +366,7 @@ def prediction_lines(prediction: Prediction, found: BestPlan | None = None) -> I
 
 
 def headline(prediction: Prediction) -> str:
-    """Number of positions, minutes and angle error in one line."""
+    """Return a line with the plan's number of positions, its duration and the predicted angle error."""
     minutes = f"{max(prediction.seconds / 60, 1):.0f} min"
     count = counted(len(prediction.plan), "position")
     u, expanded = prediction.reach.angle.u, prediction.reach.angle_worst.U
@@ -419,7 +426,10 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
 
 
 def _columns(cells: Sequence[str], least: int = 38) -> Iterator[str]:
-    """Arrange cells in as many columns as the width allows, column by column."""
+    """Yield lines in which text cells are arranged in as many columns as the width allows.
+
+    The cells run down each column.
+    """
     width = max(least, *(len(cell) for cell in cells)) if cells else least
     across = max(1, (WIDTH - 2) // width)
     down = -(-len(cells) // across)

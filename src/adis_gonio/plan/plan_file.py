@@ -26,7 +26,7 @@ _NAME = re.compile(r"[\w.+-]{1,60}")
 
 
 def document_of(made: Plan, made_for: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """JSON document of a plan in the plane.
+    """Return the JSON document that a plan file contains.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def document_of(made: Plan, made_for: Mapping[str, Any] | None = None) -> dict[s
 
 
 def write_plan(path: str | Path, made: Plan, made_for: Mapping[str, Any] | None = None) -> None:
-    """Write a plan file.
+    """Write a plan to a JSON file.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def write_plan(path: str | Path, made: Plan, made_for: Mapping[str, Any] | None 
 
 
 def read_plan(path: str | Path) -> Plan:
-    """Read a plan file.
+    """Read a plan from a JSON file.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def read_plan(path: str | Path) -> Plan:
 
 
 class _DuplicateError(Exception):
-    """A field that an object has twice."""
+    """A JSON object of the plan file contains a field twice."""
 
 
 def _unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -163,7 +163,7 @@ def _quote(value: Any) -> str:
 
 
 def find_plan(name: str, positions: int | None = None, check: int = 0) -> Plan:
-    """Return a plan by its name, or from a file if `name` is not in `PLAN_NAMES` and looks like a path.
+    """Return a built-in plan by its name; if `name` looks like a path, read the plan from this file.
 
     Parameters
     ----------

@@ -55,27 +55,29 @@ MEANING: dict[Best, str] = {
 Choice = NDArray[np.intp]
 """Index of a candidate position for each dwell, (n,)."""
 _MEAN_WEIGHT = 0.01
-"""Weight of the mean separation next to the smallest one; it decides between equal smallest ones."""
+"""Weight of the mean separation relative to the smallest separation, so that the mean decides between plans
+with equal smallest separations."""
 _NOTHING = 1e-12
-"""Information that counts as none."""
+"""Squared separation that counts as no information."""
 _LOOSE = 1.0
-"""Prior standard deviation of a base parameter in natural units, negligible against any session."""
+"""Prior standard deviation of a base parameter in natural units, so large that it has no influence."""
 _HIDDEN = 1e-6
-"""Share of a column outside the base model below which no plan shows the effect."""
+"""No plan shows an effect if a smaller share of its column is outside the span of the base model."""
 _LEAST_GAIN = 1e-7
-"""Smallest rise of a criterion that is not rounding."""
+"""Smallest increase of a criterion that counts as an improvement and not as a rounding error."""
 _MOST_SWEEPS = 50
 _WORK = 240
-"""Dwells of all ascents together; for long plans only the best starts are used."""
+"""Limit of the number of ascents times dwells; for long plans only the best starts are used."""
 _PAIRS = 300
-"""Exchanges of two dwells that are tried in a row; more pairs are sampled."""
+"""Largest number of swaps of two dwells that are tried in a pass; if there are more pairs, they are
+sampled."""
 SIMPLER = 1e-3
-"""Fall of a criterion, a logarithm of variance, that is accepted for a simpler order."""
+"""Decrease of a score (a logarithm of variance) that is accepted for a simpler order of the positions."""
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """A criterion on information matrices of one shape.
+    """A criterion that scores plans by their information matrices.
 
     Attributes
     ----------
@@ -83,9 +85,9 @@ class Criterion:
     base : int
         Number of parameters of the base model.
     gradient : (m, base) float
-        Derivative of the shown angle in degrees by the base parameters, around the turn.
+        Derivatives of the shown angle in degrees by the base parameters, at m places of the turn.
     precision : (p,) float
-        Precision of the prior.
+        Inverse prior variance of each parameter.
     """
 
     name: Best
@@ -94,7 +96,10 @@ class Criterion:
     precision: Floats
 
     def __call__(self, information: Floats) -> Floats:
-        """Scores (k,) of information matrices (k, p, p), which include the prior; larger is better."""
+        """Return the scores (k,) of k plans by their information matrices (k, p, p); larger is better.
+
+        The matrices include the prior.
+        """
         covariance = np.asarray(np.linalg.inv(information))
         # Logarithms make the scores additive and independent of the units.
         if self.name == "angle":
@@ -106,18 +111,21 @@ class Criterion:
         return np.asarray(apart.min(axis=1) + _MEAN_WEIGHT * apart.mean(axis=1))
 
     def _angle_variance(self, covariance: Floats) -> Floats:
-        """Largest variance (k,) of the shown angle around the turn, gᵀ V_b g for each gradient g."""
+        """Return the largest variance (k,) of the shown angle over the turn, in degrees².
+
+        The variance at a place with gradient g is gᵀ V g, with the covariance V of the base parameters.
+        """
         own = covariance[:, : self.base, : self.base]
         return np.asarray(np.einsum("mp,kpq,mq->km", self.gradient, own, self.gradient).max(axis=1))
 
     def separations(self, information: Floats) -> Floats:
-        """Standard uncertainties (k, q) by which each amplitude of typical size is detected."""
+        """Return each effect's typical amplitude divided by its standard uncertainty, (k, q)."""
         # Diagonal of each covariance matrix, for the amplitudes.
         variance = np.einsum("kpp->kp", np.linalg.inv(information))[:, self.base :]
         return np.asarray(np.sqrt(np.maximum(1 / variance - self.precision[self.base :], 0.0)))
 
     def figure(self, information: Floats) -> float:
-        """The criterion in the units of `MEANING`."""
+        """Return the criterion of one plan as the quantity that `MEANING` describes, not as a score."""
         stack = information[None]
         if self.name == "angle":
             return float(np.sqrt(self._angle_variance(np.asarray(np.linalg.inv(stack)))[0]))
@@ -128,20 +136,22 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Effect of each of m candidate positions on each of n dwells.
+    """Derivatives and noise of the readings for each of m candidate positions in each of n dwells.
 
     Attributes
     ----------
     angle_deg, approach : (m,) float
         The positions.
     columns : (n, m, 2, p) float
-        ∂reading/∂parameter in mg: base parameters in natural units, amplitudes in typical ones.
+        Derivative in mg of each reading by each of p parameters: base parameters in natural units,
+        amplitudes of effects in units of their typical size.
     noise : (m, 2, 2) float
-        Covariance of a reading in mg² without the shared part: its own noise and the fixture's.
+        Covariance in mg² of a reading by its noise and the fixture's errors, without noise that dwells
+        share.
     own : (n, 2) float
-        Further variance of each dwell, by its time.
+        Additional variance of each dwell, which depends on its time.
     shared : (2 n, 2 n) float
-        Covariance of the part that dwells share, dwell by dwell and axis by axis.
+        Covariance in mg² of the noise that dwells share, in the order dwell by dwell and axis by axis.
     base : int
         Number of parameters of the base model and biases, the first of the p.
     gradient : (k, base) float
@@ -159,22 +169,22 @@ class Candidates:
 
     @property
     def dwells(self) -> int:
-        """Dwells of a plan."""
+        """Number of dwells of a plan."""
         return len(self.columns)
 
     @property
     def precision(self) -> Floats:
-        """Precision of the prior, (p,)."""
+        """Inverse prior variance of each parameter, (p,)."""
         precision = np.full(self.columns.shape[3], 1 / TYPICALS**2)
         precision[: self.base] = 1 / _LOOSE**2
         return precision
 
     def criterion(self, best: Best) -> Criterion:
-        """Return the criterion with this name."""
+        """Return the named criterion for plans from these candidate positions."""
         return Criterion(best, self.base, self.gradient, self.precision)
 
     def _covariance(self, choice: Choice) -> Floats:
-        """Covariance (2 n, 2 n) of the readings of a plan."""
+        """Return the covariance (2 n, 2 n) in mg² of the readings of a plan with n dwells and two axes."""
         n = len(choice)
         covariance = self.shared.copy()
         each = np.arange(n)
@@ -184,7 +194,10 @@ class Candidates:
         return covariance
 
     def information(self, choice: Choice) -> Floats:
-        """Information (p, p) of a plan with position choice[k] in dwell k, including the prior."""
+        """Return the information matrix (p, p) of the plan that measures position choice[k] in dwell k.
+
+        It includes the prior.
+        """
         n, p = self.dwells, self.columns.shape[3]
         # Rows of the plan's Jacobian, J; the information is Jᵀ C⁻¹ J.
         rows = self.columns[np.arange(n), choice].reshape(2 * n, p)
@@ -192,7 +205,7 @@ class Candidates:
         return np.asarray(rows.T @ solved + np.diag(self.precision))
 
     def exchanged(self, choice: Choice, dwell: int) -> Floats:
-        """Information (m, p, p) with each position in turn in one dwell.
+        """Return the information matrices (m, p, p) of the plans with one dwell moved to each position.
 
         With correlated readings the information is the sum of the information of all other readings and the
         information of this reading given the others: with B = C_ir C_rr⁻¹,
@@ -217,7 +230,7 @@ class Candidates:
         return np.asarray(rest + innovation.transpose(0, 2, 1) @ np.linalg.solve(given, innovation))
 
     def plan(self, name: str, choice: Choice) -> Plan:
-        """Return the plan of a choice.
+        """Convert a choice of candidate positions (one number for each dwell) to a named plan.
 
         If no effect depends on the side of approach, all positions are approached from below: an unexpected
         backlash of the stage then changes only the start angle.
@@ -228,7 +241,7 @@ class Candidates:
         return Plan(name, positions)
 
     def nearest(self, plan: Plan) -> Choice:
-        """Return the choice nearest to another plan with the same number of positions."""
+        """Return the candidate positions (n,) that are nearest to the positions of a plan."""
         choice = []
         for position in plan.positions:
             # The nearest angle; among equal angles the one with the right side of approach.
@@ -242,7 +255,9 @@ def _side(approach: float) -> Approach:
 
 
 def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float) -> Candidates:
-    """Return positions on a grid of angles and at even spacing, from both sides if an effect needs that.
+    """Return the candidate positions of a search: on a grid of angles and at even spacing.
+
+    If an effect depends on the side of approach, each angle is a candidate from both sides.
 
     Raises
     ------
@@ -286,7 +301,7 @@ def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float
 
 
 def _fit_everywhere(bench: Bench, readings: Readings, place: Floats, side: Floats) -> Fit:
-    """Base model and biases of a perfect part at every position (m,) in every dwell, dwell by dwell."""
+    """Return the base model with biases of an ideal sensor at all m positions in each dwell."""
     n, m = len(readings), len(place)
     angle = np.radians(np.tile(place, n))
     conditions = Conditions(
@@ -310,7 +325,7 @@ def _fit_everywhere(bench: Bench, readings: Readings, place: Floats, side: Float
 
 
 def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
-    """Raise a `UsageError` if a column of the term lies in the span of the base model."""
+    """Raise a `UsageError` if no plan can show the effect, because the base model already contains it."""
     rows = columns.reshape(-1, columns.shape[2])
     within = base.reshape(len(rows), -1)
     size = np.maximum(np.linalg.norm(within, axis=0), 1e-300)
@@ -325,7 +340,7 @@ def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """The best plan found, with its score."""
+    """The best plan found by a search: the position number of each dwell, and its score."""
 
     choice: Choice
     score: float
@@ -367,11 +382,11 @@ class _Climb:
         return float(self.criterion(self.ground.information(choice)[None])[0])
 
     def repeats(self, choice: Choice) -> bool:
-        """True if two consecutive dwells have the same angle."""
+        """Return True if two consecutive dwells of the plan are at an equal angle."""
         return bool((np.diff(self.ground.angle_deg[choice]) == 0).any())
 
     def from_(self, start: Choice) -> SearchResult:
-        """Exchange positions and dwells until the score no longer rises."""
+        """Improve a plan by exchanging positions and swapping dwells until its score no longer rises."""
         found = SearchResult(start.copy(), self.score(start))
         for _ in range(_MOST_SWEEPS):
             before = found.score
@@ -381,7 +396,7 @@ class _Climb:
         return found
 
     def _exchange(self, found: SearchResult) -> SearchResult:
-        """Give each dwell in turn the best position."""
+        """Move one dwell after another to the position with the highest score of the plan."""
         choice, score = found.choice.copy(), found.score
         for dwell in self.rng.permutation(len(choice)).tolist():
             check()
@@ -397,7 +412,7 @@ class _Climb:
         return SearchResult(choice, score)
 
     def _swap(self, found: SearchResult) -> SearchResult:
-        """Swap pairs of dwells if that is better."""
+        """Swap the positions of pairs of dwells if this raises the score of the plan."""
         choice, score = found.choice.copy(), found.score
         pairs = np.array(list(itertools.combinations(range(len(choice)), 2)))
         for one, two in self.rng.permutation(pairs)[:_PAIRS].tolist():

@@ -1,7 +1,7 @@
 """Prediction of a session on a bench: its uncertainties and the effects that it detects.
 
-The expected readings of a plan belong to a perfect part, and have the covariance that the reduction of a
-real session would find. White noise of σ per sample has the spectral density σ² at frequency zero, filtered
+The expected readings of a plan are readings of an ideal sensor, with the covariance that would be computed
+from a real session. White noise of σ per sample has the spectral density σ² at frequency zero, filtered
 or not, because the chip's filter passes zero unchanged: a mean of n samples has the variance σ²/n. The
 converter's step (`quantized_means`) and the 1/f noise that dwells have and share (`flicker_parts`) add to
 it.
@@ -48,12 +48,12 @@ from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.proposals import LEAST_SEPARATION, widest_terms
 
 LARGEST_FIXTURE_DEG = 30.0
-"""Error of an angle set by hand and eye without a stage; a larger one is not a declared angle."""
+"""Largest uncertainty of a declared angle, set by hand and eye without a stage."""
 LARGEST_NOISE_MG = 10_000.0
 LARGEST_START_DEG = 3600.0
 _STAGES = 16
 _LARGEST_CHANGE = 0.05
-"""Relative change of an uncertainty by the errors of the stage up to which the exact stage is used."""
+"""Stage errors are neglected if they change no uncertainty by a larger fraction."""
 _DEPENDS = (
     "with so few positions the result depends on the errors of the stage: the figures are medians of "
     f"{_STAGES} imagined sessions"
@@ -78,13 +78,13 @@ class Bench:
     fixture_deg : float
         Standard uncertainty of a stage angle.
     sensor : str
-        Name of the variant, which has the default figures.
+        Name of the sensor's variant, which determines the default noise.
     noise_mg : float or None
-        White noise of a sample, rms, without the chip's filter; None: the variant's figure.
+        White noise (rms) of a sample without the chip's filter; None for the variant's typical value.
     flicker_mg : float or None
-        Minimum of the Allan deviation (1/f noise); None: the variant's figure.
+        Minimum of the Allan deviation (1/f noise); None for the variant's typical value.
     start_deg : float
-        Angle α of the part at the stage's zero, as far as it is known.
+        Approximate angle α of the sensor at the stage's zero.
     gravity_mps2 : float
         Local gravity.
     settings : Settings
@@ -93,7 +93,7 @@ class Bench:
     Raises
     ------
     UsageError
-        A figure that no bench has.
+        A value that is impossible for a bench.
     """
 
     fixture_deg: float
@@ -123,22 +123,22 @@ class Bench:
 
     @property
     def part(self) -> Variant:
-        """Properties of the variant."""
+        """Properties of the bench's sensor variant."""
         return VARIANTS[self.sensor]
 
     @property
     def white_mg(self) -> float:
-        """White noise of an unfiltered sample in mg, rms."""
+        """White noise of an unfiltered sample in mg (rms): the given value or the variant's."""
         return self.part.performance.noise_mg if self.noise_mg is None else self.noise_mg
 
     @property
     def floor_mg(self) -> float:
-        """Minimum of the Allan deviation in mg."""
+        """Minimum of the Allan deviation in mg: the given value or the variant's."""
         return self.part.performance.bias_instability_mg if self.flicker_mg is None else self.flicker_mg
 
     @property
     def samples(self) -> int:
-        """Samples of a dwell."""
+        """Number of samples of a dwell."""
         return round(self.settings.dwell_s / sample_period_s(self.settings.smpl_prd))
 
     @property
@@ -148,27 +148,30 @@ class Bench:
 
     @property
     def settle_s(self) -> float:
-        """Wait before a dwell, at least the settling time of the filter."""
+        """Waiting time in s before a dwell, at least the settling time of the filter."""
         period_s = sample_period_s(self.settings.smpl_prd)
         return max(self.settings.settle_s, filter_settling_samples(self.settings.filter_m) * period_s)
 
     @property
     def each_s(self) -> float:
-        """Time for a position, as a session expects it before it has measured one."""
+        """Expected time in s for one position, before a session has measured it."""
         return expected_each_s(self.settle_s, self.settings.dwell_s)
 
     def begins_s(self, plan: Plan) -> Floats:
-        """Begin of each dwell, (n,) s after the first."""
+        """Return the start time of each dwell (n,), in s after the start of the first dwell."""
         waits = np.cumsum([position.wait_s for position in plan.positions])
         return np.asarray(self.each_s * np.arange(len(plan)) + waits - waits[0])
 
     def seconds(self, plan: Plan) -> float:
-        """Length of a session by the plan."""
+        """Return the duration in s of a session with this plan."""
         return self.each_s * len(plan) + sum(position.wait_s for position in plan.positions)
 
     @property
     def mean_mg2(self) -> tuple[float, float]:
-        """Variance of a dwell's mean: the part that averaging lowers, and the remainder of the steps."""
+        """Variance in mg² of a dwell's mean: by white noise, and by the resolution of the converter.
+
+        Averaging more samples lowers only the first.
+        """
         step = self.part.accel_mg_per_lsb
         # The filter: two boxcars of 2^M taps, convolved.
         taps = 2**self.settings.filter_m
@@ -180,7 +183,7 @@ class Bench:
         return (self.white_mg**2 + dithered) / self.samples, float(remainder[0, 0])
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form: the figures in use, and the time model."""
+        """Return the JSON object of the bench: the sensor's properties in use, and the time model."""
         return {
             "sensor": self.sensor,
             "fixture_deg": self.fixture_deg,
@@ -199,7 +202,7 @@ class Bench:
 
 
 def expected_readings(plan: Plan, bench: Bench, off_deg: Floats | None = None) -> Readings:
-    """Readings of a perfect part in the positions of a plan, with the covariance that they will have.
+    """Return the readings of an ideal sensor at a plan's positions, with their expected covariance.
 
     The readings have no temperature, supply or vibration, because no plan sets them.
 
@@ -250,7 +253,7 @@ def expected_readings(plan: Plan, bench: Bench, off_deg: Floats | None = None) -
 
 
 def ideal_mg(angle_rad: Floats, bench: Bench) -> Floats:
-    """Readings (n, 2) in mg of the axes of a perfect part at stage angles (n,)."""
+    """Return the readings (n, 2) in mg of X and Y of an ideal sensor at stage angles (n,) in rad."""
     model = PlanarTurn(bench.gravity_mg)
     base = model.nominal
     base[model.index("alpha")] = math.radians(bench.start_deg)
@@ -291,7 +294,7 @@ class PlanUncertainty:
     notes: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the JSON object of the uncertainties, without the values, which are unknown."""
         return {
             "method": self.method,
             "parameters": {name: _without_value(value) for name, value in self.parameters.items()},
@@ -309,7 +312,7 @@ def _without_value(value: Value) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ConfoundedPair:
-    """Two effects that a plan cannot distinguish.
+    """Two effects that a session with a plan cannot distinguish.
 
     Attributes
     ----------
@@ -323,13 +326,13 @@ class ConfoundedPair:
     separation: float
 
     def as_dict(self) -> dict[str, Any]:
-        """One entry of `confounded`."""
+        """Return the pair as an entry of the JSON list `confounded`."""
         return {"effects": [self.one, self.other], "separation": self.separation}
 
 
 @dataclass(frozen=True)
 class Sight(JsonRecord):
-    """Effects that a plan detects and distinguishes.
+    """Effects that a session with a plan detects and distinguishes.
 
     Attributes
     ----------
@@ -345,7 +348,7 @@ class Sight(JsonRecord):
 
 @dataclass(frozen=True)
 class Prediction:
-    """A plan on a bench, with its uncertainties and the effects that it detects."""
+    """Prediction for a plan on a bench: the uncertainties and the detectable effects."""
 
     plan: Plan
     bench: Bench
@@ -354,11 +357,11 @@ class Prediction:
 
     @property
     def seconds(self) -> float:
-        """Length of the session."""
+        """Duration of the session in s."""
         return self.bench.seconds(self.plan)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """Return the JSON object of the prediction."""
         return {
             "positions": len(self.plan),
             "seconds": self.seconds,
@@ -369,7 +372,7 @@ class Prediction:
 
 
 def predict(plan: Plan, bench: Bench) -> Prediction:
-    """Predict the uncertainties and the detectable effects of a session.
+    """Predict the uncertainties and the detectable effects of a session with a plan on a bench.
 
     Raises
     ------
@@ -383,7 +386,7 @@ def predict(plan: Plan, bench: Bench) -> Prediction:
 
 
 def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
-    """Predict the uncertainties; errors as in `predict`."""
+    """Predict the uncertainties of a calibration by this plan; raises the errors of `predict`."""
     offsets = np.random.default_rng(0).normal(0.0, bench.fixture_deg, (_STAGES, len(plan)))
     exact = _reach(fit_readings(expected_readings(plan, bench).training))
     if _agree(exact, _reach_off(plan, bench, offsets[0])):
@@ -392,7 +395,7 @@ def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
 
 
 def _reach_off(plan: Plan, bench: Bench, off_deg: Floats) -> PlanUncertainty | None:
-    """Uncertainties with stage errors of (n,) degrees; None if such a session determines nothing."""
+    """Return the uncertainties if the stage angles are wrong by `off_deg` (n,); None if no fit succeeds."""
     try:
         return _reach(fit_readings(expected_readings(plan, bench, off_deg).training))
     except FitError:
@@ -407,7 +410,10 @@ def _agree(one: PlanUncertainty, other: PlanUncertainty | None) -> bool:
 
 
 def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) -> PlanUncertainty:
-    """Median over the sessions. A parameter that fewer than half of them determine has no uncertainty."""
+    """Return the median of each uncertainty over simulated sessions.
+
+    A parameter that fewer than half of the sessions determine has no uncertainty.
+    """
 
     def median(value: Value, u_of: Callable[[PlanUncertainty], float | None]) -> Value:
         found = [None if session is None else u_of(session) for session in sessions]
@@ -457,7 +463,10 @@ def _reach(result: FitResult) -> PlanUncertainty:
 
 
 def fitted_variance(result: FitResult) -> Floats:
-    """Variance (m,) in degrees² of the shown angle around the turn, without the reading's own noise."""
+    """Return the variance (m,) in degrees² of the shown angle, at m places around the turn.
+
+    The noise of the reading from which the angle is computed is not included.
+    """
     origin = result.origin
     assert origin is not None
     assert origin.sources is not None
@@ -526,17 +535,21 @@ def _confounded_pairs(
 
 
 def _separation(columns: Floats, others: Floats, limit: Detectable) -> float:
-    """Least distance of a detectable amplitude of any of the columns from the span of the others."""
+    """Return how well an effect at its detectable amplitude differs from any amplitude of another.
+
+    The distance is in standard uncertainties, from the span of the other effect's columns; the column
+    that is least distant counts.
+    """
     size = np.maximum(np.linalg.norm(others, axis=0), 1e-300)
     u, s, _ = np.linalg.svd(others / size, full_matrices=False)
-    # Orthonormal basis of the span of the others, without directions of rounding.
+    # Orthonormal basis of the span of the others, without directions that are rounding errors.
     inside = u[:, s > 1e-6]
     outside = np.linalg.norm(columns - inside @ (inside.T @ columns), axis=0)
     return float(outside.min()) * float(limit.amplitude or 0.0)
 
 
 def planned_terms(readings: Readings, names: Sequence[str]) -> tuple[NamedTerm, ...]:
-    """Return each named effect on all axes.
+    """Return terms for the named effects, each on all axes.
 
     Raises
     ------

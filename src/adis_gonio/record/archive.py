@@ -46,7 +46,7 @@ from adis_gonio.record.plans import Plan, Position
 
 
 class ArchiveView(Closing):
-    """Read access to a session file; `Archive` adds writing. Use it as a context manager.
+    """A session file that is open for reading; use it as a context manager.
 
     Raises
     ------
@@ -63,7 +63,7 @@ class ArchiveView(Closing):
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
-        """Let all reads in the block see one state, even if another program writes."""
+        """Let all reads in the block see one state of the file, even if another program writes to it."""
         with database.translated_errors(self.path):
             self._connection.execute("BEGIN")
         try:
@@ -72,7 +72,7 @@ class ArchiveView(Closing):
             self._connection.rollback()
 
     def header(self) -> Header:
-        """Header of the session; read once, since its rows never change."""
+        """Header of the session, read from the file once, because it never changes."""
         if self._header is None:
             self._header = self._read_header()
         return self._header
@@ -90,7 +90,7 @@ class ArchiveView(Closing):
         return Header(**values)
 
     def records(self, kind: str | None = None) -> list[Record]:
-        """Records of one kind, or all records, in order."""
+        """Records of one kind, or of all kinds if `kind` is None, in the order of writing."""
         return [self._checked_record(**row) for row in self._rows("records", "record", kind=kind)]
 
     def _checked_record(self, record: int, kind: str, value: Any, **row: Any) -> Record:
@@ -101,21 +101,21 @@ class ArchiveView(Closing):
         return Record(kind=kind, value=value, **row)
 
     def last(self, kind: str) -> Any:
-        """Value of the last record of a kind, or None."""
+        """Value of the last record of a kind; None if there is no such record."""
         records = self.records(kind)
         return records[-1].value if records else None
 
     def runs(self) -> list[JsonDict]:
-        """Openings of the session, in order."""
+        """Rows of the table `runs`, in order: one for each time a program opened the session to record."""
         return self._rows("runs", "run")
 
     def plan(self) -> Plan:
-        """Current plan: the first plan, or its last extension."""
+        """Plan of the session as last extended."""
         extended = self.last("plan")
         return self.header().plan if extended is None else Plan.from_dict(extended)
 
     def attempts(self) -> list[StoredAttempt]:
-        """All attempts, in order."""
+        """All attempts to record a dwell, complete or not, in order of their numbers."""
         offsets = {run["run"]: run["clock_offset_s"] for run in self.runs()}
         stored = []
         for row in self._rows("attempts", "attempt"):
@@ -127,7 +127,7 @@ class ArchiveView(Closing):
         return stored
 
     def _refuse_strangers(self, stored: list[StoredAttempt]) -> None:
-        """Refuse attempts that contradict the other tables, even if each row alone is valid."""
+        """Raise `DataError` if an attempt contradicts the other tables, although its row is valid."""
         header, places = self.header(), len(self.plan())
         runs = {run["run"]: run["continues"] for run in self.runs()}
         of_number = {attempt.number: attempt.run for attempt in stored}
@@ -149,7 +149,7 @@ class ArchiveView(Closing):
                 raise database.damaged(self.path, f"run {run} goes on after attempt {after}")
 
     def dwells(self) -> list[StoredAttempt]:
-        """Complete dwells in the order of recording; of repeated dwells the last.
+        """Complete dwells in the order of recording; of a repeated dwell only the last is included.
 
         If the last dwell of a place was withdrawn, the place has no dwell and is asked again.
         """
@@ -159,7 +159,7 @@ class ArchiveView(Closing):
         return [a for a in attempts if a.number in counted]
 
     def doubts(self) -> list[JsonDict]:
-        """Reasons to doubt a result.
+        """Reasons to doubt a result of this session, each with a message.
 
         The list has the guards that the operator overruled in dwells that count. If a place was skipped
         because it contradicted earlier dwells, and all of these still count, one of them may be wrong: the
@@ -178,13 +178,13 @@ class ArchiveView(Closing):
         return kept + [{"attempt": None, **doubt} for doubt in skipped.values()]
 
     def _require_place(self, place: int) -> int:
-        """Return the place of a record; `DataError` if the plan does not have it."""
+        """Return the place that a record names; raise `DataError` if the plan is shorter."""
         if place >= len(self.plan()):
             raise database.damaged(self.path, f"a record names place {place}, which the plan does not have")
         return place
 
     def offset_writes(self) -> list[JsonDict]:
-        """Steps of writes to the sensor's offset registers, in order; see `write_journal`.
+        """Recorded steps of writes to the sensor's offset registers, in order; see `write_journal`.
 
         Raises
         ------
@@ -203,11 +203,14 @@ class ArchiveView(Closing):
         return steps
 
     def withdrawn(self) -> set[int]:
-        """Numbers of the complete attempts that the operator withdrew."""
+        """Numbers of complete attempts that the operator declared invalid afterwards."""
         return {record.value for record in self.records("withdrawn")}
 
     def faulty(self) -> list[StoredAttempt]:
-        """Dwells with a fault or alarm (STATUS after them, EA within) that were not accepted."""
+        """Dwells with a sensor fault or alarm that the operator has not accepted.
+
+        STATUS shows it after the dwell, the bit EA within it.
+        """
         kept = {number for record in self.records("kept") for number in record.value}
         return [
             attempt
@@ -217,17 +220,17 @@ class ArchiveView(Closing):
         ]
 
     def skipped(self) -> set[int]:
-        """Places that were skipped and have no dwell."""
+        """Places of the plan that the operator skipped and that have no dwell."""
         skipped = {self._require_place(place) for place in {r.value for r in self.records("skipped")}}
         return skipped - {a.place for a in self.dwells()}
 
     def pending(self) -> list[int]:
-        """Places of the plan that have no dwell and were not skipped, in order."""
+        """Places of the plan, in order, that still need a dwell and were not skipped."""
         settled = {a.place for a in self.dwells()} | self.skipped()
         return [place for place in range(len(self.plan())) if place not in settled]
 
     def blocks(self, attempt: StoredAttempt, phase: Phase | None = None) -> list[Block]:
-        """Blocks of scans of an attempt, of one phase or of all phases.
+        """Blocks of samples of an attempt, of one phase or of all phases.
 
         Raises
         ------
@@ -264,7 +267,7 @@ class ArchiveView(Closing):
         return block
 
     def _line(self, attempt: int) -> list[StoredAttempt]:
-        """Last attempt of each run that leads up to the end of an attempt, in order.
+        """Last attempt of each run in the chain of runs that leads to an attempt, in order.
 
         If a run resumed at an earlier attempt, the later attempts of the run before are not included.
         """
@@ -277,7 +280,7 @@ class ArchiveView(Closing):
         return line
 
     def moves_before(self, attempt: int) -> list[Move]:
-        """Moves of the stage that led up to the end of an attempt, in order."""
+        """Moves of the stage that led to its position at the end of an attempt, in order."""
         of_run = {stored.number: stored.run for stored in self.attempts()}
         rows = self._rows("moves", "move")
         return [
@@ -288,7 +291,7 @@ class ArchiveView(Closing):
         ]
 
     def conditions_before(self, attempt: int) -> list[Record]:
-        """Temperatures and supplies that the program had set before the end of an attempt, in order."""
+        """Records of temperature and supply set by the program up to the end of an attempt, in order."""
         records = self.records("conditions")
         return [
             record
@@ -304,7 +307,7 @@ class ArchiveView(Closing):
     def _rows(
         self, table: str, order: str, column: str = "1", value: int = 1, kind: str | None = None
     ) -> list[JsonDict]:
-        """Rows of a table by column, without their checksums: all rows, or those with a value in a column.
+        """Checked rows of a table, each by column name, without checksums.
 
         All reads go through this method: it checks each value against the type and range that
         `archive_tables` declares, and parses JSON. Records of other kinds than `kind` are left out after
@@ -334,7 +337,7 @@ class ArchiveView(Closing):
 
 
 def _can_be_scanned(attempt: StoredAttempt) -> bool:
-    """True if the columns belong to the sensor, appear once and include the accelerations."""
+    """True if the attempt's columns exist in the sensor, occur once and include the accelerations."""
     names, generic = attempt.registers, attempt.variant == GENERIC
     known = UNITS if generic else BY_NAME
     least = ("ax", "ay", "az") if generic else ACCEL_OUT
@@ -349,7 +352,7 @@ def _move(row: JsonDict) -> Move:
 
 
 class Archive(ArchiveView):
-    """A session file that is being written; one writer at a time.
+    """A session file that is open for writing, by one program at a time.
 
     Call `create` for a new file or `open_existing` to continue a file, then `begin_run`.
     """
@@ -362,7 +365,7 @@ class Archive(ArchiveView):
 
     @classmethod
     def create(cls, path: str | Path, header: Header) -> Archive:
-        """Create a session file.
+        """Create a session file with its header and open it for writing.
 
         Raises
         ------
@@ -396,11 +399,11 @@ class Archive(ArchiveView):
 
     @property
     def run(self) -> int:
-        """Number of this opening, from 1; 0 before `begin_run`."""
+        """Number of the present run (opening for recording), from 1; 0 before `begin_run`."""
         return self._run
 
     def begin_run(self, bus_s: float, clock_offset_s: float, continues: int = 0) -> int:
-        """Register this opening of the session; from now on no earlier opening may write.
+        """Register a new run (opening for recording); an earlier opening may then no longer write.
 
         Parameters
         ----------
@@ -419,12 +422,12 @@ class Archive(ArchiveView):
         return run
 
     def add_record(self, kind: str, value: Any, bus_s: float) -> None:
-        """Write a record."""
+        """Write a value of one kind to the table `records`, with the bus time in s."""
         with self._transaction():
             self._record(kind, value, bus_s)
 
     def add_attempt(self, attempt: Attempt) -> int:
-        """Write an attempt with all its scans and moves; on return it is on the disk.
+        """Write an attempt with its scans and moves to the disk, completely or not at all.
 
         The number of scans that were dropped within the dwell goes into a record, which older programs
         ignore.

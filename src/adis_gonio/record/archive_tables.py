@@ -65,7 +65,7 @@ class Move:
 
     @property
     def aim(self) -> list[float] | dict[str, float] | None:
-        """Direction or turn of the move as the archive stores it, in addition to the angle."""
+        """Target of a move in addition to its angle, as stored: a direction, a turn, or None."""
         if self.turned_deg is not None:
             return {"turned_deg": self.turned_deg}
         return None if self.direction is None else list(self.direction)
@@ -73,7 +73,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One attempt at a dwell.
+    """One attempt to record a dwell.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class StoredAttempt:
-    """Row of `attempts`: an attempt without its samples.
+    """A row of the table `attempts`: an attempt without its samples.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class StoredAttempt:
 
 @dataclass(frozen=True)
 class Record:
-    """Row of `records`."""
+    """A row of the table `records`: a value of some kind, with the times of writing."""
 
     run: int
     utc: str
@@ -155,7 +155,7 @@ class Header:
     Attributes
     ----------
     url, variant : str
-        Bus and part.
+        URL of the bus, and variant of the sensor.
     plan : Plan
         The first plan; an extension is a record.
     settings : mapping
@@ -183,12 +183,12 @@ class Header:
 
 
 def utc_now() -> str:
-    """Wall clock, ISO 8601, UTC, to the millisecond."""
+    """Present UTC time as ISO 8601 text with milliseconds."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 def to_json(value: Any) -> str:
-    """JSON text; numpy's scalars and arrays become numbers and lists.
+    """Convert a value to JSON text; numpy scalars and arrays become numbers and lists.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def to_json(value: Any) -> str:
 
 
 def checksum(*values: Any) -> int:
-    """CRC-32 of a row's values: of bytes directly, of other values as JSON."""
+    """CRC-32 of the values of a row; bytes count as they are, other values as JSON text."""
     plain = [value for value in values if not isinstance(value, bytes)]
     crc = zlib.crc32(json.dumps(plain).encode())
     for value in values:
@@ -221,7 +221,7 @@ APPLICATION_ID = 0x4144474F
 SCHEMA_VERSION = 1
 
 LARGEST_S = 1e10
-"""Three hundred years; clocks that count from 1970 are far below this limit."""
+"""Limit of times in s: three hundred years; clocks that count from 1970 are far below it."""
 LARGEST_VALUE = 1e9
 """Limit of a sample or a parameter in its unit."""
 LEAST_FIXTURE_DEG = 1e-9
@@ -322,7 +322,7 @@ _SUMMARY = fields(
 
 
 def _summary(value: Any) -> None:
-    """Check the advisor's summary of a session, which may be empty."""
+    """Raise an error unless the value is an advisor's summary of a session; it may be empty."""
     if value not in (None, {}):
         _SUMMARY(value)
 
@@ -376,7 +376,7 @@ RECORDS: Mapping[str, Shape] = {
 
 
 def _aim(value: Any) -> None:
-    """Check the aim of a move: null, a direction in space, or a turn."""
+    """Raise an error unless the value is a move's aim: null, a direction in space, or a turn."""
     if isinstance(value, dict):
         fields({"turned_deg": _ANGLE})(value)
     else:
@@ -385,7 +385,7 @@ def _aim(value: Any) -> None:
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table: name, SQL, and shape of its values; of JSON, the shape of the parsed value."""
+    """A column of a table: its name, its SQL type, and the checked shape of its (parsed) values."""
 
     name: str
     sql: str
@@ -399,7 +399,7 @@ _OF_RUN, _OF_ATTEMPT = f"{_INTEGER} REFERENCES runs", f"{_INTEGER} REFERENCES at
 
 
 def _one_of(name: str, *allowed: str) -> TableColumn:
-    """Column that allows a few texts only."""
+    """Text column that allows only the given words."""
     listed = ", ".join(f"'{text}'" for text in allowed)
     return TableColumn(name, f"{_TEXT} CHECK ({name} IN ({listed}))", choice(*allowed))
 
@@ -465,7 +465,7 @@ TABLES: Mapping[str, tuple[TableColumn, ...]] = {
 
 
 def statements() -> list[str]:
-    """SQL statements that create an empty archive, to be run in one transaction.
+    """SQL statements that create the tables of an empty archive, to be run in one transaction.
 
     `database` compares this text with the SQL in the archive, so that every character has to stay.
     """
@@ -491,7 +491,7 @@ def statements() -> list[str]:
 
 
 def checked_row(table: str, row: Sequence[Any]) -> dict[str, Any]:
-    """Values of a row by column, without its checksum; JSON texts become values.
+    """Check the values of a row, without its checksum, and return them by column; JSON is parsed.
 
     Raises
     ------
@@ -502,7 +502,7 @@ def checked_row(table: str, row: Sequence[Any]) -> dict[str, Any]:
 
 
 def checked_value(name: str, shape: Shape, value: Any) -> Any:
-    """Return a value if it has the given shape.
+    """Return `value` if it has the given shape; `name` is for the message.
 
     Raises
     ------
@@ -527,6 +527,6 @@ def _checked(column: TableColumn, value: Any) -> Any:
 
 
 def text_of_json(value: Any) -> None:
-    """Check that a value is text; a plan of many positions may be long."""
+    """Check that a value is text, without a limit of its length: a plan of many positions may be long."""
     if not isinstance(value, str):
         raise ShapeError(" is no text")

@@ -35,7 +35,7 @@ UNITS |= {"temp_c": "°C", "supply_v": "V"}
 
 @dataclass(frozen=True)
 class ValueBlock:
-    """Samples in units.
+    """Block of samples as values in units, from a sensor other than the chip.
 
     Attributes
     ----------
@@ -65,11 +65,11 @@ class ValueBlock:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of each column."""
+        """Unit of the values of each column."""
         return tuple(UNITS[name] for name in self.registers)
 
     def values(self) -> Floats:
-        """Values (n, k)."""
+        """Values (n, k) of n samples in k columns, each column in its unit."""
         return self.data
 
     @property
@@ -78,11 +78,11 @@ class ValueBlock:
         return self.columns("ax", "ay", "az")
 
     def columns(self, *names: str) -> Floats:
-        """Columns (n, …) by name."""
+        """Values of the named columns, (n, number of names)."""
         return self.data[:, [self.registers.index(name) for name in names]]
 
     def first(self, count: int) -> ValueBlock:
-        """The first samples of the block."""
+        """Copy with only the first `count` samples."""
         return replace(self, data=self.data[:count], time_s=self.time_s[:count])
 
 
@@ -103,7 +103,10 @@ def join(blocks: Sequence[Block]) -> Block:
 
 
 def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
-    """Samples `low` to `high` (exclusive) of a block; if `counted`, with its lost and dropped scans."""
+    """Copy of samples `low` to `high` (exclusive) of a block.
+
+    Its counts of lost and dropped scans are kept if `counted`, else zero.
+    """
     rows = slice(low, high)
     lost = block.lost if counted else 0
     if isinstance(block, ValueBlock):
@@ -114,12 +117,12 @@ def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
 
 
 def count_alarms(block: Block) -> int:
-    """Number of samples with an error or alarm; 0 if the sensor reports none."""
+    """Number of samples whose bit EA reports an error or alarm; 0 if the sensor has no such bit."""
     return 0 if block.alarm is None else int(block.alarm.sum())
 
 
 def to_bytes(block: Block) -> bytes:
-    """Samples as the archive stores them: words (uint16) or values (float64), little-endian."""
+    """Encode the samples as the archive stores them, little-endian: words (uint16) or values (float64)."""
     if isinstance(block, ValueBlock):
         return block.data.astype("<f8").tobytes()
     return block.words.astype("<u2").tobytes()
@@ -134,7 +137,7 @@ def from_bytes(
     variant: str,
     gyro_range_dps: int | None,
 ) -> Block:
-    """Block from the bytes in the archive."""
+    """Decode a block from the bytes that `to_bytes` made and the archive stored."""
     shape = (len(time_s), len(registers))
     if variant == GENERIC:
         data = np.frombuffer(content, "<f8").astype(np.float64).reshape(shape)
@@ -150,14 +153,14 @@ _OF_REGISTER = {
 
 
 def die_temperatures(block: Block) -> Floats | None:
-    """Temperatures (n, 3) of the three gyros' dies in °C; None unless all three were scanned."""
+    """Temperatures (n, 3) of the dies of the three gyros in °C; None unless all were scanned."""
     if isinstance(block, ValueBlock) or not all(name in block.registers for name in TEMP_OUT):
         return None
     return block.select(TEMP_OUT).values()
 
 
 def session_columns(block: Block) -> dict[str, Floats]:
-    """Samples (n,) by column of a session: accelerations in LSB of the chip, else in mg.
+    """Columns (n,) of a session from a block: accelerations in LSB (of a generic sensor in mg).
 
     Columns that the block lacks are left out, and so are gyros of unknown range.
 
@@ -183,7 +186,7 @@ def session_columns(block: Block) -> dict[str, Floats]:
 
 
 def session_series(columns: dict[str, Floats]) -> dict[str, Any]:
-    """Fields of a `Dwell` or a `Turn` that hold samples, from the columns of a session."""
+    """Convert columns of a session to the fields of a `Dwell` or `Turn`: arrays of each quantity."""
     with_gyro = all(f"g{axis}" in columns for axis in "xyz")
     return {
         "accel": np.column_stack([columns[f"a{axis}"] for axis in "xyz"]),
@@ -194,14 +197,14 @@ def session_series(columns: dict[str, Floats]) -> dict[str, Any]:
 
 
 SUPPLY_LIMITS_V = (4.75, 5.25)
-"""Specified supply (DS, B)."""
+"""Lower and upper limit of the specified supply (DS, B)."""
 
 WITHOUT_NEWS = "they had no new data (ND), so their data-ready edge did not come from the sensor"
 
 
 @dataclass(frozen=True)
 class Alarms(JsonRecord):
-    """Times of an error or alarm within a dwell, by the bit EA.
+    """When and how long the flag EA reported an error or alarm during a dwell.
 
     Attributes
     ----------
@@ -229,7 +232,7 @@ class Alarms(JsonRecord):
 
 
 def find_alarms(scans: Block) -> Alarms | None:
-    """Alarms in the scans of a dwell; None if there are none or the sensor has no bit EA."""
+    """Summarize the alarms during a dwell; None without alarms or if the sensor has no bit EA."""
     alarm = scans.alarm
     if alarm is None or not alarm.any():
         return None

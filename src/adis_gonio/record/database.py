@@ -52,7 +52,7 @@ _MAGIC = b"SQLite format 3\x00"
 
 
 def is_archive(path: Path) -> bool:
-    """True if the file begins like a session file (SQLite with this program's application id)."""
+    """True if the first bytes are those of a session file: SQLite with this program's application id."""
     try:
         with path.open("rb") as file:
             head = file.read(72)
@@ -120,7 +120,7 @@ def create(path: Path) -> sqlite3.Connection:
 
 
 def make_durable(connection: sqlite3.Connection) -> None:
-    """Set the pragmas of a writer; see the module's text on durability."""
+    """Set the SQLite options of a writer, so that a power cut loses nothing; see the module's text."""
     connection.execute("PRAGMA journal_mode = DELETE")
     connection.execute("PRAGMA synchronous = EXTRA")
     connection.execute("PRAGMA foreign_keys = ON")
@@ -128,7 +128,7 @@ def make_durable(connection: sqlite3.Connection) -> None:
 
 @contextmanager
 def translated_errors(path: Path) -> Iterator[None]:
-    """Turn errors of SQLite into one line that names the file."""
+    """Convert errors of SQLite in the block to one-line errors of this package that name the file."""
     try:
         yield
     except sqlite3.Error as error:
@@ -138,12 +138,12 @@ def translated_errors(path: Path) -> Iterator[None]:
 
 
 def damaged(path: Path, what: str) -> DataError:
-    """Error for a file with damaged content."""
+    """Make the error for a file with damaged content; `what` names the content."""
     return DataError(f"{path}: is damaged ({what}); restore it from a copy (it was left as it is)")
 
 
 def _truncated(path: Path) -> DataError | None:
-    """Error for a file that is shorter than its header states; None if it is not."""
+    """Return the error for a file shorter than its header states; None if it is complete."""
     try:
         size = path.stat().st_size
         with path.open("rb") as file:
@@ -159,7 +159,7 @@ def _truncated(path: Path) -> DataError | None:
 
 
 def _excerpt(text: str) -> str:
-    """Shorten a text to one printable line, since SQLite quotes SQL and bytes of pages."""
+    """Shorten an SQLite message to one printable line, because it may quote SQL or raw bytes."""
     line = one_line(text)
     return line if len(line) <= LONGEST_TEXT else f"{line[:LONGEST_TEXT]}…"
 
@@ -240,7 +240,7 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
-    """Refuse a file if its tables differ from `statements`, or if it has any other object.
+    """Raise `DataError` if the file has other tables than `statements`, or any other object.
 
     A view with the name of a table may run without end; a trigger, an index or another table would run
     expressions from the file. A trigger against UPDATE or DELETE may be missing.
@@ -260,7 +260,9 @@ def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _objects(connection: sqlite3.Connection) -> dict[str, tuple[str, str]]:
-    """Kind and SQL of each object of a database, by name, without SQLite's internal tables and indexes.
+    """Kind and SQL text of each table, view, trigger and index of a database, by name.
+
+    SQLite's internal tables and indexes are left out.
 
     Triggers and views are always included, even if their names look internal.
     """

@@ -1,7 +1,7 @@
-"""Expected angle of gravity at a position, and the largest plausible deviation of a good part.
+"""Expected angle of gravity at a position, and the largest plausible deviation of a good sensor.
 
 The angle of a reading is φ = atan2(U_y, U_x) = α − θ + the effects of gains, misalignment and biases. These
-are unknown when a session begins, but the part's data sheet limits each of them. They are estimated by a
+are unknown when a session begins, but the sensor's data sheet limits each of them. They are estimated by a
 linear Gaussian model, dwell by dwell. At the first positions the limits of the data sheet determine the
 allowed deviation; later the dwells have shown the gains and biases, and the fixture determines it.
 """
@@ -33,7 +33,7 @@ _RECTANGULAR = 1 / math.sqrt(3)
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """Prior knowledge of a part and its fixture before the first measurement.
+    """Uncertainties of a sensor and its fixture that are known before the first measurement.
 
     Attributes
     ----------
@@ -55,14 +55,14 @@ class PriorKnowledge:
 
 @dataclass(frozen=True)
 class Off:
-    """Deviation of a reading from the expected angle.
+    """Deviation of a reading from the expected stage angle, with its limit.
 
     Attributes
     ----------
     off_deg : float
         Angle by gravity minus the requested angle, within ±180°, in the sense of the stage.
     limit_deg : float
-        Largest deviation of a good part in this fixture.
+        Largest deviation of a good sensor in this fixture.
     """
 
     off_deg: float
@@ -70,12 +70,12 @@ class Off:
 
     @property
     def allowed(self) -> bool:
-        """True if the deviation is within the limit."""
+        """True if the deviation is not larger than the limit."""
         return abs(self.off_deg) <= self.limit_deg
 
 
 class Expectation:
-    """Sequential model of a turn in the plane: start angle, two gains, Δφ, two biases.
+    """Model of a turn in the plane, updated dwell by dwell: start angle, two gains, Δφ, two biases.
 
     Parameters
     ----------
@@ -99,11 +99,11 @@ class Expectation:
 
     @property
     def begun(self) -> bool:
-        """True after the first dwell, which gives the start angle."""
+        """True after the first dwell was added; the start angle comes from that dwell."""
         return self._start_rad is not None
 
     def add(self, accel_mg: Floats, angle_deg: float) -> None:
-        """Learn from a dwell with mean `accel_mg` (2 or more,) at a stage angle."""
+        """Update the model by a dwell: its mean reading (x, y and perhaps z) in mg, at a stage angle."""
         phi, log_norm = self._polar(accel_mg)
         seen = phi + self.sense * math.radians(angle_deg)
         if self._start_rad is None:
@@ -118,7 +118,10 @@ class Expectation:
             self._weighted += row * value / u**2
 
     def off(self, accel_mg: Floats, angle_deg: float) -> Off:
-        """Deviation of a reading from a stage angle; the limit is infinite before the first dwell."""
+        """Deviation of a reading in mg from the requested stage angle, with its limit.
+
+        The limit is infinite before the first dwell.
+        """
         if self._start_rad is None:
             return Off(0.0, math.inf)
         phi, _ = self._polar(accel_mg)
@@ -132,7 +135,7 @@ class Expectation:
         return Off(-self.sense * math.degrees(residual), math.degrees(limit))
 
     def angle_deg(self, accel_mg: Floats) -> float:
-        """Stage angle by gravity, corrected by the parameters estimated so far, within ±180°."""
+        """Stage angle in degrees, within ±180°, computed from a reading and the parameters so far."""
         phi, _ = self._polar(accel_mg)
         if self._start_rad is None:
             return -self.sense * math.degrees(phi)
@@ -146,19 +149,22 @@ class Expectation:
 
 
 def turned_deg(before_mg: Floats, now_mg: Floats, sense: int = 1) -> float:
-    """Turn of the stage by gravity between two readings, within ±180°."""
+    """Angle in degrees, within ±180°, by which the stage turned between two readings in mg."""
     before = math.atan2(float(before_mg[1]), float(before_mg[0]))
     now = math.atan2(float(now_mg[1]), float(now_mg[0]))
     return -sense * math.degrees(wrap_radians(now - before))
 
 
 def _angle_row(psi: float) -> Floats:
-    """∂φ by start angle, gains of X and Y, Δφ, biases of X and Y in units of G."""
+    """Derivatives (6,) of the angle φ of a reading at angle ψ by the model's parameters.
+
+    They are the start angle, gains of X and Y, Δφ, and biases of X and Y in units of G.
+    """
     c, s = math.cos(psi), math.sin(psi)
     return np.array([1.0, -s * c, s * c, c * c, -s, c])
 
 
 def _norm_row(psi: float) -> Floats:
-    """∂ ln |U| by these parameters."""
+    """Derivatives (6,) of the log length ln |U| of a reading, by the parameters of `_angle_row`."""
     c, s = math.cos(psi), math.sin(psi)
     return np.array([0.0, c * c, s * s, s * c, c, s])

@@ -15,11 +15,11 @@ from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Ses
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 
 REVERSE = "reverse"
-"""Word in place of degrees: the stage turned the other way to these positions."""
+"""Word that the user writes instead of degrees if the stage turned the other way to these positions."""
 
 
 def explain_refusal(reason: str) -> str:
-    """Reason for refusing a file, for commands without overrides: explain options that it mentions."""
+    """Reason for refusing a file, with a remark if it mentions options that this command lacks."""
     if not _OPTIONS.search(reason):
         return reason
     return f"{reason} (an option of fit, trace and report; for this command it has to be in the file)"
@@ -52,7 +52,7 @@ class AngleChange:
         return f"{where}{'+=' if self.added else '='}{self.degrees:g}"
 
     def applied(self, dwells: tuple[Dwell, ...]) -> tuple[Dwell, ...]:
-        """All dwells of a session with this change.
+        """Return all dwells of a session, with this correction of their angles.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class Overrides:
     reverse : bool
         The stage turned the other way than declared: angles and directions of approach change their sign.
     angles : tuple of AngleChange
-        Corrections of angles that were mistyped or at which the part slipped; applied before `reverse`.
+        Corrections of angles that were mistyped or at which the sensor slipped; applied before `reverse`.
     accel_unit : str or None
         Unit of the accelerations; takes precedence over a unit in the file's header.
     sensor : str or None
@@ -138,7 +138,7 @@ class Overrides:
                 raise UsageError(f"{name} is '{value}': known are {', '.join(known)}")
 
     def apply(self, session: Session) -> Session:
-        """Session with the corrections.
+        """Return a copy of the session with the corrections.
 
         Raises
         ------
@@ -229,7 +229,7 @@ _SQLITE_MAGIC = b"SQLite format 3\x00"
 
 
 def load_session(path: str | Path, overrides: Overrides | None = None) -> Session:
-    """Session of an archive (SQLite, written by `calibrate` or `simulate`) or of a samples CSV.
+    """Load a session from an archive (written by `calibrate` or `simulate`) or from a samples CSV.
 
     The first bytes determine the kind of file, not its name.
 

@@ -43,7 +43,7 @@ DEFAULT_PLAN = "two-position"
 
 @dataclass(frozen=True)
 class Position(JsonRecord):
-    """One position of a plan.
+    """One position of a plan: its angle or direction, approach, use and conditions.
 
     Attributes
     ----------
@@ -59,10 +59,10 @@ class Position(JsonRecord):
     wait_s : float
         Additional wait at the position, before the dwell.
     temperature_c, supply_v : float or None
-        Temperature of the part and supply to set first; None leaves them unchanged. Fits use the measured
+        Temperature of the sensor and supply to set first; None leaves them unchanged. Fits use the measured
         values instead.
     turned_deg : float or None
-        Turn of the part on the way here, by a mark or a stop, about the vertical, positive
+        Turn of the sensor on the way here, by a mark or a stop, about the vertical, positive
         counter-clockwise seen from above; None if the way does not matter.
     """
 
@@ -86,7 +86,7 @@ class Position(JsonRecord):
 
 @dataclass(frozen=True)
 class Plan(JsonRecord):
-    """Positions in the order in which they are visited.
+    """A plan: the positions of a session in the order in which they are visited.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Plan(JsonRecord):
         return len(self.positions)
 
     def ordered(self, order: Order, rng: np.random.Generator) -> Plan:
-        """Plan with the same positions in another order, with the resulting directions of approach.
+        """Return the plan with its positions in another order, and directions of approach to match.
 
         Parameters
         ----------
@@ -134,7 +134,7 @@ class Plan(JsonRecord):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Plan:
-        """Plan from its JSON form."""
+        """Create a plan from its JSON form."""
         positions = tuple(_position(entry) for entry in data["positions"])
         return cls(data["name"], positions, data["plane"], data.get("turns", 0))
 
@@ -164,7 +164,7 @@ PLAN_NAMES: tuple[str, ...] = tuple(_KINDS)
 
 
 def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0) -> Plan:
-    """Plan by name.
+    """Create a plan by its name.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
 
 
 def with_checks(made: Plan, check: int) -> Plan:
-    """Plan in the plane with further `check` positions between the others; see `plan`."""
+    """Add `check` positions to a plan in the plane, spread between its positions; see `plan`."""
     _refuse_checks(check)
     return replace(made, positions=_with_checks(list(made.positions), check)) if check else made
 
@@ -230,7 +230,7 @@ def _angles(name: str, count: int) -> list[Position]:
 
 
 def _sphere(count: int) -> list[tuple[float, float, float]]:
-    """Directions spread evenly over the sphere: a spiral that turns by the golden angle each step."""
+    """Directions (unit vectors) spread evenly over the sphere, on a spiral with the golden angle."""
     golden = math.pi * (3.0 - math.sqrt(5.0))
     vectors = []
     for k in range(count):
@@ -241,7 +241,10 @@ def _sphere(count: int) -> list[tuple[float, float, float]]:
 
 
 def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
-    """Distribute check positions evenly over the gaps, in the direction of travel of each gap."""
+    """Insert `check` positions, spread evenly over the gaps between the `fit` positions.
+
+    Each is approached in the direction in which the plan crosses its gap.
+    """
     gaps = [
         k for k, (here, there) in enumerate(itertools.pairwise(fit)) if here.angle_deg != there.angle_deg
     ]
@@ -261,7 +264,7 @@ def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
 
 @dataclass(frozen=True)
 class Blindness:
-    """Effect of an undetectable bias on the results of a plan.
+    """Uncertainty of a plan's results from a bias that the plan cannot detect.
 
     Attributes
     ----------
@@ -280,7 +283,7 @@ class Blindness:
 
 
 def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindness | None:
-    """Effect of a bias on a plan of two positions; None for a plan that determines the bias.
+    """Errors of a two-position plan by a bias that it cannot determine; None for other plans.
 
     In the closed form of the two positions a bias b_x turns the vector (U_x1, U_x2) by
     b_x (cos α - sin α)/G and lengthens it by b_x (cos α + sin α)/G; b_y does the same with the two
@@ -311,18 +314,18 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
 
 
 def attitude(direction: Sequence[float]) -> str:
-    """Attitude as text, such as `one that reads +x −z`: axes with a large part of gravity, with signs."""
+    """Describe a direction of gravity, such as `one that reads +x −z`: the axes with a large component."""
     axes = [f"{'+' if part > 0 else '−'}{'xyz'[k]}" for k, part in enumerate(direction) if abs(part) > 0.3]
     return f"one that reads {' '.join(axes)}"
 
 
 def extended(plan: Plan, positions: Sequence[Position]) -> Plan:
-    """Plan with further positions at its end."""
+    """Return a copy of the plan with more positions at its end."""
     return replace(plan, positions=(*plan.positions, *positions))
 
 
 def extension(plan: Plan, done: int) -> Plan | None:
-    """Plan that extends a finished two-position plan so that it determines the biases, or None.
+    """Return a plan that continues a finished two-position plan and determines the biases, or None.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from adis_gonio.model.records import METADATA, Plane, Session
 
 
 def digest_of_file(path: str | Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal.
+    """SHA-256 digest of a file in hexadecimal digits.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def digest_of_file(path: str | Path) -> str:
 
 @dataclass(frozen=True)
 class Covered(JsonRecord):
-    """Mean and range of a condition over the dwells of a session."""
+    """Mean, minimum and maximum of a condition (temperature or supply) over the dwells of a session."""
 
     mean: float
     low: float
@@ -39,7 +39,7 @@ class Covered(JsonRecord):
 
 @dataclass(frozen=True)
 class Provenance:
-    """Facts of the session behind a result.
+    """Origin of a result: the facts of its session and of the program.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ _FROM_SESSION = ("sensor", "plane", "gravity_mps2", "title", *METADATA)
 
 
 def provenance_of(session: Session) -> Provenance:
-    """Provenance of a session, computed once for each session."""
+    """Return the provenance of a session: data source, conditions, software; computed only once."""
     return session.once(_provenance)
 
 
@@ -122,13 +122,13 @@ def _provenance(session: Session) -> Provenance:
 
 
 def changed_registers(session: Session) -> list[str]:
-    """Doubts that registers changed during the recording, so that its biases mix two states."""
+    """Messages about registers that changed during the recording, so that its biases mix two states."""
     doubts = session.facts.get("doubts") or []
     return [str(doubt["message"]) for doubt in doubts if doubt["kind"] == "registers"]
 
 
 def digest_of(session: Session) -> str:
-    """SHA-256 over sensor, unit, plane and every dwell's angle, use and samples, as hexadecimal digits.
+    """SHA-256 digest in hexadecimal digits of a session's data: sensor, unit, plane and all dwells.
 
     An archive and the CSV exported from it have the same digest.
     """

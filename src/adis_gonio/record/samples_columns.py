@@ -19,21 +19,21 @@ AXES = ("ax", "ay", "az")
 GYROS = ("gx", "gy", "gz")
 
 Scale = tuple[float, float, float]
-"""(multiply, divide, add); milliseconds are divided by 1000, which rounds only once."""
+"""Conversion as (factor, divisor, summand); a divisor of 1000 for ms rounds only once."""
 SAME: Scale = (1.0, 1.0, 0.0)
 Units = Mapping[str, tuple[str, Scale]]
 """Spelling in small letters → the format's spelling, and the scale to the format's unit."""
 
 
 def number_text(value: float) -> str:
-    """Text with the fewest digits that give the same float again."""
+    """Shortest decimal text that reads back as exactly this float."""
     value = float(value)
     return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
 
 
 @dataclass(frozen=True)
 class SamplesColumn:
-    """One column of the samples CSV.
+    """Declaration of a column of the samples CSV: names, units, limit and text form.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class SamplesColumn:
     default: str = ""
 
     def unit(self, text: str) -> tuple[str, Scale] | None:
-        """The format's spelling of a header's unit, and its scale; None if it is not known."""
+        """Standard spelling and scale of a unit in a header, for this column; None for an unknown unit."""
         return self.units.get(text.lower().replace(" ", "")) if text else ("", SAME)
 
 
@@ -139,7 +139,7 @@ _ALIASES = {alias: name for name, column in COLUMNS.items() for alias in (*colum
 
 @dataclass(frozen=True)
 class CsvColumn:
-    """A column that was recognised in a header.
+    """A column of the file that was recognised in its header.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ _SPACES = re.compile(r"[\s.\-]+")
 
 
 def split_unit(text: str) -> tuple[str, str]:
-    """Name and unit, in brackets or behind a slash, of a header's cell; an empty unit if it has none."""
+    """Split a header cell into name and unit; the unit is in brackets or after a slash, or empty."""
     for form in (_BRACKETS, _SLASH):
         match = form.match(text[:_LONGEST_NAME].strip())
         if match:
@@ -182,7 +182,7 @@ def split_unit(text: str) -> tuple[str, str]:
 
 
 def recognise_column(text: str) -> tuple[str, str, bool] | None:
-    """Column and unit of a header cell, and True if it has the format's own name; None if unknown."""
+    """Column and unit that a header cell means, and True if it is the exact name; None if unknown."""
     text = text.strip()
     if text in COLUMNS:
         return text, "", True
@@ -207,14 +207,14 @@ _LEAST_SIGMA_DEG = 1e-9
 
 @dataclass(frozen=True)
 class Key:
-    """A line `# key: value` that states a field of the session.
+    """Declaration of a line `# key: value`, which states a field of the session.
 
     Attributes
     ----------
     read : callable
-        Value of a text; raises `ValueError`, with a message that may begin with "expected".
+        Converts a text to a value; raises `ValueError`, with a message that may begin with "expected".
     text : callable
-        Text of a value, on one line.
+        Converts a value to a text of one line.
     """
 
     read: Callable[[str], Any] = str
@@ -291,5 +291,5 @@ def without_formulas(text: str) -> str:
 
 
 def with_formulas(text: str) -> str:
-    """Undo `without_formulas`."""
+    """Undo `without_formulas`: restore text that was protected from being read as a formula."""
     return _WITHOUT_FORMULA.sub(r"\1", text)

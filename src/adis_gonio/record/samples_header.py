@@ -96,7 +96,7 @@ class Chunk:
 
 
 def read_chunks(path: Path) -> Iterator[Chunk]:
-    """Lines of a file, chunk by chunk.
+    """Read the lines of a file and yield them chunk by chunk.
 
     Raises
     ------
@@ -219,7 +219,7 @@ _TOKENS = re.compile(r"\s+(?![\[(])")
 
 @dataclass(frozen=True)
 class Dialect:
-    """Delimiter and number format of a file.
+    """Delimiter and number format of a samples file.
 
     Attributes
     ----------
@@ -236,7 +236,7 @@ class Dialect:
     grouped: bool = False
 
     def cells(self, line: str) -> list[str]:
-        """Cells of one line, without quotes.
+        """Split a line into its cells, without quotation marks.
 
         Raises
         ------
@@ -253,7 +253,7 @@ class Dialect:
             raise ValueError("a quotation mark does not end, or is within a cell") from None
 
     def number(self, cell: str) -> float:
-        """Number of a cell.
+        """Convert a cell to a number.
 
         Raises
         ------
@@ -270,16 +270,16 @@ class Dialect:
 
     @property
     def delimiter_in_words(self) -> str:
-        """Name of the delimiter."""
+        """Word for the delimiter, for messages."""
         return _IN_WORDS.get(self.delimiter, f"'{self.delimiter}'")
 
     def with_decimal(self, mark: str, *, proved: bool) -> Dialect:
-        """Dialect with the given decimal mark."""
+        """Copy with another decimal mark; `proved` states if the file's numbers prove it."""
         return replace(self, decimal=mark, grouped=proved)
 
 
 def header_cells(line: str, delimiter: str) -> list[str]:
-    """Cells of a header; if white space is the delimiter, a unit in brackets stays with its name."""
+    """Split a header line into cells; between spaces, a unit in brackets stays with its name."""
     if delimiter == SPACE:
         return [cell.strip('"') for cell in _TOKENS.split(line.strip())]
     try:
@@ -292,7 +292,7 @@ def header_cells(line: str, delimiter: str) -> list[str]:
 
 
 def find_decimal_mark(cells: Iterable[str]) -> str:
-    """Decimal mark that a cell proves; empty if no cell proves one."""
+    """Decimal mark (point or comma) that some cell proves; empty if every cell is ambiguous."""
     for cell in cells:
         text = cell.strip()
         if ("." not in text and "," not in text) or _UNDECIDED.fullmatch(text):
@@ -312,7 +312,7 @@ _SEPARATORS = ("\t", ";", ",", "|", ":", "^", "~")
 _EXPECTED = "time_s,position,angle_deg,ax,ay"
 MOST_HEAD_LINES = 10_000
 MOST_HEAD_CHARACTERS = 10_000_000
-"""Limits of the part before the first row."""
+"""Limits of lines and characters above the first row."""
 MOST_COLUMNS = 1000
 _PREAMBLE_LINES = 200
 """Lines in which a header is searched; a logger may print other text when it starts."""
@@ -320,7 +320,7 @@ _PREAMBLE_LINES = 200
 
 @dataclass(frozen=True)
 class Head:
-    """The part of a file before its rows.
+    """Contents of a file above its rows: keys, header, number format and remarks.
 
     Attributes
     ----------
@@ -328,7 +328,7 @@ class Head:
     line : int
         Number of the last line of the head; rows follow.
     width : int
-        Cells of the header.
+        Number of cells in the header.
     dialect : Dialect
         Its decimal mark is still unknown unless `keys` states it.
     columns : dict of str to CsvColumn
@@ -348,7 +348,7 @@ class Head:
     notes: tuple[str, ...]
 
     def settings(self, *, unit_told: bool) -> dict[str, Any]:
-        """Fields of the `Session`, from the keys and the units in the header.
+        """Fields of the `Session` that the head gives, by its keys and the units in the header.
 
         Raises
         ------
@@ -370,7 +370,7 @@ class Head:
 
 
 def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
-    """Read the head of a file.
+    """Read the part of a samples file above its rows.
 
     Parameters
     ----------
@@ -411,7 +411,7 @@ def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
 
 @dataclass
 class _Top:
-    """Lines of a file down to its header.
+    """Lines of a file down to its header, which is still to be parsed.
 
     Attributes
     ----------
@@ -430,7 +430,7 @@ class _Top:
     separator: str | None = None
 
     def without_header(self) -> _Top:
-        """Take the first line as the header if none was found, with the comments above it."""
+        """Treat the first line that is no comment as the header, because none was recognised."""
         if self.skipped:
             self.line, self.text = self.skipped[0]
             self.comments = [comment for comment in self.comments if comment[0] < self.line]
@@ -439,7 +439,7 @@ class _Top:
 
 
 def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
-    """Read down to the header.
+    """Read the lines of a file down to its header.
 
     The header is the first line without `#` that names a time and two accelerations, within the first
     lines: a logger prints text when it starts, and a log may begin in the middle of a row. If there is
@@ -470,7 +470,7 @@ def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
 
 
 def _names_samples(line: str, separator: str | None, wanted: Mapping[str, str]) -> bool:
-    """True if the line names a time and two accelerations, or one of the columns that the user names."""
+    """True if a line looks like a header: it names a time and two accelerations, or a wanted column."""
     _, cells = _split(line, separator, wanted)
     if any(_same_name(cell, text.strip()) for cell in cells for text in wanted.values()):
         return True
@@ -480,7 +480,7 @@ def _names_samples(line: str, separator: str | None, wanted: Mapping[str, str]) 
 
 
 def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
-    """Delimiter and cells of a header, for the delimiter by which most names are recognised."""
+    """Find the delimiter that makes most header cells known names; return it and the cells."""
     if separator is not None:
         return separator, header_cells(line, separator)
     named = {text.strip().lower() for text in wanted.values()}
@@ -496,7 +496,7 @@ def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple
 def _read_keys(
     file: str, lines: Sequence[tuple[int, str]], dialect: Dialect, columns: int
 ) -> tuple[dict[str, Any], list[str]]:
-    """Values and notes of the leading lines with `#`.
+    """Values of the lines `# key: value`, and remarks on them.
 
     A spreadsheet writes these lines like rows, in the file's dialect and with as many columns.
 
@@ -534,7 +534,7 @@ def _read_keys(
 
 
 def _comment_text(line: str, dialect: Dialect, columns: int) -> str:
-    """A line without its `#` and without quotes and delimiters that a spreadsheet has added."""
+    """Text of a comment line without `#` and without quotes and delimiters that a spreadsheet added."""
     if line.startswith('"'):
         try:
             line = dialect.cells(line)[0]
@@ -549,7 +549,7 @@ def _comment_text(line: str, dialect: Dialect, columns: int) -> str:
 
 @dataclass(frozen=True)
 class _Assignment:
-    """Assignment of the cells of a header to columns."""
+    """Decides which column of the format each cell of a header means."""
 
     path: Path
     line: int
@@ -575,7 +575,7 @@ class _Assignment:
         return chosen, [*self._ignored(found), *_renamed(chosen), *notes]
 
     def _named_column(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
-        """Column that the user has named."""
+        """Column `mine` of the format, read from the column `theirs` of the file, as the user asked."""
         known = recognise_column(mine)
         if known is None:
             raise UsageError(f"columns: '{mine}' is no column of the format; known: {', '.join(COLUMNS)}")
@@ -612,7 +612,10 @@ class _Assignment:
         return found
 
     def _with_units(self, found: Mapping[str, CsvColumn]) -> tuple[dict[str, CsvColumn], list[str]]:
-        """Columns with the format's spelling of units; optional ones of unknown unit are left out."""
+        """Columns with standard spellings of their units, and remarks.
+
+        Optional columns of unknown unit are left out; an unknown unit of time or acceleration is an error.
+        """
         chosen: dict[str, CsvColumn] = {}
         notes = []
         for name, column in found.items():
@@ -673,7 +676,7 @@ class _Assignment:
 
 
 def _likely_column(name: str, spare: Sequence[str]) -> str:
-    """Unknown column that ends like the axis or begins like a time; dots if there is none."""
+    """Guess which unknown column the user may mean by `name`, for a hint; "…" if none is likely."""
     for cell in spare:
         text = split_unit(cell)[0].lower()
         if text.endswith(name[1]) if name in AXES else text.startswith(("t", "z")):
@@ -694,7 +697,7 @@ def _numeric(cell: str) -> bool:
 
 
 def _renamed(chosen: Mapping[str, CsvColumn]) -> list[str]:
-    """Remark on columns with other names than the format's."""
+    """Remark that lists the columns with names that differ from the format's; empty if none differs."""
     own = [column for column in chosen.values() if column.text.strip().lower() != column.name]
     if not own:
         return []

@@ -47,12 +47,12 @@ _WALL_CLOCK = re.compile(
 )
 """ISO 8601 with date and time, as loggers write it, with or without Z or an offset."""
 _SLOWEST_S = 2.0
-"""Step between rows from which a time without a unit may also be in ms."""
+"""Median step of the rows from which a time without a unit may be in ms and is refused."""
 
 
 @dataclass(frozen=True)
 class SamplesTable:
-    """A file as arrays of numbers, in the units of the format.
+    """The rows of a samples file as arrays of numbers, in the units of the format.
 
     Attributes
     ----------
@@ -79,25 +79,28 @@ class SamplesTable:
 
     @property
     def path(self) -> Path:
-        """Path of the file."""
+        """Path of the file that was read."""
         return self.head.path
 
     def line_of(self, row: int) -> int:
-        """Line number of a row, counted from 1."""
+        """Line number in the file, from 1, of a row of the table."""
         at, line = self.lines[bisect_right(self.lines, (row, 1 << 62)) - 1]
         return line + row - at
 
     def fail(self, row: int, message: str) -> DataError:
-        """Error that names the line of a row."""
+        """Make a `DataError` with a message about a row; it names file and line."""
         return DataError(f"{self.path.name}, row {self.line_of(row)}: {message}")
 
     def number(self, name: str, text: str) -> float:
-        """Number of a cell in a column with one value a dwell, in the format's unit."""
+        """Number in a cell of a column that has one value for each dwell, in the format's unit."""
         multiply, divide, add = self.head.columns[name].scale
         return self.dialect.number(text) * multiply / divide + add
 
     def texts(self, name: str, rows: slice) -> Iterator[tuple[int, str]]:
-        """Texts of such a column within rows, each with the first row of its run."""
+        """Different successive texts in a column, within some rows, each with the first row of its run.
+
+        The column is one with a value for each dwell, such as the position.
+        """
         runs = self.runs[name]
         at = bisect_right(runs, rows.start, key=lambda run: run[0]) - 1
         while at < len(runs) and runs[at][0] < rows.stop:
@@ -106,7 +109,7 @@ class SamplesTable:
 
 
 class _Reader:
-    """Collects the rows of one file in arrays."""
+    """Collects the rows of a samples file in arrays."""
 
     def __init__(self, head: Head, dialect: Dialect) -> None:
         self.head, self.dialect = head, dialect
@@ -136,7 +139,7 @@ class _Reader:
         return DataError(f"{self.head.path.name}, row {line}: {message}")
 
     def take(self, chunk: Chunk) -> None:
-        """Add a chunk."""
+        """Add the next chunk of lines: all rows at once if they are regular, else row by row."""
         if self._waiting is None:
             cells = self._regular(chunk)
             if cells is not None:
@@ -150,7 +153,10 @@ class _Reader:
         self._walk(chunk)
 
     def _regular(self, chunk: Chunk) -> list[list[str]] | None:
-        """Columns of a chunk if all rows have the same form, without quotes and comments; else None."""
+        """Cells of a chunk by column if all rows have a simple, equal form; None if some row has not.
+
+        Rows with quotes or comments are not simple.
+        """
         delimiter, lines = self.dialect.delimiter, chunk.lines
         if delimiter == SPACE or not lines or chunk.cut:
             return None
@@ -167,7 +173,7 @@ class _Reader:
         return columns
 
     def _numbers(self, name: str, cells: list[str]) -> Floats:
-        """Numbers of a column's cells.
+        """Convert the cells of a column to numbers.
 
         Raises
         ------
@@ -187,7 +193,7 @@ class _Reader:
         return values
 
     def _since_beginning(self, cell: str) -> float:
-        """Time of a cell in s since the first row's.
+        """Convert a cell with date and time to s since the time of the first row.
 
         Raises
         ------
@@ -205,7 +211,7 @@ class _Reader:
         return (at - self._began).total_seconds()
 
     def _walk(self, chunk: Chunk) -> None:
-        """Add a chunk row by row."""
+        """Add a chunk row by row, which is slow but names a wrong cell."""
         kept: list[list[str]] = []
         numbers: list[int] = []
         for number, line in enumerate(chunk.lines, chunk.first):
@@ -230,7 +236,10 @@ class _Reader:
         self._add([(k, numbers[k]) for k in (0, *jumps)], columns, values)
 
     def _cells(self, number: int, line: str) -> list[str] | None:
-        """Cells of a row, as many as the header has; None for a row that is allowed only at the end."""
+        """Cells of a row, as many as the header has; None if the row is incomplete.
+
+        An incomplete row is an error, unless it is the last one.
+        """
         width = self.head.width
         try:
             cells = self.dialect.cells(line)
@@ -291,7 +300,7 @@ class _Reader:
         return values
 
     def _what(self, name: str, cell: str) -> str:
-        """Fault of a cell that should be a number."""
+        """Describe why a cell is not a number."""
         if not cell:
             return "empty"
         try:
@@ -310,7 +319,10 @@ class _Reader:
         return f"'{cell}' is not a number in a file with decimal {own}s"
 
     def _add(self, lines: list[tuple[int, int]], cells: list[list[str]], values: dict[str, Floats]) -> None:
-        """Add rows: their line numbers, texts by place, and numbers by name."""
+        """Add rows to the arrays.
+
+        `lines` gives line numbers, `cells` the texts by column place, `values` the numbers by column name.
+        """
         for row, line in lines:
             if not self.lines or self._next_line(self.n + row) != line:
                 self.lines.append((self.n + row, line))
@@ -350,7 +362,7 @@ class _Reader:
             )
 
     def done(self) -> SamplesTable:
-        """Finish the table after the last chunk."""
+        """Return the finished table, after the last chunk."""
         if self._waiting is not None and self._waiting[2]:
             self.notes.append(self._waiting[2])
         if not self.n:
@@ -380,7 +392,7 @@ class _Reader:
 
 
 def read_table(path: Path, wanted: dict[str, str]) -> SamplesTable:
-    """Read a file; `wanted` names columns as in `read_head`.
+    """Read the rows of a samples CSV; `wanted` assigns columns as in `read_head`.
 
     Raises
     ------
@@ -403,7 +415,7 @@ def _cut_note(number: int) -> str:
 
 
 def _rows_of(head: Head) -> Iterator[Chunk]:
-    """Chunks of the file without its head."""
+    """Yield the lines of the file below the header, in chunks."""
     for chunk in read_chunks(head.path):
         skip = max(head.line + 1 - chunk.first, 0)
         lines = chunk.lines[skip:] if skip else chunk.lines
@@ -412,7 +424,7 @@ def _rows_of(head: Head) -> Iterator[Chunk]:
 
 
 def _with_decimal_mark(head: Head) -> Dialect:
-    """Dialect with the decimal mark that the file states or that its numbers prove."""
+    """The file's dialect with the decimal mark that a key states or that some number proves."""
     stated = head.keys.get("decimal")
     if stated is not None:
         return head.dialect.with_decimal(stated, proved=True)
@@ -437,7 +449,7 @@ def _with_decimal_mark(head: Head) -> Dialect:
 
 
 def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
-    """Decimal mark that a chunk proves, or empty; and line and text of the first ambiguous number."""
+    """Decimal mark proved by a chunk, or empty; and line and text of its first ambiguous number."""
     places = [column.place for name, column in head.columns.items() if name not in ("approach", "use")]
     undecided: tuple[int, str] | None = None
     for number, line in enumerate(chunk.lines, chunk.first):
@@ -460,7 +472,7 @@ def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
 
 
 def _refuse_unclear_time(table: SamplesTable) -> None:
-    """Refuse a time without a unit if its rows are far apart: it may be in milliseconds."""
+    """Raise `DataError` if the time has no unit and steps so long that they may be milliseconds."""
     column = table.head.columns["time_s"]
     if column.plain or column.unit or len(table) < 2:
         return
@@ -477,7 +489,7 @@ MOST_DWELLS = MOST_POSITIONS
 
 
 def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Session:
-    """Session of a samples CSV.
+    """Read a samples CSV and return its session.
 
     Messages name rows by the line number in the file, counted from 1 with comment lines. `Session.notes`
     lists the parts that were left out and the columns with other names.
@@ -534,7 +546,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
 
 
 def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dwell:
-    """Dwell with views of the rows, not copies."""
+    """Dwell of some rows of the table; its arrays are views, not copies."""
     return Dwell(
         position=number,
         first_row=table.line_of(rows.start),
@@ -543,7 +555,7 @@ def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dw
 
 
 def _dwells_by_stillness(file: str, recording: Dwell) -> tuple[list[slice], list[str], bool]:
-    """Dwells of a continuous recording, remarks on them, and whether it is a free turn."""
+    """Find the dwells of a continuous recording: their rows, remarks, and True if it is a free turn."""
     try:
         slices, notes = segment_with_notes(recording.time_s, recording.accel, recording.gyro)
     except DataError as error:
@@ -595,7 +607,7 @@ def _position(table: SamplesTable, row: int, text: str) -> int:
 
 @dataclass
 class _Remarks:
-    """Remarks on columns with one value a dwell.
+    """Remarks on columns that have one value for each dwell.
 
     Attributes
     ----------
@@ -618,7 +630,7 @@ class _Remarks:
     lost: list[str] = field(default_factory=list)
 
     def notes(self, *, free: bool) -> tuple[str, ...]:
-        """All remarks, one line each."""
+        """All remarks on the columns, as text, one line each."""
         notes = []
         unused = self.given if free else self.unused
         if unused:
@@ -643,7 +655,7 @@ def _per_dwell(
     parse: Callable[[SamplesTable, str], Any],
     remarks: _Remarks,
 ) -> list[Any]:
-    """Values of a column with one value a dwell; None for a dwell without a value.
+    """Values, dwell by dwell, of a column that has one value for each dwell; None without a value.
 
     Cells of a dwell may be empty if another cell of the dwell has the value. If all of them are empty, the
     last value between this dwell and the dwell before is used: a dwell that is found by stillness begins
@@ -680,7 +692,7 @@ def _per_dwell(
 
 
 def _stated(table: SamplesTable, name: str, rows: slice) -> list[tuple[int, str]]:
-    """Texts of a column within rows that are not empty, each with its first row."""
+    """Non-empty texts of a column within some rows, each with the first row of its run."""
     if rows.start >= rows.stop:
         return []
     return [(row, text.strip()) for row, text in table.texts(name, rows) if text.strip()]
@@ -692,7 +704,7 @@ def _one_value(
     texts: list[tuple[int, str]],
     parse: Callable[[SamplesTable, str], Any],
 ) -> Any:
-    """Common value of the texts of a dwell; None if there are no texts."""
+    """Value that all texts of a dwell agree on; None if there are no texts."""
     value = None
     for k, (row, text) in enumerate(texts):
         try:

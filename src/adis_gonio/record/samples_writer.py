@@ -26,7 +26,7 @@ from adis_gonio.record.samples_columns import COLUMNS, KEYS, without_formulas
 
 
 def write_samples_csv(session: Session, path: str | Path) -> None:
-    """Write a session as samples CSV, gzipped where the name ends in `.gz`.
+    """Write a session as samples CSV, gzipped if the name ends in `.gz`.
 
     Numbers are written with the fewest digits that give the same float again. Columns that no dwell has
     are left out.
@@ -55,7 +55,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
 
 
 def _leading_lines(values: Mapping[str, Any]) -> list[str]:
-    """Lines of keys; for None or an empty text the value is left empty, to be filled in."""
+    """Lines `# key: value` for the top of the file; None or an empty text leaves the value blank."""
     texts = {name: "" if value is None else KEYS[name].text(value) for name, value in values.items()}
     return [f"# {name}: {without_formulas(text)}".rstrip() for name, text in texts.items()]
 
@@ -65,7 +65,7 @@ def _file_text(leading: list[str], names: list[str], rows: Iterable[Iterable[str
 
 
 def _columns_to_write(dwells: tuple[Dwell, ...], file: str) -> list[str]:
-    """Columns in the file's order, without columns that no dwell has."""
+    """Names of the columns to write, in the file's order; columns that no dwell has are omitted."""
     columns = [dwell.columns() for dwell in dwells]
     first = [{name: COLUMNS[name].text(values[0]) for name, values in c.items()} for c in columns]
     names = []
@@ -84,7 +84,7 @@ def _columns_to_write(dwells: tuple[Dwell, ...], file: str) -> list[str]:
 
 
 def _rows(names: list[str], dwell: Dwell) -> Iterator[tuple[str, ...]]:
-    """Texts of the rows of a dwell."""
+    """Yield the rows of a dwell as texts, one text for each named column."""
     columns, texts = dwell.columns(), []
     for name in names:
         column, values = COLUMNS[name], columns[name].tolist()
@@ -113,7 +113,7 @@ def template_text(
     gravity_mps2: float = STANDARD_GRAVITY_MPS2,
     fixture_sigma_deg: float | None = None,
 ) -> str:
-    """Text of a file to fill in by hand: keys, their meaning, and one row for each position of a plan.
+    """Text of a CSV file to fill in by hand: keys, their meaning, and a row for each position of a plan.
 
     Only times and readings are left empty.
 
@@ -148,7 +148,7 @@ def template_text(
 
 
 def write_template(path: Path, text: str) -> None:
-    """Write a new file.
+    """Write the text of a template to a new file.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def write_template(path: Path, text: str) -> None:
 
 
 def export_csv(session: Session, path: str | Path) -> None:
-    """Write the samples CSV (gzipped if the name ends in `.gz`).
+    """Write a session to a new samples CSV (gzipped if the name ends in `.gz`).
 
     Registers, configuration and truth are left out, since the format has no keys for them; `export_json`
     writes them.
@@ -184,7 +184,10 @@ def export_csv(session: Session, path: str | Path) -> None:
 
 
 def write_csv(session: Session, path: Path) -> None:
-    """Write the samples CSV to a temporary file; a `DataError` names the session instead of the file."""
+    """Write a session as a samples CSV to a path, which is usually temporary.
+
+    Errors therefore name the session, not the path.
+    """
     try:
         write_samples_csv(session, path)
     except DataError as error:
@@ -193,7 +196,7 @@ def write_csv(session: Session, path: Path) -> None:
 
 
 def export_json(session: Session, path: str | Path) -> None:
-    """Write all data of a session, with its samples, as one JSON document.
+    """Write all data of a session, including its samples, to a new file as one JSON document.
 
     Raises
     ------
@@ -213,7 +216,7 @@ def export_json(session: Session, path: str | Path) -> None:
 
 
 def session_dict(session: Session) -> dict[str, Any]:
-    """JSON form of a session in the units of `Session`; an infinite `fixture_sigma_deg` is "free"."""
+    """JSON form of a session, in the units of `Session`; an infinite `fixture_sigma_deg` is "free"."""
     stated = {name: getattr(session, name) for name in KEYS if hasattr(session, name)}
     if session.free_attitudes:
         stated["fixture_sigma_deg"] = "free"
@@ -234,7 +237,7 @@ def _dwell_dict(dwell: Dwell) -> dict[str, Any]:
 
 @contextmanager
 def _new_file(path: str | Path) -> Iterator[Path]:
-    """Temporary path for a file that does not exist yet; it is renamed to the file at the end."""
+    """Yield a temporary path; at the end of the block, the file there gets its final, unused name."""
     path = Path(path)
     if path.exists():
         raise exists_error(path)
@@ -246,7 +249,7 @@ def _new_file(path: str | Path) -> Iterator[Path]:
 
 
 class SamplesRecorder:
-    """Writes scans to a samples CSV (`.csv` or `.csv.gz`), a row a scan; use it as a context manager.
+    """Writes scans to a samples CSV, one row for each scan; use it as a context manager.
 
     Accelerations are written in LSB of the sensor (of a generic sensor in mg), rates in °/s, temperatures
     in °C, the supply in V. Registers without a column in the format are left out.
@@ -295,7 +298,7 @@ class SamplesRecorder:
         )
 
     def add(self, block: Block) -> None:
-        """Append the scans of a block."""
+        """Append the samples of a block to the file."""
         columns = session_columns(block)
         if not self._named:
             notes = [f"# note: {' '.join(note.split())}" for note in self.notes]

@@ -4,7 +4,7 @@ A window of samples is still if the standard deviation of every axis lies betwee
 `adis_gonio.record.stillness`. The noise of an axis is the median deviation of its quiet windows, those with
 a deviation of less than twice the 5 % quantile.
 
-Gyros detect a slow turn that the accelerations do not show, but a part held by hand moves far above their
+Gyros detect a slow turn that the accelerations do not show, but a sensor held by hand moves far above their
 noise without harm. Their limit is therefore ten times their median in windows in which the accelerations
 are still.
 
@@ -37,7 +37,7 @@ LEAST_S = 1.0
 
 _GYRO_UPPER = 10.0
 _OFTEN = 0.25
-"""Share of windows with constant words above which the cause is the converter's step and not a fault."""
+"""Share of constant windows above which the cause is the converter's resolution and not a fault."""
 _LEAST_WINDOW = 8
 _BLOCK = 1 << 16
 """Rows of a block."""
@@ -69,7 +69,7 @@ class Piece:
         return len(self.time_s)
 
     def rows(self, rows: slice) -> Piece:
-        """Some of the samples."""
+        """Return some rows of the piece, as views."""
         gyro = None if self.gyro is None else self.gyro[rows]
         return Piece(self.time_s[rows], self.accel[rows], gyro)
 
@@ -81,7 +81,7 @@ Reading = Callable[[], Iterable[Piece]]
 def segment_with_notes(
     time_s: Floats, accel: Floats, gyro: Floats | None = None
 ) -> tuple[list[slice], list[str]]:
-    """Dwells of a continuous recording in memory, and remarks on them.
+    """Find the dwells of a continuous recording in memory; return their rows and remarks.
 
     Parameters
     ----------
@@ -108,7 +108,9 @@ def segment_with_notes(
 
 
 def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
-    """Dwells of a recording that may be larger than memory; its division into pieces changes nothing.
+    """Find the dwells of a recording that may be larger than memory; return their rows and remarks.
+
+    The division of the recording into pieces does not change the result.
 
     Parameters
     ----------
@@ -149,7 +151,7 @@ def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
 
 
 def _blocks(pieces: Iterable[Piece]) -> Iterator[Piece]:
-    """Samples in blocks of `_BLOCK` rows; the last block is shorter."""
+    """Regroup a recording into blocks of `_BLOCK` rows; only the last block may be shorter."""
     waiting: list[Piece] = []
     held = 0
     for piece in pieces:
@@ -177,7 +179,7 @@ def _joined(pieces: list[Piece]) -> Piece:
 
 
 def _overlapping(read: Reading, overlap: int) -> Iterator[tuple[int, Piece]]:
-    """Blocks that begin with the last `overlap` rows before them, each with the number of its first row."""
+    """Yield blocks that repeat the last `overlap` rows of the block before, with first row numbers."""
     before: Piece | None = None
     row = 0
     for block in _blocks(read()):
@@ -188,11 +190,11 @@ def _overlapping(read: Reading, overlap: int) -> Iterator[tuple[int, Piece]]:
 
 
 _SHIFT = 52 - 10
-"""Bits of a float64 below its ten leading digits: numbers that share the rest share a bin."""
+"""Number of low bits of a float64 that are ignored: numbers with equal higher bits share a bin."""
 
 
 class Quantiles:
-    """Histogram of non-negative numbers, fed in pieces, that gives quantiles to 0.1 %.
+    """Histogram of non-negative numbers, fed in pieces, that gives quantiles with 0.1 % resolution.
 
     A quantile is the mean of the numbers in its bin, so that equal numbers are returned unchanged. Memory
     grows only with the logarithm of the ratio of the largest to the smallest number.
@@ -206,11 +208,11 @@ class Quantiles:
 
     @property
     def positive(self) -> int:
-        """How many numbers above zero were fed."""
+        """Number of values above zero so far."""
         return int(self._count.sum())
 
     def feed(self, values: Floats) -> None:
-        """Take numbers (n,); none is negative."""
+        """Add non-negative numbers (n,) to the histogram."""
         some = values[values > 0]
         self.zeros += len(values) - len(some)
         if not len(some):
@@ -225,7 +227,7 @@ class Quantiles:
         self._sum[here] += np.bincount(places - low, weights=some, minlength=high - low)
 
     def quantile(self, share: float, *, below: float = np.inf, with_zeros: bool = False) -> float:
-        """Value below which a share of the numbers lies.
+        """Value below which the fraction `share` of the numbers lies.
 
         Parameters
         ----------
@@ -254,7 +256,7 @@ class Quantiles:
         return float(mean[np.searchsorted(np.cumsum(count), rank - zeros, side="right")])
 
     def _reach(self, low: int, high: int) -> None:
-        """Make room for bins `low` to `high` (exclusive)."""
+        """Extend the histogram so that it includes bins `low` to `high` (exclusive)."""
         if not len(self._count):
             self._first = low
         before = max(self._first - low, 0)
@@ -270,7 +272,7 @@ class Quantiles:
 
 @dataclass(frozen=True)
 class _Sizes:
-    """Lengths in samples: of a window, of the part trimmed at an end, of the shortest dwell."""
+    """Numbers of samples: in a window, cut off at each end of a dwell, and in the shortest dwell."""
 
     window: int
     trim: int
@@ -283,7 +285,7 @@ class _Sizes:
 
 
 class _Range:
-    """Smallest and largest sample of each axis, their mean, and the first rows."""
+    """Minimum, maximum and mean of each axis over a recording, and a copy of its first rows."""
 
     def __init__(self) -> None:
         self._rows = 0
@@ -314,13 +316,16 @@ class _Range:
 
     @property
     def rounding(self) -> Floats:
-        """Variance (axes,) below which a window is constant: the rounding error of the running sums."""
+        """Variance (axes,) below which a window counts as constant: rounding error of running sums."""
         least: Floats = 1e-12 * np.maximum(self.high - self.middle, self.middle - self.low) ** 2
         return least
 
     @property
     def quantum(self) -> Floats:
-        """The converter's step (axes,); 0 for an axis that does not change in the first rows."""
+        """Resolution (axes,) of the samples: the smallest difference of values; 0 for a constant axis.
+
+        Only the first rows are used.
+        """
         steps = np.zeros(self.axes)
         largest = np.maximum(np.abs(self.low), np.abs(self.high))
         first = np.concatenate(self._first)
@@ -344,7 +349,7 @@ class _Range:
 
 @dataclass
 class _Extent:
-    """First pass: length of the recording and ranges of its samples."""
+    """Result of the first pass: number of rows, time steps, and ranges of the samples."""
 
     rows: int = 0
     steps: Quantiles = field(default_factory=Quantiles)
@@ -364,7 +369,7 @@ class _Extent:
 
 
 def _deviation(samples: Floats, window: int, middle: float, rounding: float) -> Floats:
-    """Standard deviation (n − window + 1,) of samples (n,) in every window."""
+    """Standard deviation in each window of samples (n,), (n − window + 1,)."""
     if len(samples) < window:
         return np.zeros(0)
     # Differences of running sums give the sums of x and x² over every window.
@@ -379,14 +384,14 @@ def _deviation(samples: Floats, window: int, middle: float, rounding: float) -> 
 
 
 def _deviations(samples: Floats, window: int, extent: _Range) -> Iterator[Floats]:
-    """Standard deviations in every window of samples (n, axes), axis by axis."""
+    """For each axis of samples (n, axes): standard deviations in all windows, as `_deviation`."""
     for axis in range(extent.axes):
         middle, rounding = float(extent.middle[axis]), float(extent.rounding[axis])
         yield _deviation(samples[:, axis], window, middle, rounding)
 
 
 def _limits(read: Reading, extent: _Range, window: int) -> tuple[Floats, StillnessLimits]:
-    """Second pass: noise (axes,) of the accelerations, and the limits that follow from it."""
+    """Second pass: measure the noise (axes,) at rest and derive the limits of stillness."""
     spreads = [Quantiles() for _ in range(extent.axes)]
     for _, piece in _overlapping(read, window - 1):
         for spread, deviation in zip(spreads, _deviations(piece.accel, window, extent), strict=True):
@@ -396,7 +401,10 @@ def _limits(read: Reading, extent: _Range, window: int) -> tuple[Floats, Stillne
 
 
 def _own_noise(spread: Quantiles) -> float:
-    """Noise of an axis: median deviation of its quiet windows; zero if words often repeat."""
+    """Noise of an axis at rest: median standard deviation of its quiet windows.
+
+    It is zero if many windows are constant, because the converter is too coarse.
+    """
     alive = spread.positive
     if not alive or alive < (1 - _OFTEN) * (alive + spread.zeros):
         return 0.0
@@ -404,7 +412,7 @@ def _own_noise(spread: Quantiles) -> float:
 
 
 def _turn_limits(read: Reading, extent: _Extent, limits: StillnessLimits) -> Floats:
-    """Third pass: deviation (3,) of each gyro above which it turns; empty without gyros."""
+    """Third pass: standard deviation (3,) of each gyro above which it turns; empty without gyros."""
     if extent.gyro is None:
         return np.zeros(0)
     window = limits.window_samples
@@ -423,7 +431,7 @@ def _turn_limits(read: Reading, extent: _Extent, limits: StillnessLimits) -> Flo
 
 
 def _outside(accel: Floats, extent: _Range, limits: StillnessLimits) -> tuple[Flags, Flags]:
-    """Windows (w,) in which an axis moves, and windows in which an axis shows too little noise."""
+    """For each window (w,): True if some axis moves, and True if some axis shows too little noise."""
     windows = max(len(accel) - limits.window_samples + 1, 0)
     high, low = np.zeros((2, windows), dtype=np.bool_)
     for axis, deviation in enumerate(_deviations(accel, limits.window_samples, extent)):
@@ -433,7 +441,7 @@ def _outside(accel: Floats, extent: _Range, limits: StillnessLimits) -> tuple[Fl
 
 
 class _Cutter:
-    """Last pass: runs of still windows, trimmed, and split where the mean steps."""
+    """Last pass: find runs of still windows, trim them, and split them at sudden changes of the mean."""
 
     def __init__(self, sizes: _Sizes, limits: StillnessLimits, extent: _Extent, turn: Floats) -> None:
         self._sizes = sizes
@@ -452,7 +460,7 @@ class _Cutter:
         self._latest: tuple[int, Floats] = (0, np.zeros(0))
 
     def take(self, start: int, piece: Piece) -> None:
-        """Take a block that begins at row `start`, 2 windows − 1 rows before the end of the last one."""
+        """Process a block that begins at row `start`, 2 windows − 1 rows before the previous end."""
         window = self._sizes.window
         if len(piece) < window:
             return
@@ -476,7 +484,7 @@ class _Cutter:
             self._open_s = float(piece.time_s[opened - start])
 
     def done(self) -> list[slice]:
-        """Rows of all dwells, when all blocks have been taken."""
+        """Return the rows of all dwells, after the last block."""
         for first, last in self._flat.end():
             self._note_stuck(first, last)
         for first, last in self._still.end():
@@ -489,7 +497,7 @@ class _Cutter:
         self.stuck.append((began, float(time_s[last + self._sizes.window - 1 - start])))
 
     def _look_for_steps(self, start: int, accel: Floats, still: Flags) -> None:
-        """Rows at which the means of the windows before and after differ by more than the noise."""
+        """Record rows at which the mean changes suddenly between adjacent windows."""
         window = self._sizes.window
         if len(still) <= window or not still.any():
             return
@@ -505,7 +513,7 @@ class _Cutter:
             self._steps.append((start + rows, jump[rows]))
 
     def _close(self, first: int, last: int) -> None:
-        """Keep the rows of an ended run of still windows, split at steps of the mean."""
+        """Turn a finished run of still windows into dwells, split at sudden changes of the mean."""
         sizes = self._sizes
         start, stop = first + sizes.trim, last + sizes.window - sizes.trim
         cuts = self._cuts(start, stop) if stop - start >= 2 * sizes.least else []
@@ -514,7 +522,7 @@ class _Cutter:
         self._steps = [(rows, jump) for rows, jump in self._steps if rows[-1] > last]
 
     def _cuts(self, start: int, stop: int) -> list[int]:
-        """Rows at which a dwell is split: the largest step first, none within a window of another."""
+        """Rows at which to split a dwell: the largest change first, at least a window apart."""
         window = self._sizes.window
         if not self._steps:
             return []
@@ -532,7 +540,7 @@ class _Cutter:
 
 
 class _Runs:
-    """Runs of true flags, fed in pieces; each run is returned as (first, last) when it has ended."""
+    """Finds runs of true flags that are fed in pieces; returns (first, last) of each finished run."""
 
     def __init__(self) -> None:
         self._fed = 0
@@ -552,7 +560,7 @@ class _Runs:
         return found
 
     def end(self) -> list[tuple[int, int]]:
-        """The unfinished run at the end, if any."""
+        """Return the run that is unfinished after the last piece, as a list of at most one."""
         return [] if self.open is None else [(self.open, self._fed - 1)]
 
 
@@ -560,7 +568,7 @@ _HALF_TURN = math.pi
 _MOST_REST = 0.5
 """Share of the time at rest above which a recording is a series of positions."""
 _OUT_OF_PLANE = 0.25
-"""Largest Z and change of the length of (X, Y), relative to this length, for a turn in the plane."""
+"""Limit of Z, and of changes of the length of (X, Y), relative to this length, for a turn in the plane."""
 
 
 def shows_a_free_turn(recording: Dwell, dwells: Sequence[slice]) -> bool:

@@ -33,7 +33,7 @@ from adis_gonio.record.blocks import (
 from adis_gonio.record.plans import Plan
 
 FREE_TURN = "free-turn"
-"""Name of the plan."""
+"""Name of the plan for one continuous turn without declared angles."""
 GOES_ON = "the turn goes on"
 """Reason of an attempt that is a piece of a free turn, but not the last piece."""
 TURNED = "turned"
@@ -42,7 +42,7 @@ TURNED = "turned"
 
 @dataclass(frozen=True)
 class ArchivedTurns:
-    """Reads the turns between the dwells of a session file.
+    """Reads the turns between the dwells of a session file when called.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class ArchivedTurns:
     attempts: tuple[int, ...]
 
     def __call__(self) -> tuple[Turn, ...]:
-        """Turns, one less than dwells; empty if the file is missing or was replaced.
+        """Read the turns between successive dwells; empty if the file is missing or was replaced.
 
         Raises
         ------
@@ -84,7 +84,7 @@ class ArchivedTurns:
 def _between(
     view: ArchiveView, stored: Sequence[StoredAttempt], before: StoredAttempt, after: StoredAttempt
 ) -> Iterator[Block]:
-    """Scans from the end of a dwell to the beginning of the next dwell, in order.
+    """Scans from the end of one dwell to the beginning of the next dwell, in order.
 
     Attempts in between (interrupted or repeated dwells) are included with all their scans. Attempts of
     another run than the second dwell's are left out, since their stream is another one; this makes a gap.
@@ -124,7 +124,7 @@ def _turn(number: int, blocks: list[Block], after: StoredAttempt, turned_deg: fl
 
 
 def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
-    """Recording of the last complete free turn and an empty text.
+    """Recording of the last complete free turn, and the reason if it was broken off.
 
     If no turn is complete: the longest recording and the reason why it was broken off; None if there is no
     recording.
@@ -159,7 +159,7 @@ def _joined(blocks: Sequence[tuple[StoredAttempt, Block]]) -> Dwell:
 
 
 def read_session(path: str | Path) -> Session:
-    """Read a session file: its complete dwells, in the order in which they were recorded.
+    """Read a session file and return its complete dwells, in order of recording, as a `Session`.
 
     A session may be read while another program records it. Samples are in LSB (of a generic sensor in mg)
     and °/s, times in seconds since the session began. `facts` has `configuration`, `registers` (before,
@@ -207,7 +207,7 @@ def read_session(path: str | Path) -> Session:
 
 
 def _free_turn(path: str | Path, view: ArchiveView) -> Session:
-    """Session of one continuous turn; if it was broken off, a note gives the reason."""
+    """Session of one continuous turn, with a note of the reason if it was broken off."""
     recording, reason = recording_of(view)
     if recording is None:
         raise DataError(f"{path}: has no turn yet; resume the session")
@@ -233,7 +233,7 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
 
 
 def _facts(view: ArchiveView) -> JsonDict:
-    """Facts of every session."""
+    """Facts of a session that dwells and free turns have in common: settings, plan, registers, problems."""
     header, truth = view.header(), view.last("truth")
     return {
         "url": header.url,
@@ -257,7 +257,7 @@ def _facts(view: ArchiveView) -> JsonDict:
 def _session(
     path: str | Path, header: Header, facts: JsonDict, notes: Sequence[str], **found: Any
 ) -> Session:
-    """The session with its metadata."""
+    """Create the session with the metadata of the header and the data in `found`."""
     return Session(
         sensor=header.variant,
         accel_unit="mg" if header.variant == GENERIC else "lsb",
@@ -270,7 +270,7 @@ def _session(
 
 
 def _of_writes(facts: JsonDict) -> tuple[str, ...]:
-    """Remarks on a later write-back to the sensor; empty if there was none."""
+    """Remarks on offsets that were written to the sensor after the recording; empty if none were."""
     recorded = facts["registers"]["configured"]
     if not facts["offset_writes"] or not recorded:
         return ()
@@ -307,7 +307,7 @@ def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
 
 
 def _changed_registers(view: ArchiveView) -> list[JsonDict]:
-    """Return a doubt if the registers at the end of a session differ from those at its beginning."""
+    """Return a doubt (a list of one) if registers changed between start and end of a session; else []."""
     then, now = view.last("registers-configured"), view.last("registers-after")
     changed = changed_settings(then or {}, now or {})
     if not changed:

@@ -17,17 +17,17 @@ LEAST_SAMPLES = 16
 """Samples that a dwell needs so that its noise can be estimated."""
 
 TURN_S = 10.0
-"""Estimate of a turn by hand, until the first one has been timed."""
+"""Estimated duration in s of a turn by hand, until the first turn has been timed."""
 
 
 def expected_each_s(settle_s: float, dwell_s: float) -> float:
-    """Expected time of a position in s: the turn, the settling and the dwell."""
+    """Expected duration of one position in s: turning, settling and dwell."""
     return TURN_S + settle_s + dwell_s
 
 
 @dataclass(frozen=True)
 class Settings(JsonRecord):
-    """Settings of a session, kept in its archive and used again when it is resumed.
+    """Settings of a session, stored in its archive and used again when the session is resumed.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Settings(JsonRecord):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Settings:
-        """Settings from their JSON form; missing settings have their defaults.
+        """Create settings from their JSON form; missing settings have their defaults.
 
         Raises
         ------

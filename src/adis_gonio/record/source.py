@@ -26,26 +26,26 @@ from adis_gonio.record.settings import Settings
 
 
 class Measuring(Protocol):
-    """Configuration of a sensor, as far as a session needs it."""
+    """Configuration of a sensor, as far as a session needs it: sample rate and settling time."""
 
     @property
     def sample_rate_hz(self) -> float:
-        """Samples a second."""
+        """Number of samples a second."""
 
     @property
     def sample_period_s(self) -> float:
-        """Time between two samples."""
+        """Time between two samples in s."""
 
     @property
     def settling_s(self) -> float:
-        """Settling time of the filter; 0 if no filter is known."""
+        """Settling time of the sensor's filter in s; 0 if no filter is known."""
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """The configuration in JSON form, as the archive stores it."""
 
 
 class SampleStream(Iterator[Block], AbstractContextManager[Any], Protocol):
-    """Blocks of samples until it is closed; the next block raises `BusError` if the sensor fails.
+    """Iterator of blocks of samples, until it is closed; it raises `BusError` if the sensor fails.
 
     Attributes
     ----------
@@ -57,10 +57,10 @@ class SampleStream(Iterator[Block], AbstractContextManager[Any], Protocol):
 
     @property
     def caveat(self) -> str:
-        """Limitation of the samples, as text, or empty."""
+        """A known limitation of these samples, as text for the user; empty if there is none."""
 
     def close(self) -> None:
-        """Stop and undo changes made for the stream; may be called twice."""
+        """Stop the stream and undo the changes made for it; may be called twice."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class KnownPart:
 
 
 class SampleSource(Closing):
-    """A sensor for a session; a context manager. It raises the errors of `adis_gonio.base.errors`.
+    """A sensor as a session uses it; a context manager. Errors are those in `adis_gonio.base.errors`.
 
     Methods about registers have defaults for a sensor without registers.
 
@@ -110,50 +110,52 @@ class SampleSource(Closing):
 
     @abstractmethod
     def now_s(self) -> float:
-        """Time of the sensor's monotonic clock, which also gives the times of samples."""
+        """Present time in s on the sensor's monotonic clock, which also times the samples."""
 
     @abstractmethod
     def sleep_s(self, seconds: float) -> None:
-        """Wait on that clock."""
+        """Wait for `seconds` on the sensor's clock, which may be virtual."""
 
     @abstractmethod
     def configure(self, settings: Settings) -> Measuring:
-        """Set the sensor up by the settings, as far as they apply, and return its configuration.
+        """Apply the settings to the sensor, as far as it has them, and return its configuration.
 
-        Data-ready is borrowed until `give_back`.
+        The data-ready line is reserved until `give_back`.
         """
 
     def give_back(self) -> None:
-        """Undo temporary changes of `configure` and `mark_restart`; may be called twice."""
+        """Undo the temporary changes that `configure` and `mark_restart` made; may be called twice."""
 
     def mark_restart(self) -> None:
-        """Mark an unused register, if there is one, with a number that a restart erases."""
+        """Write a number to an unused register, if any, that a restart of the sensor would erase."""
 
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:
-        """Return the settings that shift or scale a sample, and the mark; empty if there are no registers.
+        """Contents of the registers that shift or scale a sample, and the mark of `mark_restart`.
+
+        Empty if the sensor has no registers.
 
         With `checked` raise `ChipError` if the replies cannot be the sensor's.
         """
         return {}
 
     def registers(self) -> dict[str, int]:
-        """All readable registers by name; empty if there are none."""
+        """Contents of all readable registers by name; empty if the sensor has no registers."""
         return {}
 
     @abstractmethod
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """Facts from registers and configuration that must not change until a session is resumed."""
+        """Facts about the sensor and its configuration that must be unchanged when a session is resumed."""
 
     @abstractmethod
     def expected_noise_mg(self, measuring: Measuring) -> float:
-        """Estimate of a sample's noise at rest; ten times this estimate counts as motion."""
+        """Estimate of a sample's noise at rest in mg; ten times as much counts as motion."""
 
     @abstractmethod
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
-        """Stream of samples from now on, with the sensor as `configure` has set it."""
+        """Start a stream of samples from the sensor as `configure` has set it."""
 
     def status(self) -> Status | None:
-        """Read and clear the reported faults; None if the sensor cannot report any."""
+        """Read the faults that the sensor reports, and clear them; None if it cannot report any."""
         return None
 
     @abstractmethod
@@ -162,7 +164,7 @@ class SampleSource(Closing):
 
 
 MARK = 0x2A5A
-"""Number in the level of an unused alarm while a session runs; a restart restores the flash copy."""
+"""Number written to the level of an unused alarm during a session; a restart of the chip erases it."""
 
 HOLDING_SETTINGS = tuple(
     row.name
@@ -173,7 +175,7 @@ HOLDING_SETTINGS = tuple(
 
 
 class ChipSource(SampleSource):
-    """Source of samples from the chip's driver."""
+    """Source of samples from a chip of this family, by its driver."""
 
     kept = tuple(Settings.__dataclass_fields__)
 
@@ -188,15 +190,15 @@ class ChipSource(SampleSource):
         self._marked: tuple[str, int] | None = None
 
     def now_s(self) -> float:
-        """Time of the bus's clock."""
+        """Present time in s on the bus's clock."""
         return self.sensor.bus.now_s()
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait on the bus's clock."""
+        """Wait for `seconds` on the bus's clock."""
         self.sensor.bus.sleep_s(seconds)
 
     def configure(self, settings: Settings) -> Configuration:
-        """Set the chip up, and borrow data-ready if it is wired, unless the settings forbid it.
+        """Configure the chip, and enable data-ready if it is wired and the settings do not forbid it.
 
         Raises
         ------
@@ -220,7 +222,7 @@ class ChipSource(SampleSource):
         return now
 
     def _refuse_self_test(self) -> None:
-        """Raise `ChipError` if the stimulus of the manual self-test is on, which shifts every reading."""
+        """Raise `ChipError` if the manual self-test is on, because its stimulus shifts all readings."""
         control = BY_NAME["MSC_CTRL"]
         stimulus = control.field("positive").mask | control.field("negative").mask
         word = self.sensor.read(control)
@@ -249,7 +251,7 @@ class ChipSource(SampleSource):
             raise SessionError(f"{self.url}: {self.why_polled} (the session asks for it)")
 
     def give_back(self) -> None:
-        """Restore data-ready and the level of the alarm; may be called twice."""
+        """Restore the data-ready bits and the alarm level used as a mark; may be called twice."""
         loan, self._loan = self._loan, None
         marked, self._marked = self._marked, None
         try:
@@ -260,7 +262,7 @@ class ChipSource(SampleSource):
                 self.sensor.write(*marked)
 
     def mark_restart(self) -> None:
-        """Write `MARK` into the level of an alarm that is off.
+        """Write the number `MARK` to the level of an unused alarm; a restart of the chip erases it.
 
         If both alarms are in use, a restart shows only in registers that differ from their flash copies.
 
@@ -278,13 +280,13 @@ class ChipSource(SampleSource):
                 return
 
     def _forget_old_mark(self) -> None:
-        """Clear the mark of a session that was killed."""
+        """Clear the mark that a killed session left in the alarm level."""
         for name in ("ALM_MAG1", "ALM_MAG2"):
             if self.sensor.read(name) == MARK:
                 self.sensor.write(name, 0)
 
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:
-        """Bits of `READING_BITS` in their registers, and the level of the marked alarm.
+        """Contents of registers that shift or scale a sample (`READING_BITS`), and the marked alarm level.
 
         If both alarms are in use and no register is marked, ALM_CTRL: a restart ends alarms set in RAM.
         """
@@ -294,23 +296,23 @@ class ChipSource(SampleSource):
         return {name: number & READING_BITS.get(name, -1) for name, number in numbers.items()}
 
     def registers(self) -> dict[str, int]:
-        """All readable registers."""
+        """Contents of all readable registers by name."""
         return self.sensor.read_all()
 
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """Control registers with settings, without the bits of data-ready, which depend on the wiring."""
+        """Contents of the control registers by name, without data-ready bits, which depend on wiring."""
         held = {name: registers.get(name) for name in HOLDING_SETTINGS}
         if held["MSC_CTRL"] is not None:
             held["MSC_CTRL"] &= ~DATA_READY_BITS
         return held
 
     def expected_noise_mg(self, measuring: Measuring) -> float:
-        """The variant's noise estimate behind the present filter."""
+        """Noise of a sample in mg by the data of the variant, behind the present filter."""
         filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
         return self.sensor.variant.performance.noise_mg * white_noise_gain(filter_m)
 
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
-        """Scans of the registers that the settings name."""
+        """Start a stream of scans of the registers that the settings name."""
         # The session has set the registers, and the archive has recorded them: the stream leaves them.
         return self.sensor.stream(
             settings.registers,
@@ -320,26 +322,26 @@ class ChipSource(SampleSource):
         )
 
     def status(self) -> Status:
-        """Read STATUS, which clears it."""
+        """Read STATUS, which clears its bits."""
         return self.sensor.status()
 
     def close(self) -> None:
-        """Close the sensor."""
+        """Close the driver and its bus."""
         self.sensor.close()
 
 
 def as_source(sensor: Adis16354 | SampleSource) -> SampleSource:
-    """Return a source for the chip's driver; return any other source unchanged."""
+    """Wrap a driver as a `SampleSource`; a `SampleSource` is returned unchanged."""
     return ChipSource(sensor) if isinstance(sensor, Adis16354) else sensor
 
 
 def has_frames(url: str) -> bool:
-    """True if a URL names a bus with the chip behind it, False for other sources of samples."""
+    """True if the URL names an SPI bus with a chip; False if it names another source of samples."""
     return BusUrl.parse(url).scheme not in {point.name for point in entry_points(group=SOURCE_GROUP)}
 
 
 def open_source(url: str, *, variant: str = "adis16354", check: bool = True) -> SampleSource:
-    """Open a source of samples by URL: a bus with the chip behind it, or another sensor (`iio:`).
+    """Open a source of samples by its URL: a bus with the chip, or another sensor (`iio:`).
 
     Parameters
     ----------
@@ -360,7 +362,7 @@ def open_source(url: str, *, variant: str = "adis16354", check: bool = True) -> 
 
 
 def refuse_chip_options(url: str, given: Mapping[str, object]) -> None:
-    """Raise `UsageError` if options for the chip are given with a URL of another sensor."""
+    """Raise `UsageError` if options that only the chip has are given for another sensor."""
     names = [name for name, value in given.items() if value]
     if names and not has_frames(url):
         raise UsageError(f"{', '.join(names)}: for the ADIS16354 only; set up {url} by its own means")

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from adis_gonio.record.source import Measuring
 
 UPPER = 4.0
-"""Upper limit in units of the noise."""
+"""Upper limit of the standard deviation of a still window, as a multiple of the noise."""
 _LOWER = 0.1
 
 
 @dataclass(frozen=True)
 class StillnessLimits:
-    """Standard deviations within a window between which an axis counts as still.
+    """Limits of the standard deviation within a window between which an axis counts as still.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class StillnessLimits:
 
 
 def limits_from_noise(noise_sd: Floats, window_samples: int, quantum: Floats | float) -> StillnessLimits:
-    """Limits from the standard deviation of single samples at rest.
+    """Derive the limits of stillness from the standard deviation of single samples at rest.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ STUCK_LOOKS = 3
 
 
 def window_samples(measuring: Measuring) -> int:
-    """Length of a window of the watch in samples, by the sample rate and the filter's settling time."""
+    """Number of samples in a window of the stillness watch, from sample rate and filter settling."""
     return max(
         LEAST_WINDOW,
         round(WINDOW_S * measuring.sample_rate_hz),
@@ -92,7 +92,7 @@ def window_samples(measuring: Measuring) -> int:
 
 @dataclass(frozen=True)
 class Look:
-    """Result of one window.
+    """Result for one window of the stillness watch.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Look:
         Number of samples up to the end of the window, which begins `window_samples` before.
     state : {"still", "moving", "stuck"}
     why : str
-        The axis that moves or is stuck, with numbers; empty if the part is still.
+        The axis that moves or is stuck, with numbers; empty if the sensor is still.
     mean_mg, spread_mg : (3,) float
         Mean and standard deviation of the window.
     shifted : bool
@@ -116,7 +116,7 @@ class Look:
 
 
 class _Windows:
-    """Half-overlapping windows over samples that are fed in pieces."""
+    """Cuts samples that arrive in pieces into windows that overlap by half."""
 
     def __init__(self, length: int) -> None:
         self._length = length
@@ -125,7 +125,7 @@ class _Windows:
         self.fed = 0
 
     def feed(self, samples: Floats) -> list[tuple[int, Floats]]:
-        """Windows (length, 3) completed by these samples, each with the number of samples up to its end."""
+        """Windows (length, 3) that these samples complete, each with the sample count at its end."""
         self._kept = np.concatenate([self._kept, samples])
         self.fed += len(samples)
         first = self.fed - len(self._kept)
@@ -138,7 +138,7 @@ class _Windows:
 
 
 class NoiseMeter:
-    """Measures the noise of a sample at rest: waits until eight consecutive windows agree.
+    """Measures the noise of samples at rest; it waits until eight consecutive windows agree.
 
     Parameters
     ----------
@@ -157,16 +157,16 @@ class NoiseMeter:
 
     @property
     def mean_mg(self) -> Floats:
-        """Mean (3,) of the newest window."""
+        """Mean (3,) of the latest window, in mg."""
         return self._means[-1] if self._means else np.zeros(len(AXES))
 
     @property
     def spread_mg(self) -> Floats:
-        """Standard deviation (3,) of the newest window."""
+        """Standard deviation (3,) within the latest window, in mg."""
         return self._spreads[-1] if self._spreads else np.zeros(len(AXES))
 
     def feed(self, accel_mg: Floats) -> Floats | None:
-        """Take samples (n, 3); return the noise (3,) in mg once it is known.
+        """Add samples (n, 3) in mg; return their noise (3,) in mg once it is known, until then None.
 
         Raises
         ------
@@ -189,7 +189,7 @@ class NoiseMeter:
 
 
 class StillnessWatch:
-    """Decides for every window whether the part is still, moves, or an axis is stuck.
+    """Decides for each window if the sensor is still or moves, or if an axis is stuck.
 
     Parameters
     ----------
@@ -211,15 +211,18 @@ class StillnessWatch:
 
     @property
     def fed(self) -> int:
-        """Number of samples so far."""
+        """Number of samples fed so far."""
         return self._windows.fed
 
     def anchor(self, sample: int | None) -> None:
-        """Compare the mean with the mean at this sample (a dwell begins); None ends the comparison."""
+        """Set the sample number at which a dwell begins; later windows are compared with its first window.
+
+        None ends the comparison.
+        """
         self._anchor_from, self._anchor = sample, None
 
     def feed(self, accel_mg: Floats) -> list[Look]:
-        """Take samples (n, 3) in mg; return a look for every window that they complete."""
+        """Add samples (n, 3) in mg; return the result of each window that they complete."""
         return [self._look(end, window) for end, window in self._windows.feed(accel_mg)]
 
     def _look(self, end: int, window: Floats) -> Look:
@@ -250,7 +253,7 @@ class StillnessWatch:
 
 
 def stuck_error(axis: str, value_mg: float) -> SessionError:
-    """Error for an axis that does not change."""
+    """Make the error for an accelerometer that shows no noise, so that it is stuck."""
     return SessionError(
         f"accelerometer {axis} is stuck at {value_mg:.1f} mg: a live sensor shows its noise;"
         " check the sensor, its wiring and its supply, then resume the session"

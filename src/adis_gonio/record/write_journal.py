@@ -6,10 +6,10 @@ step behind the sensor, and the registers, ENDURANCE and the journal together de
 
 | registers | after |
 |---|---|
-| old | a power cut before anything was saved (at power-on the part loads its flash copies), or an undo |
+| old | a power cut before anything was saved (at power-on the sensor loads its flash copies), or an undo |
 | new | a write; in flash if ENDURANCE went up by one since `saving` |
 | half | the program ended between two bytes or two registers, without a power cut |
-| other | another program wrote them, or it is another part |
+| other | another program wrote them, or it is another sensor |
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Numbers = Mapping[str, int]
 """Offset registers by name, signed, in LSB."""
 
 KIND = "offsets"
-"""Kind of the archive's records that are the journal."""
+"""Kind of the records in the archive that make up the journal."""
 
 INTERRUPTED = (
     "a write of offsets was interrupted, so the state of the sensor is unknown; run `adis-gonio write` "
@@ -39,10 +39,10 @@ Op = Literal["write", "undo", "autonull"]
 
 
 class WriteStep(StrEnum):
-    """Steps of an operation, in their order; `DONE` and `SET_BACK` end it.
+    """Steps of a write operation, in their order; `DONE` and `SET_BACK` end the operation.
 
     Numbers that are in flash already are `SAVED` without `SAVING`. An autonull begins with `SAVING`, since
-    the part saves it automatically, and `SAVED` has the numbers found.
+    the sensor saves it automatically, and `SAVED` has the numbers found.
     """
 
     PLANNED = "planned"
@@ -56,7 +56,7 @@ class WriteStep(StrEnum):
 
 @dataclass(frozen=True)
 class Operation(JsonRecord):
-    """One write, undo or autonull in the journal.
+    """One write, undo or autonull of offset registers, as recorded in the journal.
 
     Attributes
     ----------
@@ -100,33 +100,33 @@ class Operation(JsonRecord):
 
     @property
     def open(self) -> bool:
-        """True if it was not completed."""
+        """True if the operation was not completed."""
         return self.steps[-1] not in (WriteStep.DONE, WriteStep.SET_BACK)
 
     def concerns(self, names: Sequence[str]) -> bool:
-        """True if it writes a register of these names."""
+        """True if the operation writes at least one of the named registers."""
         return any(name in names for name in self.old)
 
     @property
     def target_of_saving(self) -> dict[str, int]:
-        """Numbers that its flash update saves."""
+        """Register contents that the flash update of the operation saves, by name."""
         return self.old if self.op == "undo" else self.new
 
     @property
     def saved(self) -> bool:
-        """True if the journal records that the flash was written."""
+        """True if the journal records that the operation wrote the flash."""
         return WriteStep.SAVED in self.steps
 
     @property
     def target(self) -> dict[str, int]:
-        """Numbers in the registers after it."""
+        """Register contents after the operation, by name."""
         if self.steps[-1] is WriteStep.SET_BACK:
             return self.found
         return self.old if self.op == "undo" else self.new
 
 
 def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
-    """Operations from the records of the journal (`Session.facts["offset_writes"]`), in order."""
+    """Combine the journal's records (`Session.facts["offset_writes"]`) to operations, in order."""
     found: dict[int, Operation] = {}
     for entry in entries:
         number, step = int(entry["number"]), WriteStep(entry["step"])
@@ -141,13 +141,13 @@ def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
 
 
 def operations_of(session: Session, names: Sequence[str] = ACCEL_OFF) -> tuple[Operation, ...]:
-    """Operations on these registers in a session's archive; empty for other sessions."""
+    """Write operations on the named registers in a session's archive; empty without a journal."""
     known = operations(session.facts.get("offset_writes") or ())
     return tuple(operation for operation in known if operation.concerns(names))
 
 
 def describe_writes(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
-    """Remarks on writes for a session's results: one line for each half of the sensor that was written."""
+    """Remarks on offsets written after the recording, at most one each for accelerometers and gyros."""
     own = [tuple(one for one in known if one.concerns(names)) for names in (ACCEL_OFF, GYRO_OFF)]
     said = (*_remarks(own[0], recorded, "biases"), *_remarks(own[1], recorded, "zero rates"))
     return tuple(dict.fromkeys(said))
@@ -170,7 +170,7 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
 
 
 def find_undoable(known: Sequence[Operation]) -> Operation | None:
-    """The write that an undo would undo: the last one that was not undone already."""
+    """The write that `--undo` would revert: the last one that is not undone yet; None without one."""
     for operation in reversed(known):
         if operation.op != "undo" and operation.steps[-1] is not WriteStep.SET_BACK:
             return operation
@@ -184,7 +184,7 @@ RegisterState = Literal["old", "new", "half", "other"]
 
 @dataclass(frozen=True)
 class HeldOffsets(JsonRecord):
-    """State of the sensor's offset registers by the journal.
+    """State of the sensor's offset registers, compared with the journal.
 
     Attributes
     ----------
@@ -213,7 +213,7 @@ class HeldOffsets(JsonRecord):
 def held_offsets(
     known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
 ) -> HeldOffsets:
-    """State of a sensor with these numbers and this ENDURANCE.
+    """Compare register contents and ENDURANCE with the journal and return the state of the sensor.
 
     Parameters
     ----------
@@ -241,12 +241,15 @@ def held_offsets(
 def flash_untouched(
     known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
 ) -> bool:
-    """True if the flash certainly has the same numbers as before the first write."""
+    """True if the flash certainly has the contents from before the first write of the session."""
     return not known or _in_flash(known, now, endurance, others) in ({}, known[-1].old)
 
 
 def _common_state(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
-    """One state for all registers; a register that an operation does not change is both old and new."""
+    """Common state of all registers.
+
+    A register that the operation leaves unchanged counts as both old and new.
+    """
     both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
     written = last.op == "write" or (last.op == "autonull" and last.saved)
     for state, numbers in both if written else reversed(both):
@@ -267,7 +270,7 @@ def _state(name: str, now: int, old: int, new: int) -> RegisterState:
 def _in_flash(
     known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation]
 ) -> dict[str, int] | None:
-    """Numbers that were saved to flash; {} if nothing was saved; None if unknown."""
+    """Register contents saved in flash by these operations; {} if none was saved; None if unknown."""
     flash: dict[str, int] | None = {}
     names = tuple(known[-1].old)
     for operation in sorted((*known, *others), key=lambda one: one.number):
@@ -299,7 +302,7 @@ def _words(
 
 
 def _flash(registers: str, flash: dict[str, int] | None, last: Operation) -> str:
-    """State of the flash, as a part of a sentence."""
+    """Clause of a sentence that describes the contents of the flash."""
     held, other = (last.new, last.old) if registers == "new" else (last.old, last.new)
     if flash is None:
         return ", and whether these or the others are in flash is not known"

@@ -49,7 +49,7 @@ _OPTIONS = ("seed", "variant", "stream", "realtime", "effects", "flash", "gyros"
 
 
 class SimBus(SpiBus):
-    """A simulated ADIS16350-family chip on a stage.
+    """A bus with a simulated chip of the ADIS16350 family, mounted on a simulated stage.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class SimBus(SpiBus):
     Attributes
     ----------
     chip, world, stage
-        Simulated objects behind the bus; `stage` moves the part.
+        Simulated objects behind the bus; `stage` moves the sensor.
     """
 
     def __init__(
@@ -106,20 +106,20 @@ class SimBus(SpiBus):
 
     @property
     def virtual_time(self) -> bool:
-        """True if actions advance the clock, False if the bus follows the wall clock."""
+        """True if waits and frames advance a virtual clock; False if the bus follows the wall clock."""
         return self._wall_s is None
 
     # -- time -----------------------------------------------------------------------------------
 
     def now_s(self) -> float:
-        """Virtual time in s; 0 at opening."""
+        """Return the time in s since the bus was opened, by its virtual clock or by the wall clock."""
         with self._lock:
             if self._wall_s is not None:
                 self._now = max(self._now, time.monotonic() - self._wall_s)
             return self._now
 
     def sleep_s(self, seconds: float) -> None:
-        """Advance the clock; wait only if the bus follows the wall clock."""
+        """Advance the bus's clock by `seconds`; really wait only if the bus follows the wall clock."""
         if not seconds >= 0:
             raise UsageError(f"cannot sleep {seconds} s")
         with self._lock:
@@ -175,7 +175,7 @@ class SimBus(SpiBus):
 
 
 class SimStream(FrameStream):
-    """A stream of a simulated bus.
+    """A stream of a simulated bus, which scans at each data-ready edge.
 
     The list runs after each falling edge, followed by one idle frame that fetches the last reply; edges
     during a run are lost. Scans between two calls are buffered.
@@ -220,7 +220,7 @@ class SimStream(FrameStream):
             return FrameBlock(np.ascontiguousarray(words), edges, lost)
 
     def close(self) -> None:
-        """Stop; the bus is free again."""
+        """Stop the stream, so that the bus accepts other frames again."""
         with self._bus._lock:
             if self._open:
                 self._open = False
@@ -236,7 +236,7 @@ class SimStream(FrameStream):
 
 
 class SimStage:
-    """The stage as moved by a program: each move takes time on the clock of the bus."""
+    """The simulated stage for programs: each move advances the clock of the bus by its duration."""
 
     def __init__(self, bus: SimBus, stage: Stage) -> None:
         self._bus = bus
@@ -244,26 +244,29 @@ class SimStage:
 
     @property
     def angle_deg(self) -> float:
-        """Declared angle; NaN after a move in space."""
+        """Declared angle of the stage in degrees; NaN after a move in space."""
         return self._stage.angle_deg
 
     @property
     def error_deg(self) -> float:
-        """Hidden error of the present position in degrees."""
+        """True minus declared angle at the present position, in degrees; a fit does not see it."""
         return self._stage.error_deg
 
     def move_to(self, angle_deg: float, approach: int = 0) -> None:
-        """Turn to a declared angle in degrees, arriving from below (+1), above (-1) or the short way."""
+        """Turn the stage to a declared angle in degrees; return when it rests.
+
+        It arrives from below if `approach` is +1, from above if -1, or the short way if 0.
+        """
         with self._bus._lock:
             self._bus._set_now(self.begin_move(angle_deg, approach))
 
     def orient(self, vector: Sequence[float] | Floats) -> None:
-        """Turn until an ideal sensor reads along a vector (3,); level with Z up is (0, 0, -1)."""
+        """Turn the sensor until an ideal one reads along a vector (3,); level with Z up is (0, 0, -1)."""
         with self._bus._lock:
             self._bus._set_now(self.begin_orient(vector))
 
     def turn_about(self, angle_deg: float, axis: Sequence[float] | Floats | None = None) -> None:
-        """Turn the part by an angle in degrees about an axis (3,) of the part, or about the vertical.
+        """Turn the sensor by an angle in degrees about an axis (3,) of it, or about the vertical.
 
         See `Stage.turn_about`.
         """
@@ -272,22 +275,25 @@ class SimStage:
             self._bus._set_now(self._begin(self._stage.turn_about, angle_deg, about))
 
     def begin_move(self, angle_deg: float, approach: int = 0) -> float:
-        """Begin `move_to` and return its end; the clock does not advance, so the move can be recorded."""
+        """Begin `move_to` and return the time in s at which it ends, without advancing the clock.
+
+        Samples can therefore be recorded during the move.
+        """
         return self._begin(self._stage.move_to, angle_deg, approach)
 
     def begin_orient(self, vector: Sequence[float] | Floats) -> float:
-        """Begin `orient` and return its end; the clock does not advance."""
+        """Begin `orient` and return the time in s at which it ends, without advancing the clock."""
         return self._begin(self._stage.orient, np.asarray(vector, np.float64))
 
     def begin_turn(self, angle_deg: float) -> float:
-        """Begin to turn the part about the vertical (counter-clockwise positive) and return the end.
+        """Begin to turn the sensor about the vertical; return the time in s at which the turn ends.
 
-        The clock does not advance, so the turn can be recorded.
+        Positive angles are counter-clockwise. The clock does not advance, so the turn can be recorded.
         """
         return self._begin(self._stage.turn_about, angle_deg)
 
     def turn_freely(self, turns: int = 1) -> float:
-        """Begin turns by hand and return their end; the clock does not advance."""
+        """Begin turns by hand and return the time in s at which they end, without advancing the clock."""
         return self._begin(self._stage.turn_freely, turns)
 
     def _begin(self, motion: Callable[..., float], *arguments: object) -> float:
@@ -297,10 +303,10 @@ class SimStage:
 
 
 def open_from_url(url: BusUrl) -> SimBus:
-    """Open `sim:?seed=1&variant=adis16354&noise_mg=4.7…`.
+    """Open a simulated bus by a URL such as `sim:?seed=1&variant=adis16354&noise_mg=4.7`.
 
     Options are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1), `effects` (of the catalogue, such
-    as `quadratic:k2_x=2.5;cubic`), `flash` (a file that keeps the flash of the part between two openings),
+    as `quadratic:k2_x=2.5;cubic`), `flash` (a file that stores the sensor's flash between two openings),
     `gyros` (`realistic` draws their faults from the seed, but keeps values given by name) and every name of
     `WorldSettings`.
 
@@ -331,7 +337,7 @@ def open_from_url(url: BusUrl) -> SimBus:
 
 
 def _chip(world: World, path: str, seed: int) -> SimulatedChip:
-    """Make a part that keeps its flash in a file."""
+    """Make a simulated sensor with its flash memory stored in a file."""
     if not path:
         raise UsageError("flash: name a file, such as flash=part.flash")
     kept = FlashFile(Path(path), f"{world.variant.name}, seed {seed}")
@@ -347,5 +353,5 @@ def _chip(world: World, path: str, seed: int) -> SimulatedChip:
 
 
 def find_devices() -> list[Device]:
-    """Devices that the simulator offers."""
+    """Return the one device that the simulator offers, for the list of devices."""
     return [Device("sim:?seed=1", "simulated ADIS16354 on a stage (no hardware)")]

@@ -79,12 +79,12 @@ _ANY_ALARM = ALARM_BITS[0] | ALARM_BITS[1]
 
 
 def data_ready_enabled(memory: Memory) -> bool:
-    """True if a DIO line carries data-ready."""
+    """True if MSC_CTRL makes DIO1 or DIO2 carry the data-ready pulse."""
     return bool(_MISC.field("data_ready").of(memory["MSC_CTRL"]))
 
 
 def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None, int | None]:
-    """Levels that the chip drives on DIO1 and DIO2; None for an input.
+    """Levels that the chip drives on DIO1 and DIO2; None for a line that is an input.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None,
 
 
 def gpio_word(memory: Memory, external: tuple[int, int]) -> int:
-    """Return GPIO_CTRL as read: an input shows the level on its line."""
+    """Return GPIO_CTRL as a host reads it: the bit of an input shows the external level of its line."""
     word = memory["GPIO_CTRL"]
     for k, level in enumerate(external, 1):
         if not _GPIO.field(f"output{k}").of(word):
@@ -140,11 +140,11 @@ SELF_TEST_BITS = {
     for sensor, name in (("accl", "accel"), ("gyro", "gyro"))
     for axis in "xyz"
 }
-"""STATUS bits that a failed part of the self-test sets."""
+"""STATUS bits that the self-test sets for each failed sensor axis, by names such as `xaccl`."""
 
 
 class State(Enum):
-    """Activity of the chip."""
+    """Activity of the chip, which decides how it answers a frame; `DEAD` follows a broken timing rule."""
 
     RUNNING = auto()
     STARTING = auto()
@@ -161,7 +161,7 @@ _SAMPLING = (State.RUNNING, State.NULLING)
 
 
 class SimulatedChip:
-    """The chip.
+    """A simulated ADIS1635x chip that answers frames, in its own simulated time.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ class SimulatedChip:
     floating_word : int
         Word that a host reads while nothing drives the data line; 0xFFFF with the usual pull-up (D).
     self_test_failures : sequence of str
-        Parts that fail the internal self-test: `xaccl`, `zgyro`, …
+        Sensor axes that fail the internal self-test: `xaccl`, `zgyro`, …
     data_ready_pulse_s : float
         Width of the data-ready pulse.
     update_edge : {"first", "last"}
@@ -200,7 +200,7 @@ class SimulatedChip:
     Raises
     ------
     UsageError
-        Unknown variant, register or part of the self-test.
+        Unknown variant, register or sensor axis of the self-test.
     """
 
     def __init__(
@@ -259,53 +259,53 @@ class SimulatedChip:
 
     @property
     def state(self) -> State:
-        """Activity of the chip at the time of the last frame or question."""
+        """Activity of the chip at the time up to which it was simulated."""
         return self._state
 
     @property
     def memory(self) -> Memory:
-        """The register file, past the serial port."""
+        """The chip's registers, for access without frames."""
         return self._memory
 
     @property
     def aux_dac_v(self) -> float:
-        """Voltage of the auxiliary output."""
+        """Voltage in V of the auxiliary analog output."""
         return self._dac * 2.5 / 4095
 
     @property
     def update_period_s(self) -> float:
-        """Time between internal updates."""
+        """Time in s between two internal updates of the outputs."""
         return self._period
 
     @property
     def data_ready_enabled(self) -> bool:
-        """True if a DIO line carries data-ready."""
+        """True if DIO1 or DIO2 carries the data-ready pulse."""
         return data_ready_enabled(self._memory)
 
     @property
     def time_s(self) -> float:
-        """Time up to which the chip is simulated."""
+        """Time in s up to which the chip has been simulated."""
         return self._time_s
 
     @property
     def pending_reply(self) -> int:
-        """Word that a valid frame would shift out now; pin-level rigs need it before the frame ends."""
+        """Word that the chip would send in the next valid frame; models of a bridge need it early."""
         if self._state in (State.STARTING, State.RESTORING, State.ASLEEP, State.DEAD):
             return self.floating_word
         return self._reply
 
     def run_to(self, time_s: float) -> None:
-        """Simulate the chip until a time."""
+        """Simulate the chip up to a time in s; earlier times do nothing."""
         if time_s > self._time_s:
             self._advance(time_s)
 
     def data_ready_edges(self, time_s: float) -> int:
-        """Active edges of data-ready since power-on, up to a time."""
+        """Number of data-ready pulses from power-on to a time in s."""
         self.run_to(time_s)
         return self._edges
 
     def next_update_s(self, after_s: float) -> float | None:
-        """Time of the next internal update; None if no update follows without a frame.
+        """Time in s of the next internal update after `after_s`; None if a frame must come first.
 
         Activities that end before then (a start-up, a flash update) are completed.
         """
@@ -319,14 +319,17 @@ class SimulatedChip:
         return self._epoch + (count + 1) * self._period
 
     def edge_after_update_s(self, *, rising: bool) -> float:
-        """Time in s from an update to an edge of its pulse; negative if the edge comes first."""
+        """Time in s from an update to the rising or falling edge of its data-ready pulse.
+
+        It is negative if the edge comes before the update.
+        """
         high = bool(BY_NAME["MSC_CTRL"].field("polarity").of(self._memory["MSC_CTRL"]))
         begins = high == rising
         at_first = 0.0 if self._update_edge == "first" else -self._pulse_s
         return at_first if begins else at_first + self._pulse_s
 
     def next_edge_s(self, after_s: float, *, rising: bool) -> float | None:
-        """Time of the next data-ready edge later than `after_s`; None if no edge follows."""
+        """Time in s of the first data-ready edge after `after_s`; None if no edge follows."""
         update_s = self.next_update_s(after_s)
         if update_s is None:
             return None
@@ -334,7 +337,7 @@ class SimulatedChip:
         return edge_s if edge_s > after_s else edge_s + self._period
 
     def dio(self, time_s: float) -> tuple[int | None, int | None]:
-        """Levels that the chip drives on DIO1 and DIO2 at a time; None for an input."""
+        """Levels (0 or 1) that the chip drives on DIO1 and DIO2 at a time in s; None for an input."""
         self.run_to(time_s)
         since = time_s - (self._epoch + self._k * self._period)
         if self._update_edge == "last":
@@ -343,7 +346,7 @@ class SimulatedChip:
         return dio_levels(self._memory, pulse=pulse, status=self._status)
 
     def hard_reset(self, time_s: float) -> None:
-        """Release RST at a time; the start-up follows."""
+        """End a reset by the RST line at a time in s; the start-up of 150 ms follows."""
         self.run_to(time_s)
         self._start_up(max(time_s, self._time_s))
 
@@ -352,7 +355,7 @@ class SimulatedChip:
     def frame(
         self, word: int, *, start_s: float, clock_hz: float, bits: int = 16, cs_hold_s: float = 0.0
     ) -> int:
-        """Take one frame.
+        """Take one SPI frame and return the word that the chip shifts out during it.
 
         Parameters
         ----------
@@ -386,7 +389,7 @@ class SimulatedChip:
         return reply
 
     def frames(self, words: Words, *, start_s: float, frame_s: float, clock_hz: float) -> Words:
-        """Take n frames that start `frame_s` apart; same result as n calls of `frame`, but faster.
+        """Take n frames that start `frame_s` apart; like n calls of `frame`, but faster.
 
         Parameters
         ----------
@@ -401,7 +404,7 @@ class SimulatedChip:
         )
 
     def frames_at(self, words: Words, starts_s: Floats, *, clock_hz: float) -> Words:
-        """Take n frames that start at given times (n,), increasing."""
+        """Take n frames that start at increasing times (n,) in s; return the n replies."""
         n = len(words)
         replies = np.empty(n, np.uint16)
         hard = np.append(np.flatnonzero(~_PLAIN_READ[words >> 8]), n)
@@ -418,7 +421,7 @@ class SimulatedChip:
         return replies
 
     def _fast(self, words: Words, starts: Floats, clock_hz: float, out: Words) -> int:
-        """Answer the first of some reads, without a loop; returns how many were answered."""
+        """Answer as many leading reads as possible as one array, into `out`; return their number."""
         first = float(starts[0])
         if first < max(self._last_start, self._time_s - TOLERANCE_S):
             return 0
@@ -463,7 +466,10 @@ class SimulatedChip:
         rows: Words,
         faulty: NDArray[np.bool_],
     ) -> Words:
-        """Words of n reads, including ND and EA."""
+        """Words (n,) that n reads return, with the flags ND (new data) and EA (error or alarm).
+
+        `rows` are the outputs of each update, `index` the update that each read sees.
+        """
         columns = _COLUMN[slots]
         values: Words = rows[index, columns]
         values[faulty[index]] |= EA
@@ -504,7 +510,7 @@ class SimulatedChip:
         return reply
 
     def _refusal(self, bits: int, clock_hz: float, stall: float, limits: SerialLimits) -> int | None:
-        """Reply if the chip does not take the word (not running, or a broken frame); None if it does."""
+        """Reply to a frame that the chip ignores (not running, or a broken frame); None if it takes it."""
         if self._state in (State.STARTING, State.RESTORING):
             self._state, self._until = State.DEAD, math.inf
         if self._state is State.DEAD:
@@ -569,7 +575,7 @@ class SimulatedChip:
             self._until = now + SLEEP_UNIT_S * (self._memory["SLP_CNT"] & 0xFF)
 
     def _command(self, data: int, now: float) -> None:
-        """Execute COMMAND; if several bits are set, only the first in this order acts (D)."""
+        """Execute a write of COMMAND; if several bits are set, only the first in this order acts (D)."""
         if data & _COMMAND.field("reset").mask:
             self._start_up(now)
         elif self._state is not State.RUNNING:
@@ -587,7 +593,10 @@ class SimulatedChip:
             self._dac = self._memory["AUX_DAC"]
 
     def _begin_null(self, now: float, average_s: float) -> None:
-        """Average the gyros for a time; at 0 s use the present output of the filter."""
+        """Start an autonull that averages the gyros for a time in s.
+
+        At 0 s it uses the present output of the filter.
+        """
         if average_s:
             self._null_sum, self._null_count = np.zeros(3), 0
             self._state, self._until = State.NULLING, now + average_s
@@ -624,7 +633,7 @@ class SimulatedChip:
         self._time_s = max(self._time_s, time_s)
 
     def _finish(self, now: float) -> None:
-        """End the present activity."""
+        """End the present activity at a time in s and begin the activity that follows it."""
         state, self._state, self._until = self._state, State.RUNNING, math.inf
         if state in (State.FLASHING, State.RESTORING):
             self._save()
@@ -662,7 +671,7 @@ class SimulatedChip:
             self._take(min(wanted - self._k, _CHUNK))
 
     def _take(self, n: int) -> Updates:
-        """Do n internal updates."""
+        """Simulate the next n internal updates and return their outputs."""
         count = np.arange(self._k + 1, self._k + n + 1, dtype=np.float64)
         times = self._epoch + count * self._period
         updates = self._sampler.update(self._surroundings.sample(times))

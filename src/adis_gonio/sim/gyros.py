@@ -33,7 +33,7 @@ PAIRS = tuple(a + b for a, b in itertools.product(AXES, repeat=2))
 
 @dataclass(frozen=True)
 class Felt:
-    """Inputs of the gyros at n times.
+    """Physical quantities that act on the gyros at n times.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Felt:
 
 
 def apply_matrix(matrix: Floats, vectors: Floats) -> Floats:
-    """Product of a matrix (3, 3) with each of the vectors (n, 3).
+    """Multiply a matrix (3, 3) by each of the vectors (n, 3); return (n, 3).
 
     The sums are written out, because a matrix product may round differently for another number of rows.
     """
@@ -64,12 +64,12 @@ def apply_matrix(matrix: Floats, vectors: Floats) -> Floats:
 
 
 def value_or(given: float | None, other: float) -> float:
-    """Return a given value, or another one if it is None."""
+    """Return `given`, or `other` if `given` is None."""
     return other if given is None else given
 
 
 class GyroTriad:
-    """Three gyros.
+    """The three gyros of a simulated sensor with their errors.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class GyroTriad:
 
     @property
     def electronics(self) -> Electronics:
-        """Electronics of the chip that contains these gyros."""
+        """Electronics of the chip with these gyros: ranges, saturation, compensation and autonull times."""
         given = self._settings
         return Electronics(
             range_gain={150: given.gyro_range_gain_150, 75: given.gyro_range_gain_75},
@@ -124,7 +124,7 @@ class GyroTriad:
         )
 
     def read(self, felt: Felt) -> Floats:
-        """Readings (n, 3) in °/s without flicker, white noise and supply."""
+        """Gyro readings (n, 3) in °/s, still without flicker, white noise and the effect of the supply."""
         gyro = self._turning(felt) + self._bias
         for k, own in enumerate(np.diagonal(self.per_g)):
             gyro[:, k] += 1e-3 * own * felt.force_mg[:, k]
@@ -142,11 +142,11 @@ class GyroTriad:
         return gyro
 
     def of_supply(self, supply_v: Floats) -> Floats:
-        """Effect (n, 3) in °/s of the supply (n,)."""
+        """Change of the gyro readings (n, 3) in °/s by the deviation of the supply (n,) from 5 V."""
         return np.asarray((supply_v - REFERENCE_V)[:, None] * self._per_v)
 
     def _turning(self, felt: Felt) -> Floats:
-        """Readings (n, 3) of the turn alone, with gains, directions and asymmetry."""
+        """Gyro readings (n, 3) in °/s from the rate of turn alone: scale factors, directions, asymmetry."""
         if np.array_equal(self.sensitivity, np.eye(3)):
             rate = felt.rate_dps
         else:
@@ -158,14 +158,14 @@ class GyroTriad:
         return rate
 
     def _warming(self, time_s: Floats) -> Floats:
-        """Fraction (n,) of the warm-up that remains."""
+        """Remaining fraction (n,) of the warm-up: 1 at power-on, decaying to 0."""
         on_s = np.maximum(time_s + self._settings.powered_s, 0.0)
         return np.asarray(np.exp(-on_s / self._settings.gyro_warm_up_tau_s))
 
     # -- true parameters ----------------------------------------------------------------------------
 
     def truth(self) -> dict[str, float]:
-        """Parameters at 25 °C, 5 V, long after power-on, by the names that fits use."""
+        """True gyro parameters at 25 °C and 5 V, long after power-on, by the names that fits use."""
         gains = np.linalg.norm(self.sensitivity, axis=1)
         # Sines of the misalignments are the components of the unit directions.
         misalignment_deg = np.degrees(np.arcsin(self.sensitivity / gains[:, None]))
@@ -197,7 +197,7 @@ class GyroTriad:
     def truth_at(
         self, time_s: Floats, dies_c: Floats, supply_v: Floats, wander_dps: Floats
     ) -> dict[str, float]:
-        """Parameters as in `truth`, but with gains and biases at the mean of times (n,)."""
+        """Like `truth`, but with scale factors and biases averaged over the conditions at n times."""
         result = self.truth()
         warm = dies_c.mean(axis=0) - REFERENCE_C
         bias = self._bias + wander_dps + self._per_v * (float(np.mean(supply_v)) - REFERENCE_V)
@@ -230,7 +230,7 @@ def _sensitivity(settings: WorldSettings) -> Floats:
 
 
 def _rotation(vector_rad: Floats) -> Floats:
-    """Matrix (3, 3) of the rotation by a vector: Rodrigues' formula."""
+    """Rotation matrix (3, 3) for a rotation vector in rad, by Rodrigues' formula."""
     angle = float(np.linalg.norm(vector_rad))
     x, y, z = vector_rad / angle
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -239,26 +239,26 @@ def _rotation(vector_rad: Floats) -> Floats:
 
 _OTHERS = tuple(a + b for a, b in itertools.permutations(AXES, 2))
 _STREAM = 10
-"""Child of a world's seed that these faults are drawn from."""
+"""Number of the random stream, spawned from a world's seed, from which these faults are drawn."""
 
 
 @dataclass(frozen=True)
 class DrawnFault:
-    """Distribution of one kind of fault.
+    """Distribution from which one kind of gyro error is drawn.
 
     Attributes
     ----------
     setting : str
         Name of the setting, with {} in place of the axes.
     axes : tuple of str
-        Values for this place.
+        Names that replace {}, one for each drawn value.
     law : {"normal", "uniform"}
     size : float
         Standard deviation, or half the width.
     middle : float
-        Mean of either.
+        Mean of the distribution.
     most : float
-        Largest deviation from the middle; 0 for three sizes.
+        Largest deviation from the mean; 0 means three times `size`.
     """
 
     setting: str
@@ -272,14 +272,14 @@ class DrawnFault:
 
     @property
     def described(self) -> str:
-        """Description of the distribution."""
+        """The distribution in words, such as "normal, 0, σ 0.05"."""
         if self.law == "uniform":
             return f"uniform, {self.middle:g} ± {self.size:g}"
         bound = f", at most {self.most:g} away" if self.most else ""
         return f"normal, {self.middle:g}, σ {self.size:g}{bound}"
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """Values by setting."""
+        """Draw one value for each axis; return the values by the name of their setting."""
         n = len(self.axes)
         if self.law == "uniform":
             drawn = self.size * rng.uniform(-1.0, 1.0, n)
@@ -321,7 +321,7 @@ FIGURES: tuple[DrawnFault, ...] = (
 
 
 def realistic_gyros(rng: np.random.Generator) -> dict[str, float]:
-    """Settings of three gyros with all their faults.
+    """Draw settings for three gyros with all their typical errors.
 
     Parameters
     ----------
@@ -340,17 +340,17 @@ def realistic_gyros(rng: np.random.Generator) -> dict[str, float]:
 
 
 def stream_of(seed: int) -> np.random.Generator:
-    """Generator for the faults of a simulated part with this seed."""
+    """Random generator of the gyro faults that belong to a seed of a simulated sensor."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM,)))
 
 
 _STEP_S = 1.0
 _FORGOTTEN = 12.0
-"""Time constants after which the initial temperature is forgotten."""
+"""Number of time constants after which the initial temperature has no more influence."""
 
 
 class Dies:
-    """Temperatures of the dies: each follows the part with a lag, plus a gradient after power-on.
+    """Temperatures of the three gyro dies: each lags the sensor's temperature and has its own excess.
 
     Parameters
     ----------
@@ -367,11 +367,11 @@ class Dies:
 
     @property
     def alike(self) -> bool:
-        """True if every die has the temperature of the part."""
+        """True if all three dies have the temperature of the sensor, without lag and gradient."""
         return not (self._gradient_c.any() or self._lag_s.any())
 
     def temperature_c(self, time_s: Floats, part_c: Callable[[Floats], Floats]) -> Floats:
-        """Temperatures (n, 3) at times (n,), from the temperature of the part as a function of time."""
+        """Die temperatures (n, 3) in °C at times (n,) in s; `part_c` gives the sensor's temperature."""
         result = np.repeat(part_c(time_s)[:, None], 3, axis=1)
         if self.alike:
             return result

@@ -4,13 +4,13 @@ Known facts about hands, and their model here
     A hand turns as far as the wrist goes, stops, takes a new grip and goes on: segments of 40 to 120°, each
     with a minimum-jerk course (Flash & Hogan 1985), and pauses of 0.2 to 0.9 s between them. A slow
     movement is not even: submovements of 0.5 to 3 Hz change its speed by a tenth or two. Physiological
-    tremor shakes the part at 8 to 12 Hz, but only while the hand holds it. The axis of a bearing wobbles by
-    hundredths of a degree, at one and two cycles a turn; a part that is held in the hand sways by degrees.
+    tremor shakes the sensor at 8 to 12 Hz, but only while the hand holds it. A bearing's axis wobbles by
+    hundredths of a degree, at one and two cycles a turn; a sensor held in the hand sways by degrees.
 
     A movement to a mark is one grip or several, each a minimum-jerk course, with rests between them. The
     last grip misses the mark by a few hundredths of its length (Meyer et al. 1988), and after 0.1 to 0.4 s
     one or two small corrections of 0.3 to 0.6 s follow. If a mark must be reached from one side, the hand
-    stops short of it and creeps up. No two movements are equally fast. A part that is held in the hand also
+    stops short of it and creeps up. No two movements are equally fast. A sensor held in the hand also
     turns about the vertical, and strays from the shortest way by degrees.
 
 All courses are sums of smooth functions with exact derivatives, so that rates and accelerations belong to
@@ -30,9 +30,9 @@ Course = tuple[Floats, Floats, Floats]
 """A function of time (n,) with its first and second derivative."""
 
 SEGMENT_DEG = (40.0, 120.0)
-"""How far a grip goes."""
+"""Smallest and largest angle in degrees that one grip of a hand covers."""
 PAUSE_S = (0.2, 0.9)
-"""How long the next grip takes."""
+"""Shortest and longest pause in s between two grips."""
 SUBMOVEMENT_HZ = (0.5, 3.0)
 TREMOR_HZ = (8.0, 12.0)
 SWAY_HZ = (0.05, 0.5)
@@ -43,19 +43,19 @@ _LINES = 12
 
 @dataclass(frozen=True)
 class Sines:
-    """Sines of random frequency and phase; their sum has a root mean square of 1."""
+    """Random motion as a sum of sines with random frequency and phase; its rms is 1."""
 
     omega: Floats
     phase: Floats
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, band_hz: tuple[float, float]) -> Sines:
-        """Sines of frequencies in a band."""
+        """Draw sines with random phases and with frequencies in a band, in Hz."""
         omega = 2 * np.pi * rng.uniform(*band_hz, _LINES)
         return cls(omega, rng.uniform(0, 2 * np.pi, _LINES))
 
     def at(self, time_s: Floats) -> Course:
-        """Value and its two derivatives (n,)."""
+        """Value (n,) of the sum of sines at times (n,) in s, and its first two derivatives."""
         value, first, second = (np.zeros(len(time_s)) for _ in range(3))
         size = np.sqrt(2 / _LINES)
         for omega, phase in zip(self.omega, self.phase, strict=True):
@@ -67,12 +67,15 @@ class Sines:
 
     @property
     def mean_square_rate(self) -> float:
-        """Mean square of the first derivative."""
+        """Mean square of the first derivative of the sum of sines, in 1/s²."""
         return float((self.omega**2).mean())
 
 
 def grips(turn_deg: float, rng: np.random.Generator) -> Floats:
-    """Spans (k,) of successive grips in degrees; their sum is at least `turn_deg`."""
+    """Draw the angle turned in each of k successive grips of a hand, (k,) in degrees.
+
+    The angles add up to at least `turn_deg`.
+    """
     spans: list[float] = []
     while sum(spans) < turn_deg:
         spans.append(float(rng.uniform(*SEGMENT_DEG)))
@@ -80,13 +83,16 @@ def grips(turn_deg: float, rng: np.random.Generator) -> Floats:
 
 
 def minimum_jerk(time_s: Floats, begin_s: float, length_s: float, span: float) -> Course:
-    """A movement over a span that begins and ends at rest (Flash & Hogan 1985)."""
+    """A smooth movement by `span`, at rest before and after (Flash & Hogan 1985); with derivatives."""
     value, first, second = rise((time_s - begin_s) / length_s)
     return span * value, span / length_s * first, span / length_s**2 * second
 
 
 def hold(time_s: Floats, length_s: float) -> Course:
-    """Firmness of the grip from 0 s to `length_s`, 0 to 1; 0 before and after."""
+    """Firmness of a grip at times (n,) in s, with two derivatives: 1 while the hand holds, 0 otherwise.
+
+    The hand takes hold at 0 s and lets go at `length_s`.
+    """
     up, down = rise(time_s / RISE_S), rise((length_s - time_s) / RISE_S)
     scale = 1 / RISE_S
     up = (up[0], up[1] * scale, up[2] * scale**2)
@@ -95,7 +101,7 @@ def hold(time_s: Floats, length_s: float) -> Course:
 
 
 def rise(x: Floats) -> Course:
-    """Minimum-jerk step from 0 to 1 with two derivatives."""
+    """Smooth step from 0 at x = 0 to 1 at x = 1 with minimum jerk, and its first two derivatives."""
     x = np.clip(x, 0.0, 1.0)
     return (
         x**3 * (10 - 15 * x + 6 * x**2),
@@ -105,12 +111,12 @@ def rise(x: Floats) -> Course:
 
 
 def product(f: Course, g: Course) -> Course:
-    """Product of two functions with two derivatives."""
+    """Product of two functions of time, with its first two derivatives by the product rule."""
     return f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2 * f[1] * g[1] + f[0] * g[2]
 
 
 class HandTurn:
-    """Turns by hand; times are counted from their beginning.
+    """Full turns of the stage by hand; times count from their beginning.
 
     Parameters
     ----------
@@ -152,7 +158,7 @@ class HandTurn:
         self._tremor_rad = np.radians(settings.hand_tremor_dps) / np.sqrt(self._tremor.mean_square_rate)
 
     def turned(self, time_s: Floats) -> Course:
-        """Angle turned (n,) in rad, its rate and its acceleration."""
+        """Angle (n,) in rad turned at each time, its rate in rad/s and its acceleration in rad/s²."""
         angle, rate, acceleration = (np.zeros(len(time_s)) for _ in range(3))
         for begin, length, span in self._segments:
             x = np.clip((time_s - begin) / length, 0.0, 1.0)
@@ -168,7 +174,7 @@ class HandTurn:
         return angle, rate, acceleration
 
     def tilt(self, time_s: Floats, turned: Course) -> tuple[Floats, Floats]:
-        """Tilt (n,) of the plane of X and Y out of the vertical in rad, and its rate."""
+        """Tilt (n,) in rad of the X-Y plane out of the vertical at each time, and its rate in rad/s."""
         angle, rate, _ = turned
         size = np.radians(self._settings.axis_wobble_deg)
         first, second = self._wobble_phase
@@ -179,14 +185,17 @@ class HandTurn:
         return tilt + sway * swaying[0], slope + sway * swaying[1]
 
     def shaking_mg(self, time_s: Floats) -> Floats:
-        """Linear vibration (n, 3) from the hand, in mg."""
+        """Acceleration (n, 3) in mg by which the hand shakes the sensor."""
         held = hold(time_s, self.length_s)[0]
         size = self._settings.hand_vibration_mg
         return np.stack([size * held * lines.at(time_s)[0] for lines in self._shaking], axis=1)
 
 
 def _grips(settings: WorldSettings, rng: np.random.Generator, turns: int) -> tuple[Floats, Floats]:
-    """Spans (k,) of successive grips, and the angle (k,) by which each turns the part, in degrees."""
+    """For each of k grips: the angle that the hand covers, and the signed angle of the sensor, in degrees.
+
+    They differ, because the second is scaled to give exact turns.
+    """
     turn_deg = settings.hand_turn_deg
     if not settings.hand_returns:
         spans = grips(turns * abs(turn_deg), rng)
@@ -206,7 +215,7 @@ _SECOND_MISS = 0.2
 
 
 class HandMove:
-    """One movement by hand over an angle; times are counted from its beginning.
+    """One movement by hand from one angle to another; times count from its beginning.
 
     Parameters
     ----------
@@ -219,7 +228,7 @@ class HandMove:
     one_way : bool
         The mark must be reached from the side on which the movement begins.
     free : bool
-        Only the hand holds the part, so that it also turns about the vertical and strays.
+        Only the hand holds the sensor, so that it also turns about the vertical and strays.
 
     Attributes
     ----------
@@ -270,7 +279,7 @@ class HandMove:
         self.twist_rad = float(np.radians(twist)) if free else 0.0
 
     def turned(self, time_s: Floats) -> Course:
-        """Angle turned (n,) in rad, its rate and its acceleration."""
+        """Angle (n,) in rad turned at each time, its rate in rad/s and its acceleration in rad/s²."""
         course = [np.zeros(len(time_s)) for _ in range(3)]
         for piece in self._pieces:
             _add(course, minimum_jerk(time_s, *piece))
@@ -280,7 +289,7 @@ class HandMove:
         return course[0], course[1], course[2]
 
     def add_stray(self, time_s: Floats, direction: Floats, rate: Floats) -> tuple[Floats, Floats]:
-        """Add the stray and the twist of the hand to the movement.
+        """Add the stray and the twist of an unguided hand to a movement.
 
         Parameters
         ----------
@@ -290,7 +299,7 @@ class HandMove:
         Returns
         -------
         direction, rate : (n, 3) float
-            Including the stray (a turn about an axis of the part) and the twist about the vertical.
+            Including the stray (a turn about an axis of the sensor) and the twist about the vertical.
         """
         if self._stray_rad:
             stray, straying, _ = product(self._sway.at(time_s), hold(time_s, self.length_s))
@@ -304,13 +313,13 @@ class HandMove:
         return direction, rate
 
     def shaking_mg(self, time_s: Floats) -> Floats:
-        """Linear vibration (n, 3) from the hand, in mg."""
+        """Acceleration (n, 3) in mg by which the hand shakes the sensor."""
         held = self._vibration_mg * hold(time_s, self.length_s)[0]
         return np.stack([held * lines.at(time_s)[0] for lines in self._shaking], axis=1)
 
 
 def _misses(size_deg: float, rng: np.random.Generator, *, one_way: bool) -> Floats:
-    """Overshoot (2,) of the last grip and of the first correction, in degrees."""
+    """Draw the overshoot in degrees after the last grip and after the first correction, (2,)."""
     drawn = size_deg * rng.standard_normal()
     left = drawn * _SECOND_MISS * rng.standard_normal()
     misses = np.array([drawn, left])
@@ -323,7 +332,7 @@ def _add(course: list[Floats], more: Course, size: float = 1.0) -> None:
 
 
 def _turned_back(vector: Floats, axis: Floats, angle: Floats) -> Floats:
-    """Vectors (n, 3) of the room in the frame of a part that has turned about its axis by angles (n,)."""
+    """Express vectors (n, 3) of the room in the axes of a sensor turned about `axis` by angles (n,)."""
     sine, cosine = np.sin(angle)[:, None], np.cos(angle)[:, None]
     # The sum is written out, because a matrix product may round differently for another number of rows.
     along = (vector[:, 0] * axis[0] + vector[:, 1] * axis[1] + vector[:, 2] * axis[2])[:, None] * axis

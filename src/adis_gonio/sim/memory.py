@@ -1,6 +1,6 @@
 """The registers of the simulated chip: words, flash copies, byte writes, and limits of the serial port.
 
-The flash of a simulated part can live in a file, so that it outlives the process.
+The flash of a simulated sensor can live in a file, so that it outlives the process.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from adis_gonio.device.sensor.registers import (
 )
 
 TOLERANCE_S = 1e-9
-"""A stall or a period is called too short beyond this; covers the rounding of times in float64."""
+"""Tolerance in s for a stall or period that is too short; covers the rounding of times in float64."""
 
 START_UP_S = 0.150
 """Start-up, and recovery of a reset, which the data sheet does not give (B; the reset D)."""
 FLASH_S = 0.100
-"""Flash update (A)."""
+"""Duration of a flash update in s (A)."""
 SELF_TEST_S = 0.035
-"""Internal self-test (B)."""
+"""Duration of the internal self-test in s (B)."""
 PRECISION_S = 30.0
-"""Precision autonull (A: about 30 s)."""
+"""Duration of the precision autonull in s (A: about 30 s)."""
 WAKE_S = 0.003
-"""Recovery from sleep (B)."""
+"""Duration of the recovery from sleep in s (B)."""
 SLEEP_UNIT_S = 0.5
 """LSB of SLP_CNT (B)."""
 BASE_S = (1 / 1638.4, 31 / 1638.4)
@@ -45,7 +45,7 @@ FIRST_NORMAL = 0x0A
 
 @dataclass(frozen=True)
 class SerialLimits:
-    """Limits of one mode: clock in Hz, times in s."""
+    """Limits of the serial port in one speed mode of the chip: clock in Hz, times in s."""
 
     name: str
     clock_low_hz: float
@@ -56,7 +56,7 @@ class SerialLimits:
     """Longest time from the 16th clock to the rise of CS for SLP_CNT to act (B)."""
 
     def clock_ok(self, clock_hz: float) -> bool:
-        """True if the chip can follow the clock."""
+        """True if the chip can follow an SPI clock of this frequency in Hz."""
         return self.clock_low_hz * (1 - 1e-9) <= clock_hz <= self.clock_high_hz * (1 + 1e-9)
 
 
@@ -65,12 +65,12 @@ NORMAL = SerialLimits("normal", 10e3, 300e3, 75e-6, 160e-6, 80e-6)
 
 
 def serial_limits(smpl_prd: int) -> SerialLimits:
-    """Limits for a value of SMPL_PRD."""
+    """Limits of the serial port that apply at a value of SMPL_PRD."""
     return FAST if smpl_prd & 0xFF < FIRST_NORMAL else NORMAL
 
 
 def update_period_s(smpl_prd: int) -> float:
-    """Time between internal updates in s; SMPL_PRD = 0, which is not allowed, acts as 1 (D)."""
+    """Time in s between internal updates for a value of SMPL_PRD; the forbidden value 0 acts as 1 (D)."""
     value = smpl_prd & 0xFF
     if value == 0:
         value = 1
@@ -81,7 +81,7 @@ ENDURANCE_WRAP = 32768
 
 
 class Memory:
-    """Words of all registers, and the flash behind some of them.
+    """Contents of all registers, and the flash copies of some of them.
 
     Parameters
     ----------
@@ -122,12 +122,12 @@ class Memory:
         self._words[name] = word & 0xFFFF
 
     def at(self, address: int) -> int:
-        """Word at either byte address; 0 if no readable register is there."""
+        """16-bit content of the register at an even or odd byte address; 0 if none is readable there."""
         row = BY_ADDRESS.get(address & ~1)
         return self._words[row.name] if row is not None and row.readable else 0
 
     def write_byte(self, address: int, data: int) -> Register | None:
-        """Write a byte, low at the even address and high at the odd one.
+        """Write one byte of a register: the low byte at its even address, the high byte at the odd one.
 
         Only bits of the register's write mask change; COMMAND keeps nothing.
 
@@ -146,14 +146,14 @@ class Memory:
         return row
 
     def load(self) -> None:
-        """Load the flash copies, as a reset does; bits without a copy take their default."""
+        """Load the registers from flash, as a reset does; bits without a flash copy take their defaults."""
         endurance = self._words.get("ENDURANCE", 0)
         for row in REGISTERS:
             self._words[row.name] = (row.default & ~row.flash_mask) | self._flash.get(row.name, 0)
         self._words["ENDURANCE"] = endurance
 
     def save(self) -> None:
-        """Copy to flash; ENDURANCE counts one more."""
+        """Copy the registers to flash and add one to ENDURANCE, the count of flash updates."""
         for name in self._flash:
             self._flash[name] = self._words[name] & BY_NAME[name].flash_mask
         self._words["ENDURANCE"] = (self._words["ENDURANCE"] + 1) % ENDURANCE_WRAP
@@ -161,32 +161,32 @@ class Memory:
             self._saved(self._flash, self._words["ENDURANCE"])
 
     def zero_offsets(self) -> None:
-        """Set the six offsets to zero, as the factory restore does."""
+        """Set all six offset registers to zero, as the factory restore does."""
         for name in (*GYRO_OFF, *ACCEL_OFF):
             self._words[name] = 0
 
 
 @dataclass(frozen=True)
 class FlashFile:
-    """Words of the flash and ENDURANCE in a JSON file, created by the first flash update.
+    """JSON file that stores the flash contents and ENDURANCE, created by the first flash update.
 
     Attributes
     ----------
     path : Path
     part : str
-        Variant and seed of the part; the file of another part is refused.
+        Variant and seed of the sensor; the file of another sensor is refused.
     """
 
     path: Path
     part: str
 
     def read(self) -> tuple[dict[str, int], int]:
-        """Words by register, and ENDURANCE; the values of a new part if there is no file.
+        """Return the saved register contents by name, and ENDURANCE; a new sensor's if there is no file.
 
         Raises
         ------
         UsageError
-            The file is no flash file, is damaged, or belongs to another part.
+            The file is no flash file, is damaged, or belongs to another sensor.
         """
         try:
             document = json.loads(self.path.read_text(encoding="utf-8"))
@@ -208,7 +208,7 @@ class FlashFile:
         return words, endurance
 
     def write(self, words: Mapping[str, int], endurance: int) -> None:
-        """Save the result of a flash update, completely or not at all."""
+        """Save register words and flash-update count to the file, completely or not at all."""
         document = {"part": self.part, "endurance": endurance, "flash": dict(words)}
         with replacing(self.path) as beside:
             beside.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

@@ -10,21 +10,21 @@ _PAGE = 1024
 
 
 class White:
-    """White noise: one row of `len(sigma)` channels for each update, drawn in order."""
+    """White noise of several channels, drawn update by update in order."""
 
     def __init__(self, sigma: Floats, rng: np.random.Generator) -> None:
         self._sigma = np.asarray(sigma, np.float64)
         self._rng = rng
 
     def next(self, n: int) -> Floats:
-        """Next n rows (n, channels)."""
+        """Draw the noise of the next n updates, (n, channels)."""
         drawn = self._rng.standard_normal((n, len(self._sigma)))
         drawn *= self._sigma
         return drawn
 
 
 class RateWalk:
-    """Random walk of three gyro biases, 0 at the first requested time.
+    """Random walk of the three gyro biases, which starts from 0 at the first requested time.
 
     It is drawn on its own time grid and interpolated.
 
@@ -43,7 +43,7 @@ class RateWalk:
         self._grid = np.zeros((1, 3))
 
     def at(self, time_s: Floats) -> Floats:
-        """Values (n, 3) at times (n,) that increase from call to call."""
+        """Random walk (n, 3) in °/s at times (n,) in s, which must increase from call to call."""
         if not self._size:
             return np.zeros((len(time_s), 3))
         if self._start_s is None:
@@ -58,7 +58,7 @@ class RateWalk:
         return np.asarray(self._grid[index] + weight * (self._grid[index + 1] - self._grid[index]))
 
     def past_values(self, time_s: Floats) -> Floats:
-        """Values (m, 3) at the grid points nearest to past times (n,)."""
+        """Values (m, 3) of the walk in °/s at the grid points nearest to earlier times (n,), each once."""
         if self._start_s is None:
             return np.empty((0, 3))
         index = np.unique(np.rint((time_s - self._start_s) / self._STEP_S).astype(np.int64))
@@ -66,7 +66,7 @@ class RateWalk:
 
 
 class Flicker:
-    """Noise of a spectrum 1/f, as a sum of first-order processes with corners an octave apart.
+    """Noise with a 1/f spectrum, as a sum of first-order processes with corners an octave apart.
 
     A process of variance v at every octave has together the one-sided spectrum v / (f ln 2); the Allan
     deviation of h/f is sqrt(2 h ln 2) at all averaging times, hence v = floor² / 2. The values are drawn on
@@ -108,7 +108,7 @@ class Flicker:
         self._grid = np.empty((0, len(self._sigma)))
 
     def at(self, time_s: Floats) -> Floats:
-        """Values (n, channels) at times (n,) that increase from call to call."""
+        """Flicker noise (n, channels) at times (n,) in s, which must increase from call to call."""
         place = (time_s - self._origin_s) / self._step_s
         index = np.floor(place).astype(np.int64)
         while len(self._grid) < index[-1] + 2:
@@ -120,7 +120,7 @@ class Flicker:
         return result
 
     def past_values(self, time_s: Floats) -> Floats:
-        """Values (m, channels) at the grid points nearest to past times (n,)."""
+        """Values (m, channels) of the noise at the grid points nearest to earlier times (n,), each once."""
         index = np.unique(np.rint((time_s - self._origin_s) / self._step_s).astype(np.int64))
         return np.asarray(self._grid[index[(index >= 0) & (index < len(self._grid))]], np.float64)
 

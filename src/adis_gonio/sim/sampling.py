@@ -29,7 +29,7 @@ from adis_gonio.sim.memory import PRECISION_S, Memory
 
 @dataclass(frozen=True)
 class Inputs:
-    """Analog inputs at n internal updates, with the signs of the registers.
+    """Physical quantities at the chip for n internal updates, with the signs of the registers.
 
     Attributes
     ----------
@@ -55,10 +55,10 @@ class Inputs:
 
 
 class Surroundings(Protocol):
-    """Surroundings of a chip: they give its analog inputs."""
+    """The surroundings of a chip, which give the physical quantities that it measures."""
 
     def sample(self, time_s: Floats) -> Inputs:
-        """Inputs at increasing times (n,) in s; each call continues after the last one.
+        """Physical inputs at increasing times (n,) in s; each call continues after the last one.
 
         The values must not depend on how the updates are divided into calls.
         """
@@ -66,7 +66,7 @@ class Surroundings(Protocol):
 
 @dataclass(frozen=True)
 class Electronics:
-    """Figures of a chip's electronics.
+    """Properties of a chip's electronics: gains of ranges, saturation, compensations, autonulls.
 
     Attributes
     ----------
@@ -100,17 +100,17 @@ MOST_M = 6
 
 
 def taps(m: int) -> int:
-    """Taps N of each boxcar."""
+    """Number N = 2^m of samples that each of the filter's two moving averages adds up."""
     return 1 << m
 
 
 def history_rows(m: int) -> int:
-    """Earlier samples that the filter reaches back to: 2N - 2."""
+    """Number of earlier samples on which the filter's output depends: 2N − 2."""
     return 2 * taps(m) - 2
 
 
 def bartlett_sums(samples: Integers, m: int) -> Integers:
-    """Weighted sums of a Bartlett window, N² times its mean.
+    """Moving sums with triangular (Bartlett) weights: N² times the filter's output.
 
     Parameters
     ----------
@@ -171,16 +171,16 @@ _SUPPLY_HIGH = STATUS.field("supply_high").mask
 
 @dataclass(frozen=True)
 class AlarmSetting:
-    """Setting of one alarm.
+    """Decoded setting of one alarm.
 
     Attributes
     ----------
     column : int
         Column of its source.
     threshold : int
-        Number in the source's format; of a change that much a sample.
+        Limit in the format of the source; with `samples`, the limit of its change per sample.
     samples : int
-        Updates over which the mean change a sample is taken; 0 for the value itself.
+        Number of updates over which the mean change per sample is computed; 0 compares the value.
     """
 
     bit: int
@@ -193,7 +193,7 @@ class AlarmSetting:
 
 @dataclass(frozen=True)
 class Updates:
-    """Result of n internal updates.
+    """Outputs of n internal updates.
 
     Attributes
     ----------
@@ -211,7 +211,7 @@ class Updates:
 
 
 class SignalChain:
-    """The signal chain of the chip."""
+    """The chip's processing from physical inputs to output registers: filter, offsets, range, alarms."""
 
     def __init__(self, variant: Variant, memory: Memory, electronics: Electronics = IDEAL) -> None:
         self._variant = variant
@@ -226,7 +226,7 @@ class SignalChain:
     # -- settings -------------------------------------------------------------------------------
 
     def configure(self, memory: Memory) -> None:
-        """Read the settings from the registers; clear the taps if range or M has changed."""
+        """Read the settings from the registers; empty the filter if gyro range or filter size changed."""
         code = BY_NAME["SENS_AVG"].field("range").of(memory["SENS_AVG"])
         gyro_range = next((dps for dps, known in RANGE_CODE.items() if known == code), 300)
         m = min(max(BY_NAME["SENS_AVG"].field("m").of(memory["SENS_AVG"]), LEAST_M[gyro_range]), MOST_M)
@@ -254,7 +254,7 @@ class SignalChain:
         self._alarms = _alarms(memory)
 
     def clear(self) -> None:
-        """Empty the taps and the history, as a reset does."""
+        """Empty the filter and the history of samples, as a reset does."""
         self._clear()
 
     def _clear(self) -> None:
@@ -263,20 +263,20 @@ class SignalChain:
         self._taken = 0
 
     def null_offset(self, mean_unfiltered: Floats) -> list[int]:
-        """Numbers of the gyros' offset registers that cancel mean samples (3,) in 1/1024 LSB."""
+        """Contents of the three gyro offset registers that cancel mean samples (3,) in 1/1024 LSB."""
         low, high = BY_NAME[GYRO_OFF[0]].range
         scale = _GYRO_OFF_PER_LSB[self.gyro_range_dps]
         return [int(min(max(round(-value * scale / _ONE), low), high)) for value in mean_unfiltered]
 
     def gyro_mean(self) -> Floats:
-        """Gyros (3,) after the filter, before the offset, in 1/1024 LSB."""
+        """Latest gyro outputs (3,) of the filter, without the offsets, in 1/1024 LSB."""
         sums = bartlett_sums(self._samples[_HISTORY - history_rows(self.m) - 1 :], self.m)
         return np.asarray(sums[-1, GYRO_COLUMNS] / taps(self.m) ** 2, np.float64)
 
     # -- updates --------------------------------------------------------------------------------
 
     def update(self, inputs: Inputs) -> Updates:
-        """Take n samples."""
+        """Process the inputs of n updates; return the output registers and STATUS bits of each update."""
         new = self._scaled(inputs)
         n = len(new)
         samples = np.concatenate([self._samples, new])

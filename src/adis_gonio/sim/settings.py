@@ -28,7 +28,7 @@ def _not_negative(default: float | None) -> Any:
 
 @dataclass_transform(frozen_default=True)
 def _by_axis(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass in which one setting with a placeholder becomes three, six or nine settings.
+    """Make a frozen dataclass, with a placeholder setting expanded to three, six or nine settings.
 
     A name with `each` has one value for each axis, with `other` one for each axis and another one, with
     `pair` one for any two axes; the metadata `own` is the default of a pair of one axis with itself.
@@ -50,7 +50,7 @@ def _by_axis(cls: type[T]) -> type[T]:
 
 @_by_axis
 class GyroSettings:
-    """Settings of the three gyros; None means drawn from the seed by the variant's figures.
+    """Settings of the simulated gyros; None means a value drawn from the seed for the variant.
 
     A gyro reads, in °/s::
 
@@ -104,9 +104,9 @@ class GyroSettings:
     origin_compensation : float
         Fraction of the effect of these positions that the chip removes if MSC_CTRL[6] is set.
     die_gradient_x_c, …, die_gradient_tau_s : float
-        Excess of a gyro's die temperature over the part in the steady state, and its time constant.
+        Excess of a gyro's die temperature over the sensor in the steady state, and its time constant.
     die_lag_x_s, … : float
-        Time constants with which the dies follow the temperature of the part; 0 for no delay.
+        Time constants with which the dies follow the temperature of the sensor; 0 for no delay.
     earth_rate_up_dps : float
         Upward part of the earth's rotation: 0.00418 °/s times the sine of the latitude.
     autonull_s, precision_autonull_s : float
@@ -147,14 +147,14 @@ class GyroSettings:
 
 @_by_axis
 class WorldSettings(GyroSettings):
-    """Settings of the world; None means drawn from the seed by the variant's figures.
+    """Settings of the simulated world; None means a value drawn from the seed for the variant.
 
     The settings of the gyros are in `GyroSettings`.
 
     Attributes
     ----------
     alpha_deg : float or None
-        Angle of the part at the stage's zero; drawn within ±5°.
+        Angle of the sensor at the stage's zero; drawn within ±5°.
     delta_k, delta_phi_deg : float or None
         K_x = K_y (1 + ΔK), and the misalignment Δφ of Y in the plane.
     scale_y, scale_z : float or None
@@ -172,7 +172,7 @@ class WorldSettings(GyroSettings):
     ambient_c, ambient_drift_c_per_h, ambient_swing_c, ambient_period_s : float
         Ambient temperature: constant, drift, and amplitude and period of a sine.
     self_heating_c, self_heating_tau_s, powered_s : float
-        Self-heating, its time constant, and the time for which the part was powered at time zero.
+        Self-heating, its time constant, and the time for which the sensor was powered at time zero.
     temperature_offset_sigma_c, temperature_noise_c : float
         Offsets of the temperature sensors (1 sigma) and their noise.
     supply_v, supply_drift_v_per_h, supply_noise_v, aux_v : float
@@ -183,7 +183,7 @@ class WorldSettings(GyroSettings):
         Standard deviation of the angle error of each move; distance between the two sides of approach;
         overshoot of a move that has to come back.
     part_slip_deg, part_slip_position : float
-        Slip of the part in its fixture, in the direction of declared angles, during the move to a position
+        Slip of the sensor in its fixture, in the sense of declared angles, during the move to a position
         (moves in the plane, counted from 0).
     axis_tilt_deg : float
         Tilt of the rotation axis out of the horizontal.
@@ -197,7 +197,7 @@ class WorldSettings(GyroSettings):
         drawn uniformly between 0 and this. By default 0, or five times the sensor's noise if an added
         effect follows the variance (`vibration_rectification`).
     lever_x_mm, lever_y_mm : float
-        Position of the part relative to the stage's axis, along its X and Y, where it feels the
+        Position of the sensor relative to the stage's axis, along its X and Y, where it feels the
         acceleration of turns.
     hand_turn_deg, hand_turn_s, hand_pauses, hand_returns : float
         Turns by hand (`hand.HandTurn`): angle of each turn, time of all turns, length of the pauses between
@@ -206,16 +206,16 @@ class WorldSettings(GyroSettings):
         Relative unevenness of the speed, rate of turn (rms) of the tremor, linear vibration (rms of an
         axis).
     hand_sway_deg, axis_wobble_deg : float
-        Sway (rms) of a part that is held in the hand, and wobble of the axis of a bearing.
+        Sway (rms) of a sensor that is held in the hand, and wobble of the axis of a bearing.
     hand_moves : float
-        If not 0, a hand brings the part to its positions (`hand.HandMove`) instead of a motor.
+        If not 0, a hand brings the sensor to its positions (`hand.HandMove`) instead of a motor.
     hand_miss : float
         Error (rms) of a hand at a mark before it corrects, relative to the last grip.
     hand_stray_deg, hand_twist_deg : float
-        Stray (rms) of a part that a hand brings to an attitude in space, and its additional turn about the
+        Stray (rms) of a sensor that a hand brings to an attitude in space, and its extra turn about the
         vertical (1 sigma).
     mark_sigma_deg : float
-        Standard deviation of the angle of a part against its mark after a turn about an axis
+        Standard deviation of the angle of a sensor against its mark after a turn about an axis
         (`Stage.turn_about`).
     """
 
@@ -285,7 +285,7 @@ class WorldSettings(GyroSettings):
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
-        """Names of all settings."""
+        """Names of all settings of the simulated world."""
         return tuple(entry.name for entry in fields(cls))
 
     @classmethod
@@ -296,7 +296,7 @@ class WorldSettings(GyroSettings):
         others: tuple[str, ...] = (),
         drawn: Mapping[str, float] | None = None,
     ) -> Self:
-        """Settings from text.
+        """Create settings from texts, such as the options of a URL.
 
         Parameters
         ----------

@@ -1,15 +1,15 @@
-"""The stage that holds the part: its direction at any time, and the faults of its mechanics.
+"""The stage on which the sensor is mounted: its direction at any time, and the faults of its mechanics.
 
-In the plane the part turns about its Z axis, which is horizontal. The true angle is ψ = α − θ + δ with the
+In the plane the sensor turns about its horizontal Z axis. The true angle is ψ = α − θ + δ with the
 declared angle θ and the error δ that each move draws (fixture, N(0, σ)) plus half the backlash by the
-direction of approach, less the slip of the part in its fixture; X then reads G cos ψ and Y G sin ψ. In
-space the stage turns the part until an ideal sensor would read a given unit vector, in units of G.
+direction of approach, less the slip of the sensor in its fixture; X then reads G cos ψ and Y G sin ψ. In
+space the stage turns the sensor until an ideal sensor would read a given unit vector, in units of G.
 
-A move takes time; the part rings after it. The speed of a motor rises and falls as a half sine; a hand
+A move takes time; the sensor rings after it. The speed of a motor rises and falls as a half sine; a hand
 follows `hand.HandMove`. Turns all around by hand (`hand.HandTurn`) have no declared angle.
 
-On a table (`turn_about`) the part keeps its attitude and is turned about an axis; if this axis is vertical,
-the direction of gravity in the part does not change.
+On a table (`turn_about`) the sensor keeps its attitude and turns about an axis; if this axis is vertical,
+the direction of gravity in the sensor does not change.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ _HAND_KNOTS = 8
 
 @dataclass(frozen=True)
 class Motion:
-    """State of the part at n times.
+    """Orientation, rate and circumstances of the sensor at n times.
 
     Attributes
     ----------
     direction : (n, 3) float
         Readings of an ideal sensor, in units of local gravity.
     rate_dps : (n, 3) float
-        Rate of turn of the part.
+        Rate of turn of the sensor.
     spin_rad_s2 : (n,) float
-        Angular acceleration of the part about its Z axis.
+        Angular acceleration of the sensor about its Z axis.
     shaking_mg : (n, 3) float
         Linear vibration from a hand.
     ringing_mg : (n,) float
@@ -70,9 +70,9 @@ class Motion:
 
 @dataclass(frozen=True)
 class _Leg:
-    """A move and the rest after it; in the plane by angles, in space by a turn about an axis of the part.
+    """A move of the stage and the rest after it: in the plane by angles, in space by a turn about an axis.
 
-    In space the part sees gravity along `along` + cos φ `base` + sin φ `side` while it turns by φ.
+    In space the sensor sees gravity along `along` + cos φ `base` + sin φ `side` while it turns by φ.
     """
 
     start_s: float
@@ -95,27 +95,27 @@ class _Leg:
 
     @property
     def knots(self) -> int:
-        """Number of points that describe the course of the move."""
+        """Number of points at which `Stage.course` tabulates this move."""
         halves = int(np.ceil(abs(self.turn_rad) / np.pi))
         return _KNOTS * max(halves, 1) * (1 if self.by_hand is None else _HAND_KNOTS)
 
     @property
     def target(self) -> Floats:
-        """Direction (3,) at the end of a turn in space."""
+        """Direction (3,) of gravity along the sensor's axes at the end of a turn in space."""
         return np.asarray(
             self.along + np.cos(self.turn_rad) * self.base + np.sin(self.turn_rad) * self.side
         )
 
 
 class Stage:
-    """Trajectory of the part, extended move by move.
+    """Motion of the stage with the sensor over time, extended by one move at a time.
 
     Parameters
     ----------
     settings : WorldSettings
         Mechanics.
     alpha_rad : float
-        Angle of the part at the stage's zero.
+        Angle of the sensor at the stage's zero.
     rng : Generator
         Draws an error for each move.
     hands, moves : Generator, optional
@@ -144,22 +144,22 @@ class Stage:
 
     @property
     def angle_deg(self) -> float:
-        """Declared angle of the last target; NaN after a move in space."""
+        """Declared angle in degrees to which the last move went; NaN after a move in space."""
         leg = self._legs[-1]
         return float("nan") if leg.spatial else float(np.degrees(leg.to_rad))
 
     @property
     def error_deg(self) -> float:
-        """Error δ of the present position: true angle minus α − θ, in degrees (hidden from a fit)."""
+        """True minus declared angle (δ) at the present position, in degrees; a fit does not see it."""
         return float(np.degrees(self._legs[-1].to_error_rad))
 
     @property
     def still_at_s(self) -> float:
-        """Time at which the last move ends."""
+        """Time in s at which the last move ends."""
         return self._legs[-1].end_s
 
     def move_to(self, start_s: float, angle_deg: float, approach: int = 0) -> float:
-        """Begin a move in the plane; returns the time at which it ends.
+        """Begin a move in the plane to a declared angle; return the time in s at which it ends.
 
         Parameters
         ----------
@@ -195,7 +195,7 @@ class Stage:
         return self._swing(start_s, target, self._error(approach), approach, previous)
 
     def orient(self, start_s: float, vector: Floats) -> float:
-        """Begin a move in space; returns the time at which it ends.
+        """Begin a turn in space to a direction of gravity; return the time in s at which it ends.
 
         Parameters
         ----------
@@ -219,7 +219,7 @@ class Stage:
         return self._turn(start_s, tilted / np.linalg.norm(tilted), float("nan"), 0.0, 0)
 
     def turn_freely(self, start_s: float, turns: int = 1) -> float:
-        """Begin turns by hand without declared angles; return the time at which they end.
+        """Begin turns by hand without declared angles; return the time in s at which they end.
 
         Parameters
         ----------
@@ -229,7 +229,7 @@ class Stage:
         Raises
         ------
         UsageError
-            The last move still runs, or the part is not at an angle of the stage.
+            The last move still runs, or the sensor is not at an angle of the stage.
         """
         self._require_still(start_s)
         last = self._legs[-1]
@@ -250,9 +250,9 @@ class Stage:
         return end_s
 
     def turn_about(self, start_s: float, angle_deg: float, axis: Floats | None = None) -> float:
-        """Begin a turn of the part about an axis at its place; return the time at which it ends.
+        """Begin to turn the sensor about an axis through it; return the time in s at which the turn ends.
 
-        A whole turn leaves the attitude unchanged. Before and after it the part is set against a mark, each
+        A whole turn leaves the attitude unchanged. Before and after it the sensor is set to a mark, each
         time with a new error (`mark_sigma_deg`), so that the true angle differs slightly from the declared
         angle.
 
@@ -261,7 +261,7 @@ class Stage:
         angle_deg : float
             Angle of any number of turns; positive is right-handed about the axis.
         axis : (3,) float or None
-            Axis in the part; None is the vertical, upwards: positive is then counter-clockwise, seen from
+            Axis in the sensor; None is the vertical, upwards: positive is then counter-clockwise, seen from
             above, as on a level table.
 
         Raises
@@ -291,7 +291,7 @@ class Stage:
         return self._in_space(leg, self._hand_over(turn))
 
     def at(self, time_s: Floats) -> Motion:
-        """State of the part at increasing times (n,)."""
+        """Direction of gravity, rate and conditions of the sensor at increasing times (n,) in s."""
         index = np.searchsorted(self._starts, time_s, side="right") - 1
         first, last = int(index[0]), int(index[-1])
         if first == last:
@@ -304,9 +304,9 @@ class Stage:
         return Motion(*(np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES))
 
     def course(self) -> tuple[Floats, Floats]:
-        """Times (m,) and directions (m, 3) between which the direction changes nearly linearly.
+        """Times (m,) in s and directions (m, 3) of gravity, dense enough for linear interpolation.
 
-        The part rests before the first and after the last of them; without any move there is one, at 0.
+        The sensor rests before the first and after the last of them; without any move there is one, at 0.
         """
         if self._course is None:
             moves = [leg for leg in self._legs if leg.end_s > leg.start_s]
@@ -337,7 +337,7 @@ class Stage:
         return np.array([np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)])
 
     def _hand_over(self, span_rad: float, *, one_way: bool = False, free: bool = False) -> HandMove | None:
-        """Draw the hand for a move of this span; None if a motor moves the part."""
+        """Draw a movement by hand through an angle in rad; None if a motor moves the stage."""
         if not self._settings.hand_moves or abs(span_rad) < _LEAST_BY_HAND_RAD:
             return None
         return HandMove(self._settings, self._movements, span_rad, one_way=one_way, free=free)
@@ -396,14 +396,14 @@ class Stage:
         return self._in_space(leg, self._hand_over(turn, free=True))
 
     def _in_space(self, leg: _Leg, by_hand: HandMove | None) -> float:
-        """Append a turn in space and return the time at which it ends."""
+        """Append a turn in space to the trajectory; return the time in s at which it ends."""
         end_s = leg.start_s + self._duration(leg.turn_rad, by_hand)
         self._append(replace(leg, end_s=end_s, by_hand=by_hand))
         return end_s
 
     @property
     def _standing(self) -> Floats:
-        """Direction (3,) of gravity at the end of the last move."""
+        """Direction (3,) of gravity along the sensor's axes after the last move."""
         last = self._legs[-1]
         return last.target if last.spatial else self._direction(last.to_rad, last.to_error_rad)
 
@@ -482,7 +482,7 @@ class Stage:
         )
 
     def _ringing(self, since: Floats) -> Floats:
-        """Decaying sine after the stop; zero after 20 time constants."""
+        """Vibration (n,) in mg at times `since` the stop in s: a decaying sine for 20 time constants."""
         settings = self._settings
         if not settings.vibration_mg or not len(since) or since[0] > 20 * settings.vibration_decay_s:
             return np.zeros(len(since))
@@ -495,7 +495,7 @@ class Stage:
 
 
 def _course(leg: _Leg, time_s: Floats) -> Course:
-    """Completed fraction of a move at times (n,), 0 to 1, with its two derivatives; 1 after its end."""
+    """Completed fraction (n,) of a move at each time, and its two derivatives; 1 after the end."""
     n = len(time_s)
     moving = time_s - leg.end_s < 0
     if not moving.any():

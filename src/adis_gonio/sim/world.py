@@ -38,7 +38,7 @@ from adis_gonio.sim.stage import Motion, Stage
 
 GREATEST_ALPHA_DEG = 5.0
 WARMING_TAU_S = 60.0
-"""Time constant with which the part goes to a temperature that it is brought to."""
+"""Time constant in s with which the sensor approaches a temperature set by `bring_to`."""
 _HISTORY_STEP_S = 1.0
 _DERIVATIVE_S = 1e-4
 _TABLE_OVER_NOISE = 5.0
@@ -48,7 +48,7 @@ Values = Mapping[str, float] | Sequence[float] | Floats
 
 
 class World:
-    """Surroundings of a chip.
+    """The simulated surroundings of a chip: attitude, temperature, supply, and the sensor's errors.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class World:
         self._levels_mg = np.empty(0)
 
     def _draw(self, rng: np.random.Generator) -> None:
-        """Draw all hidden parameters, so that a given value does not change the others."""
+        """Draw all hidden parameters, even those that are given, so that a given value changes no other."""
         figures, given = self.variant.performance, self.settings
         limit = figures.non_orthogonality_deg
         scale = 1 + figures.scale_error_typical * rng.standard_normal(3)
@@ -143,12 +143,12 @@ class World:
         self._sensitivity = sensitivity(self._base())
 
     def _base(self) -> Floats:
-        """Gains and skews (6,) in the order of `model.measurement`."""
+        """Scale factors and skews (6,) of the accelerometers, in the order of `FreeAttitude.parameters`."""
         in_space = FreeAttitude(self.gravity_mg)
         return np.array([self._hidden[p.name] / p.per_natural for p in in_space.parameters])
 
     def _by_axis(self, name: str, drawn: Floats) -> Floats:
-        """Values (3,) of a setting of the axes: the given value, or the drawn one."""
+        """Values (3,) of a setting for x, y and z: the given value, or else the drawn one."""
         given = (getattr(self.settings, name.format(axis)) for axis in AXES)
         return np.array([value_or(value, float(own)) for value, own in zip(given, drawn, strict=True)])
 
@@ -156,11 +156,11 @@ class World:
 
     @property
     def gravity_mg(self) -> float:
-        """Local gravity in mg."""
+        """Local gravity in mg (thousandths of 9.80665 m/s²)."""
         return 1000.0 * self.settings.gravity_mps2 / STANDARD_GRAVITY_MPS2
 
     def truth(self, time_s: Floats | None = None) -> dict[str, float]:
-        """Hidden parameters by the names that a fit uses.
+        """Return the true values of all hidden parameters, by the names that a fit uses.
 
         `delta_k` (1), `delta_phi` (degree), `alpha` (degree), `scale_x…` (the gain, 1 is perfect),
         `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg),
@@ -211,11 +211,11 @@ class World:
 
     @property
     def electronics(self) -> Electronics:
-        """Effect of a chip in this world on its gyros and accelerometers."""
+        """Properties of the electronics that a chip with these gyros and accelerometers has."""
         return self.gyros.electronics
 
     def temperature_c(self, time_s: Floats) -> Floats:
-        """Temperature of the part (n,) in °C: ambient profile and self-heating."""
+        """Temperature (n,) of the sensor in °C: ambient, self-heating, and changes by `bring_to`."""
         given = self.settings
         ambient = given.ambient_c + given.ambient_drift_c_per_h * time_s / 3600
         if given.ambient_swing_c:
@@ -227,11 +227,11 @@ class World:
         return np.asarray(warmth, np.float64)
 
     def die_temperature_c(self, time_s: Floats) -> Floats:
-        """Temperatures of the three gyros' dies (n, 3) in °C."""
+        """Temperatures (n, 3) of the dies of the three gyros in °C."""
         return self._dies.temperature_c(time_s, self.temperature_c)
 
     def supply_v(self, time_s: Floats) -> Floats:
-        """Supply (n,) in V without its noise."""
+        """Supply voltage (n,) in V, without noise."""
         supply = self.settings.supply_v + self.settings.supply_drift_v_per_h * time_s / 3600
         for since_s, change in self._supplied:
             supply = supply + np.where(time_s >= since_s, change, 0.0)
@@ -240,7 +240,7 @@ class World:
     def bring_to(
         self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
     ) -> None:
-        """Heat or cool the part, or set the supply, from a time that has not been sampled yet.
+        """Change the sensor's temperature or the supply, from a time that has not been sampled yet.
 
         The temperature changes exponentially (`WARMING_TAU_S`); drifts and swings continue.
         """
@@ -253,7 +253,7 @@ class World:
     # -- inputs of the chip -------------------------------------------------------------------------
 
     def sample(self, time_s: Floats) -> Inputs:
-        """Inputs of the chip at increasing times (n,)."""
+        """Physical inputs of the chip at increasing times (n,) in s."""
         n = len(time_s)
         motion = self.stage.at(time_s)
         temperature = self.temperature_c(time_s)
@@ -304,7 +304,7 @@ class World:
         )
 
     def _read_gyros(self, felt: Felt, conditions: Conditions | None) -> Floats:
-        """Readings (n, 3) of the gyros, including their effects."""
+        """Gyro readings (n, 3) in °/s, including the effects that act on gyros."""
         gyro = self.gyros.read(felt)
         effects = self._of_part("gyro")
         if conditions is None or not effects:
@@ -315,16 +315,16 @@ class World:
         return gyro
 
     def _of_part(self, part: str) -> list[tuple[Effect, Floats]]:
-        """Effects on a part of the sensor; an effect on both parts belongs to the accelerometers."""
+        """Effects on the accelerometers or on the gyros; an effect on both counts for its first part."""
         return [(effect, values) for effect, values in self.effects if effect.parts[0] == part]
 
     def _rate_dps(self, motion: Motion) -> Floats:
-        """Rate of turn (n, 3) relative to the stars, with the simulated part of the earth's rotation."""
+        """True rate of turn (n, 3) in °/s, including the vertical component of the earth's rotation."""
         up_dps = self.settings.earth_rate_up_dps
         return motion.rate_dps - up_dps * motion.direction if up_dps else motion.rate_dps
 
     def _moving_mg(self, motion: Motion) -> Floats | None:
-        """Readings (n, 3) from the motion of the whole part; None if there are none."""
+        """Acceleration (n, 3) in mg that a shaken or moved sensor reads, without gravity; None if zero."""
         moving = motion.shaking_mg if motion.shaking_mg.any() else None
         if self._lever_m.any():
             by_lever = self._by_lever_mg(motion)
@@ -332,7 +332,7 @@ class World:
         return moving
 
     def _by_places_mg(self, time_s: Floats, motion: Motion) -> Floats:
-        """Readings (n, 3) from the positions r of the accelerometers off the axis of the turn.
+        """Readings (n, 3) in mg that arise because each accelerometer is off the axis of rotation.
 
         Minus the acceleration along the axis of each: ω × (ω × r) + dω/dt × r.
         """
@@ -350,7 +350,7 @@ class World:
         return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
 
     def _by_lever_mg(self, motion: Motion) -> Floats:
-        """Readings (n, 3) of a part off the axis of the stage: minus its acceleration."""
+        """Acceleration readings (n, 3) in mg of a sensor mounted off the stage's axis, during a turn."""
         spin, lever = np.radians(motion.rate_dps[:, 2]), self._lever_m
         x = lever[0] * spin**2 + lever[1] * motion.spin_rad_s2
         y = lever[1] * spin**2 - lever[0] * motion.spin_rad_s2
@@ -389,7 +389,7 @@ class World:
         return self._flicker.at(time_s)
 
     def _vibration_mg(self, order: Floats) -> Floats:
-        """Level (n,) of the table's vibration in the dwells of these numbers, rms in mg."""
+        """Rms vibration (n,) of the table in mg during the dwells with these numbers."""
         if not self._table_mg:
             return np.zeros(len(order))
         missing = int(order.max()) + 1 - len(self._levels_mg)

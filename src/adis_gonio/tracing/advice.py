@@ -63,12 +63,12 @@ def advise(
 
 
 def sentences(measurements: Sequence[NextDwell]) -> tuple[str, ...]:
-    """Return one sentence for each group of measurements with a common purpose."""
+    """Return the proposed measurements as sentences, one for all measurements with a common purpose."""
     return tuple(_sentence(group) for group in _grouped(measurements))
 
 
 def place(measurement: NextDwell) -> str:
-    """Position and conditions, such as `45° from above, after waiting 5 min`."""
+    """Describe the position and conditions of a proposed dwell: `45° from above, after waiting 5 min`."""
     words = [where(measurement)]
     if measurement.temperature_c is not None:
         words.append(f"with the part at {measurement.temperature_c:.0f} °C")
@@ -80,7 +80,7 @@ def place(measurement: NextDwell) -> str:
 
 
 def where(measurement: NextDwell) -> str:
-    """Position without conditions, such as `45° from above`."""
+    """Describe the position of a proposed dwell without conditions, such as `45° from above`."""
     if measurement.angle_deg is not None:
         side = " from above" if measurement.approach < 0 else ""
         return f"{measurement.angle_deg:g}°{side}"
@@ -90,7 +90,7 @@ def where(measurement: NextDwell) -> str:
 
 
 def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
-    """Group measurements that separate the same hypotheses, and those that cover unseen effects."""
+    """Group measurements by purpose: to separate a pair of hypotheses, or to cover unseen effects."""
     groups: dict[object, list[NextDwell]] = {}
     for m in measurements:
         key: object = (m.one, m.other)
@@ -120,7 +120,7 @@ def _sentence(group: Sequence[NextDwell]) -> str:
 
 
 def _faint(group: Sequence[NextDwell]) -> str:
-    """Sentence for positions that separate hypotheses too little for a decision by a single dwell."""
+    """Return the advice for positions at which a single dwell cannot decide between the hypotheses."""
     what = list(dict.fromkeys(place(m) for m in group))
     where = _joined(what, "; " if any("," in w for w in what) else ", ")
     names = _joined(list(dict.fromkeys(name for m in group for name in _varying(m))), ", ")
@@ -133,7 +133,7 @@ def _faint(group: Sequence[NextDwell]) -> str:
 
 
 def _varying(measurement: NextDwell) -> tuple[str, ...]:
-    """Names that only one of the two models has."""
+    """Return the effects in only one of the two models that the measurement separates, sorted."""
     return tuple(sorted(set(measurement.one) ^ set(measurement.other)))
 
 
@@ -156,7 +156,7 @@ def _by_hand(
     """
     to_do: dict[str, list[str]] = {}
     for names in confounded:
-        # The first name is in the model; alone in its group it has no named rival.
+        # The first name is in the model; if it is alone in its group it has no named rival.
         rivals = names[1:] or names
         if alone and not any(name in remedies for name in rivals):
             rivals = names[:1]
@@ -175,7 +175,11 @@ def _by_hand(
 
 
 def _of_cycles(selection: Selection) -> list[str]:
-    """Advice to distinguish the found cycles a turn from others with equal columns."""
+    """Return advice on distinguishing a found periodic error of the stage from others that fit as well.
+
+    At the session's angles, stage errors with different numbers of cycles per turn can look alike. Each
+    line advises additional angles that distinguish them.
+    """
     return [
         f"to tell {cycles} cycles a turn from {_joined([str(n) for n in others], ', ')}: {BETWEEN}"
         for cycles, others in cycles_alike(selection)
@@ -200,14 +204,14 @@ _FORM_SHOWS = {
 
 
 def _of_unnamed(model: Sequence[Term]) -> list[str]:
-    """Advice that would show the form of the unnamed part, one line for each action."""
+    """Return actions that would show how the unnamed part depends on its covariates, one line for each."""
     covariates = dict.fromkeys(c for term in model if term.name is None for c in term.covariates)
     to_do = dict.fromkeys(_FORM_SHOWS[name] for name in covariates if name in _FORM_SHOWS)
     return [f"to see the form of the unnamed part: {what}" for what in to_do]
 
 
 def _not_recorded(data: Readings) -> list[str]:
-    """Advice to record conditions that the session lacks."""
+    """Return advice to record the conditions that are missing from the session."""
     c = data.conditions
     lines = []
     if data.planar and c.angle_rad is None:

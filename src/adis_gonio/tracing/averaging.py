@@ -1,4 +1,4 @@
-"""Average over formulas and smooth functions that may describe the unnamed part of a model.
+"""Average over formulas and smooth functions for the part of the residual that no named effect explains.
 
 It is seldom certain which formula is right, and if none is right a smooth function is closer. Models with
 the named effects of the chosen model are fitted, with formulas or Gaussian processes as their unnamed part.
@@ -28,43 +28,44 @@ Member = tuple[float, NamelessTerm, Floats]
 
 @dataclass(frozen=True)
 class AveragedTerm(NamelessTerm):
-    """Mean of fitted unnamed terms: a fixed function without parameters.
+    """Weighted mean of fitted unnamed functions, as a fixed term without parameters.
 
     Attributes
     ----------
     members : tuple of (weight, term, values)
-        Either all members enter the angle, or none.
+        Weight, unnamed term and fitted amplitudes of each averaged function. Either all of them enter the
+        angle, or none.
     """
 
     members: tuple[Member, ...] = ()
 
     @property
     def form(self) -> str:
-        """Formula of the member with the largest weight."""
+        """Formula of the averaged function with the largest weight."""
         return max(self.members, key=lambda member: member[0])[1].form
 
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Weighted mean of the members' contributions."""
+        """Return the weighted mean of the members' contributions to the readings or to the angle."""
         parts = [weight * term.added(own, ideal, conditions) for weight, term, own in self.members]
         total: Floats = np.sum(parts, axis=0)
         return total
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return no columns, since the term has no parameters."""
+        """Return an array without columns, since the averaged function has no parameters to fit."""
         n, axes = ideal.shape
         return np.zeros((n, 0) if self.enters_angle else (n, axes, 0))
 
 
 @dataclass(frozen=True)
 class AveragedFit(Fit):
-    """A fit with the uncertainty within and between the members of an average.
+    """A fit of an averaged model; its uncertainty includes the differences between the members.
 
     Attributes
     ----------
     mixed_covariance : (p, p) float
         Covariance of base and named parameters.
     mixed_used : float
-        Weighted degrees of freedom used by base, names and members.
+        Degrees of freedom used by base, named terms and members, averaged with the members' weights.
     """
 
     mixed_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
@@ -72,18 +73,18 @@ class AveragedFit(Fit):
 
     @property
     def covariance(self) -> Floats:
-        """As `mixed_covariance`."""
+        """Covariance of the base and named parameters, equal to `mixed_covariance`."""
         return self.mixed_covariance
 
     @property
     def used(self) -> float:
-        """As `mixed_used`."""
+        """Degrees of freedom used by the fit, equal to `mixed_used`."""
         return self.mixed_used
 
 
 @dataclass(frozen=True)
 class Averaged:
-    """A model with an average as its unnamed part.
+    """A model with named effects and an average over unnamed functions.
 
     Attributes
     ----------
@@ -95,7 +96,7 @@ class Averaged:
     weight : float
         Total probability of the processes.
     candidates : tuple of Process
-        The most promising processes.
+        The processes with the highest evidence.
     """
 
     fit: AveragedFit
@@ -105,16 +106,18 @@ class Averaged:
 
     @property
     def named(self) -> tuple[Term, ...]:
-        """Named terms."""
+        """The named effects among the terms of the fit."""
         return tuple(term for term in self.fit.terms if term.name is not None)
 
 
 def average(selection: Selection, candidates: Sequence[Process] | None = None) -> Averaged | None:
-    """Average over unnamed functions to add to the named effects; None if no unnamed part is needed.
+    """Return a model with the average of unnamed functions in addition to the named effects.
 
-    If no formula is adequate, a process may be. All candidates are first weighed with the measured noise.
-    If their average is not adequate either, they are weighed again with the noise that the best formula
-    leaves. With that noise, a formula wrong by many uncertainties may outweigh the right process.
+    None if the named effects are enough.
+
+    The candidates (formulas and processes) are first weighed with the measured noise. If their average does
+    not agree with this noise, they are weighed again with the larger noise that the best formula leaves.
+    This is not done first, because with the larger noise a wrong formula may outweigh the right process.
 
     Parameters
     ----------
@@ -175,7 +178,7 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
 
 
 def _named_columns(fit: Fit) -> list[Floats]:
-    """Whitened columns of all parameters of the named terms."""
+    """Return the whitened columns of the Jacobian for each named term of a fit."""
     return [
         fit.jacobian[:, fit.slice_of(index)]
         for index, term in enumerate(fit.terms)
@@ -184,7 +187,7 @@ def _named_columns(fit: Fit) -> list[Floats]:
 
 
 def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
-    """Whether a term is a polynomial approximation of a function that a process describes too.
+    """Return True if a term is a polynomial approximation of a function that a process also describes.
 
     Both fit the readings equally well, but outside their range a polynomial diverges.
     """
@@ -194,7 +197,11 @@ def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str,
 def _formulas(
     selection: Selection, named: tuple[int, ...], candidates: Sequence[Process]
 ) -> list[tuple[float, tuple[NamelessTerm, ...]]]:
-    """Return unnamed parts of models with these named terms, with evidence against the names alone."""
+    """Return the unnamed terms of each probable model that has exactly these named terms.
+
+    Each comes with its log evidence minus the log evidence of the model with the named terms alone. Terms
+    that a process covers are omitted.
+    """
     problem, found = selection.problem, selection.found
 
     def score(model: tuple[int, ...]) -> float:
@@ -219,15 +226,16 @@ def _fit_members(
     pool: Sequence[tuple[float, tuple[NamelessTerm, ...]]],
     weights: Floats,
 ) -> tuple[list[Member], Floats, float]:
-    """Return fitted members, covariance (k, k) of the fixed parameters, and degrees of freedom used.
+    """Fit each member; return members, covariance (k, k) of the fixed parameters, degrees of freedom.
 
-    The covariance contains the spread within and between members; degrees of freedom are weighted.
+    The fixed parameters are the base and named ones. Their covariance contains the uncertainty within each
+    member and the differences between members. The used degrees of freedom are a weighted mean.
     """
     members: list[Member] = []
     means, within, used = [], np.zeros((fixed.shape[1], fixed.shape[1])), 0.0
     likely = np.flatnonzero(weights).tolist()
     solutions = {k: _solve_ridge(selection, fixed, target, pool[k][1]) for k in likely}
-    # Members that base and names could imitate are dropped, unless all are such.
+    # Members that base and named terms could imitate are dropped, unless this would drop all of them.
     seen = {k: solution[3] >= limits.visible for k, solution in solutions.items()}
     if any(seen.values()):
         weights = np.array([weight * seen.get(k, 0) for k, weight in enumerate(weights)])
@@ -251,10 +259,11 @@ def _fit_members(
 def _solve_ridge(
     selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
 ) -> tuple[Floats, Floats, float, float]:
-    """Return values of all parameters, covariance in units of the noise, degrees of freedom, visible part.
+    """Solve a ridge regression; return values, covariance, used degrees of freedom and visible share.
 
-    The visible part is the share of the terms' contribution that the fixed columns could not reproduce. It
-    is 1 without terms and for processes, since their priors keep them small.
+    The covariance is in units of the noise. The visible share is the share of the terms' contribution that
+    the fixed columns could not reproduce. It is 1 without terms and for processes, since their priors keep
+    them small.
     """
     fit = selection.fit
     blocks = [fit.white(fit.candidate(term)) for term in terms]
@@ -282,7 +291,7 @@ def _solve_ridge(
 
 
 def _averaged_terms(members: Sequence[Member]) -> list[AveragedTerm]:
-    """Return one averaged term for the members at the readings and one for those at the angle."""
+    """Return the averaged terms: at most one that enters the readings and one that enters the angle."""
     made = []
     for angle in (False, True):
         mine = tuple(member for member in members if member[1].enters_angle == angle)

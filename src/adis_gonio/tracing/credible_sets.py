@@ -39,7 +39,7 @@ SLOW = {"time", "order", "temperature", "temperature_rate", "supply", "variance"
 
 @dataclass(frozen=True)
 class Names:
-    """Named effects of the chosen model.
+    """The named effects of the chosen model, divided into accepted and rejected ones.
 
     Attributes
     ----------
@@ -56,11 +56,11 @@ class Names:
 
 
 def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
-    """Return the accepted and the rejected names.
+    """Judge each named effect of the chosen model; return the accepted and the rejected names.
 
     A name is accepted if the models that contain it have most of the posterior (`certain`), and the model
-    has no unnamed term with covariates of the same kind (slow or position). With such a term the name may
-    be a piece of the unknown cause.
+    has no unnamed term with covariates of that kind (slow or position). With such a term the name may be a
+    piece of the unknown cause.
 
     Parameters
     ----------
@@ -89,14 +89,14 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
 
 
 def unknown_of(selection: Selection, averaged: Averaged | None) -> list[NamelessTerm]:
-    """Return the unnamed terms that the names are judged against: of the model, else of the average."""
+    """Return the unnamed terms that compete with the names: of the model, or else of the average."""
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     own = [term for term in terms if isinstance(term, NamelessTerm)]
     return own if own or averaged is None else [averaged.smooth]
 
 
 def related(term: Term, unknown: Term) -> bool:
-    """Whether a named and an unnamed term may be pieces of one cause."""
+    """Return True if a named and an unnamed term may be pieces of a single cause."""
     if not term.covariates:
         return False
     if term.dwell is not None:
@@ -109,7 +109,7 @@ def _kinds(covariates: Sequence[str]) -> set[bool]:
 
 
 def _replacements(selection: Selection) -> list[tuple[str, ...]]:
-    """Return groups of names with their replacements in probable or equivalent models."""
+    """Return groups of names that replace each other in probable or equivalent models."""
     verdict = selection.verdict
     best = verdict.best
     top = verdict.weights[best]
@@ -134,7 +134,7 @@ def _replacements(selection: Selection) -> list[tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class _Part:
-    """Name of an effect, or an unnamed function, regardless of its axes."""
+    """An effect or unnamed function in a model, to compare models regardless of axes."""
 
     name: str | None
     shown_as: str
@@ -147,7 +147,7 @@ def _parts(selection: Selection, model: Model) -> list[_Part]:
 
 @dataclass(frozen=True)
 class CredibleSet(JsonRecord):
-    """Smallest set of names for one cause that holds 95 % of its probability.
+    """Smallest set of names that together have 95 % of the probability to be one cause.
 
     The JSON document is one entry of `sets`.
 
@@ -158,7 +158,7 @@ class CredibleSet(JsonRecord):
     names : tuple of str
         The most probable first; an unnamed function by its covariates.
     probability : tuple of float
-        Of each name.
+        Probability of each name.
     present : float
         Probability that the cause, or any replacement of it, is present.
     """
@@ -170,13 +170,13 @@ class CredibleSet(JsonRecord):
 
 
 def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tuple[CredibleSet, ...]:
-    """Return a set for each cause of the chosen model, in the order of its terms."""
+    """Return the credible set of each cause of the chosen model, in the order of the model's terms."""
     causes = dict.fromkeys(map(_cause_name, selection.terms))
     return tuple(set_of(selection, cause, averaged) for cause in causes)
 
 
 def merge_by_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
-    """Return one set for all causes that are more probably pieces of one unnamed function.
+    """Keep only the first of the sets with causes that are more probably pieces of one unnamed function.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def set_of(selection: Selection, cause: str, averaged: Averaged | None = None) -
 def votes(
     selection: Selection, cause: str, averaged: Averaged | None = None
 ) -> tuple[dict[str, float], float]:
-    """Return the share of each name in place of a cause, and the probability of any cause.
+    """Return the probability of each name that could explain a cause, and that the cause is present.
 
     Parameters
     ----------
@@ -231,9 +231,18 @@ def votes(
 
 @dataclass(frozen=True)
 class _Place:
-    """One cause of the chosen model, and the names `ours` of all its causes.
+    """One cause of the chosen model, for which other models vote.
 
-    `added` (rows,) is the contribution of the cause, scaled to unit length; zero if the model lacks it.
+    Attributes
+    ----------
+    problem : LinearProblem
+    cause : str
+        Name of the cause, or the covariates of an unnamed function.
+    ours : frozenset of str
+        Names of all causes of the chosen model, this one included.
+    added : (rows,) float
+        Contribution of the cause to the prediction, scaled to unit length; zero if the model lacks the
+        cause.
     """
 
     problem: LinearProblem
@@ -266,7 +275,7 @@ class _Place:
         kept = [k for k in model if k not in fresh]
         words = {_cause_name(self.problem.terms[k]) for k in fresh}
         lost = self.ours - set(map(_cause_name, terms))
-        # Without several causes at once, the additional terms vote only for the part that they reproduce.
+        # If the model lacks several causes, its additional terms vote only for the reproduced part.
         whole = self._explained(fresh, kept) if fresh and len(lost) > 1 else 1.0
         if len(words) <= 1:
             return dict.fromkeys(words, whole)
@@ -276,13 +285,13 @@ class _Place:
         return {word: whole * share / sum(part.values()) for word, share in part.items()}
 
     def _explained(self, fresh: Sequence[int], kept: Sequence[int]) -> float:
-        """Return the share of the cause's contribution that the `fresh` terms reproduce."""
+        """Return the share (0 to 1) of the cause's contribution that these terms reproduce."""
         basis, _ = span(self.problem, [*fresh, *kept])
         return float(((basis.T @ self.added) ** 2).sum())
 
 
 def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
-    """Whether a cause may be a piece of the averaged function; a function of the model votes by itself."""
+    """Return True if a named cause may be only a piece of the averaged unnamed function."""
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     return any(
         unknown is averaged.smooth and related(term, unknown)
@@ -297,7 +306,7 @@ def _cause_name(term: Term) -> str:
 
 
 def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
-    """Return effects that each explain a significant part of an inadequate model's residual.
+    """Return named effects that could each explain a significant part of an inadequate model's residual.
 
     Each effect is added alone and F-tested at 10 %. The noise is taken from the residual, since the noise
     measured within the dwells does not explain it. If any effect passes, effects of similar probability

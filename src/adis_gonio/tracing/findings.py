@@ -2,8 +2,9 @@
 
 Share of each finding
     The excess of a model is its χ² minus its degrees of freedom or, if the noise is unknown, the square of
-    its residual. The share of a step is the fall of the excess at that step, as a fraction of the base
-    model's excess. The shares of all steps add up to the total explained fraction, at most 100 %.
+    its residual. The share of an added effect is the decrease of the excess when it is added, as a fraction
+    of the base model's excess. The shares of all effects add up to the total explained fraction, at most
+    100 %.
 
 Uncertainty over all probable models
     The covariance of one model assumes that this model is right. In another model of equal probability an
@@ -51,7 +52,10 @@ from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Rival, Unname
 
 
 def dof_of(selection: Selection) -> float:
-    """Degrees of freedom of the noise used for the uncertainties; inf if the noise was stated."""
+    """Return the degrees of freedom of the noise estimate behind the uncertainties.
+
+    Infinite if the noise was stated instead of estimated.
+    """
     data = selection.data
     dof = data.noise_dof if data.noise_known else np.inf
     if not data.noise_known or selection.inflation > 1:
@@ -60,7 +64,7 @@ def dof_of(selection: Selection) -> float:
 
 
 def finding_of(selection: Selection, name: str, averaged: Averaged | None = None) -> Finding:
-    """Return one effect of the chosen model with its parameters and its test."""
+    """Return the finding for a named effect of the chosen model: its parameters and its test."""
     from scipy import stats
 
     problem = selection.problem
@@ -111,14 +115,14 @@ def finding_of(selection: Selection, name: str, averaged: Averaged | None = None
 
 
 def differs_from_zero(finding: Finding) -> bool:
-    """Whether at least one value differs from zero by more than its uncertainty allows."""
+    """Return True if at least one parameter of a finding differs significantly from zero."""
     least = limits.significance / NORMAL_95
     halves = [(abs(v.value), v.U or 0.0) for v in finding.parameters.values() if v.u]
     return not halves or any(size > least * half for size, half in halves)
 
 
 def scatter_finding(scatter: Scatter, explains: float) -> Finding:
-    """Return dwell-to-dwell scatter as a finding, with its share of the base model's excess."""
+    """Return dwell-to-dwell scatter as a finding that explains this share of the base model's excess."""
     return Finding(
         effect=scatter.kind,
         axes=(),
@@ -131,7 +135,7 @@ def scatter_finding(scatter: Scatter, explains: float) -> Finding:
 
 
 def _explained_chi2(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
-    """Return the χ² that some terms explain in addition to the other terms, and their number of columns."""
+    """Return the χ² that the member terms explain beyond the other terms, and their number of columns."""
     best = selection.verdict.best
     with_all = float((span(selection.problem, best)[1] ** 2).sum())
     others = [k for k in best if k not in members]
@@ -140,7 +144,7 @@ def _explained_chi2(selection: Selection, members: Sequence[int]) -> tuple[float
 
 
 def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | None:
-    """Return the unnamed part: unnamed terms of the model, or the average that replaces them."""
+    """Return the unnamed part of the result, from the model's unnamed terms or the average of them."""
     from scipy import stats
 
     problem, verdict = selection.problem, selection.verdict
@@ -171,14 +175,14 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
 
 
 def rivals_of(selection: Selection) -> tuple[Rival, ...]:
-    """Return models of high posterior probability, the most probable first."""
+    """Return the models of high posterior probability for the result, the most probable first."""
     ranked = sorted(selection.verdict.weights.items(), key=lambda item: -item[1])[:8]
     terms = selection.problem.terms
     return tuple(Rival(tuple(terms[k].label for k in model), weight) for model, weight in ranked)
 
 
 def base_of(selection: Selection) -> dict[str, Value]:
-    """Return the base parameters as `adis_gonio.fit` states them; in the plane with ΔK.
+    """Return the base parameters by name, in the units of `adis_gonio.fit`; in the plane also ΔK.
 
     Their uncertainty covers the values in other probable models.
     """
@@ -206,7 +210,7 @@ def base_of(selection: Selection) -> dict[str, Value]:
 
 
 def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Value]:
-    """Return the bias of each axis that no finding states, if the readings are in counts.
+    """Return the bias of each axis without a bias among the findings, for readings in counts.
 
     An axis without a bias in the model is at the approximate zero that was used to convert the readings
     to mg. Its bias is fitted together with the other parameters. Empty if the zero of the unit is known.
@@ -241,7 +245,7 @@ def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Va
 
 
 def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
-    """Convert a bias to the file's reading at zero if the unit has no known zero (counts)."""
+    """Return a bias in counts as the reading at zero acceleration; other findings are unchanged."""
     if unit.known or finding.effect != "bias":
         return finding
     stated = {}
@@ -255,7 +259,7 @@ def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
 
 
 def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
-    """Return notes on the noise, and on cycles of the stage that the angles cannot distinguish."""
+    """Return notes on the noise and on periodic stage errors that the angles cannot distinguish."""
     data = selection.data
     notes = list(data.notes)
     for cycles, others in cycles_alike(selection):
@@ -284,7 +288,10 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
 
 
 def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float]:
-    """Return the excess of each model over the measured noise."""
+    """Return the χ² of each nested model in excess of its degrees of freedom.
+
+    If the noise is unknown, the squared residual is used instead.
+    """
     if any(figure.chi2_per_dof is None for figure in figures):
         return [figure.residual_rms**2 for figure in figures]
     return [
@@ -294,7 +301,11 @@ def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float
 
 
 def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
-    """Return the explained share of each step; a step that increases the excess has the share 0."""
+    """Return the share of the base model's excess that each added effect explains, by name.
+
+    The `steps` are the names of the effects in the order in which they were added. An effect that
+    increases the excess has the share 0.
+    """
     found = dict.fromkeys(steps, 0.0)
     least = excess[0]
     for name, left in zip(steps, excess[1:], strict=True):
@@ -305,12 +316,15 @@ def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
 
 
 def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Finding, ...]:
-    """Return the findings with the shares of their steps."""
+    """Return the findings with `explains` set to the share of the excess that each explains."""
     return tuple(replace(finding, explains=of_step.get(finding.effect, 0.0)) for finding in found)
 
 
 def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
-    """Return the unnamed part with the share of its steps, or at most the share that no step explains."""
+    """Return the unnamed part with `explains` set to the share of the excess that it explains.
+
+    If no step added an unnamed term, the share is limited to the part that the steps leave unexplained.
+    """
     if unnamed is None:
         return None
     known = catalogue()
@@ -322,13 +336,17 @@ def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Un
 
 @dataclass(frozen=True)
 class Mixture:
-    """Probable models: values (M, p) of each minus the stated values, and weights (M,)."""
+    """Parameter values (M, p) of M probable models minus the reported values, and weights (M,)."""
 
     away: Floats
     weight: Floats
 
     def u(self, within: float, along: Floats) -> float:
-        """Standard uncertainty of `along` (p,) · values; `within` is the uncertainty in one model."""
+        """Return the uncertainty of a linear combination of parameters over all probable models.
+
+        `along` (p,) are the coefficients of the combination; `within` is its standard uncertainty if the
+        model is known.
+        """
         from scipy.optimize import brentq
         from scipy.special import ndtr
 
@@ -344,7 +362,7 @@ class Mixture:
 
 
 def base_mixture(selection: Selection) -> Mixture:
-    """Return the base parameters of the probable models.
+    """Return the values of the base parameters in each probable model, with the models' weights.
 
     If an average replaces the unnamed functions, its covariance contains their spread. Models with the
     names of the chosen model then count as the chosen model.
@@ -371,7 +389,7 @@ def base_mixture(selection: Selection) -> Mixture:
 
 
 def effect_mixture(selection: Selection, name: str) -> tuple[list[str], Mixture]:
-    """Return the amplitudes of an effect, by parameter, in the probable models that contain it.
+    """Return the names of an effect's amplitudes, and their values in the probable models with the effect.
 
     Models with other shapes or dwells are excluded: shapes are fitted, and the covariance contains their
     spread. If the chosen model has a bias, models without a bias are excluded too. Every sensor has a
@@ -395,7 +413,7 @@ def _names(problem: LinearProblem, model: Sequence[int]) -> frozenset[str]:
 
 
 def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[object, ...]:
-    """Return shapes and choices of an effect in a model; empty if the model lacks the effect."""
+    """Return the shape parameters and options of an effect in a model; empty if the model lacks it."""
     mine = [terms[k] for k in model if terms[k].name == name]
     return tuple(
         (term.shapes, tuple(getattr(term.effect, choice) for choice in term.effect.choices()))
@@ -405,7 +423,7 @@ def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[objec
 
 
 def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> dict[str, float]:
-    """Return the amplitudes of an effect in a model of the linear problem, by parameter."""
+    """Return an effect's amplitudes by parameter name, from a linear fit of a model."""
     out: dict[str, float] = {}
     for k, own in zip(model, amplitudes(problem, model), strict=True):
         term = problem.terms[k]
@@ -416,7 +434,7 @@ def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> d
 
 
 def follows_clock(term: Term) -> bool:
-    """Whether a term depends on the time since the start of the session and on nothing else."""
+    """Return True if a term depends on nothing except the time since the start of the session."""
     if isinstance(term, AveragedTerm):  # it lists only the covariates of its most probable member
         return all(follows_clock(member) for _, member, _ in term.members)
     needs = term.effect.needs if isinstance(term, NamedTerm) else ()
@@ -424,7 +442,7 @@ def follows_clock(term: Term) -> bool:
 
 
 def middle_s(fit: Fit) -> float:
-    """Time halfway between the first and the last dwell of a fit, in s since the start of the session."""
+    """Return the time halfway between the first and last dwell, in s since the start of the session."""
     time_s = fit.data.conditions.time_s
     return float(time_s.min() + time_s.max()) / 2
 
@@ -456,7 +474,7 @@ def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[F
 
 
 def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
-    """Return a bias with values and u at the middle of the session; other findings are unchanged."""
+    """Return a bias converted to the middle of the session; other findings are unchanged."""
     if finding.effect != "bias":
         return finding
     fit = selection.fit
@@ -482,7 +500,10 @@ MOST_NAMED = 5
 
 
 def cycles_alike(selection: Selection) -> list[tuple[int, tuple[int, ...]]]:
-    """Return the cycles of each `stage_periodic` of the model with equally plausible numbers of cycles."""
+    """Return alternative numbers of cycles per turn for each periodic stage error of the model.
+
+    Each entry is the model's number of cycles and the other numbers that are about as plausible.
+    """
     problem, best = selection.problem, selection.verdict.best
     angle = selection.data.conditions.angle_rad
     periodic = {
@@ -525,7 +546,7 @@ def detectable(
 
     @cache
     def basis_without(name: str | None) -> Floats:
-        """Basis of the model without the terms of an effect."""
+        """Return an orthonormal basis of the model's columns without the terms of an effect."""
         return span(problem, [m for m in model if name is None or problem.terms[m].name != name])[0]
 
     figures: dict[tuple[str, str, str], list[float]] = defaultdict(list)
@@ -559,7 +580,10 @@ def detectable(
 
 
 def _lengths(problem: LinearProblem, term: int, basis: np.ndarray) -> list[float]:
-    """Return the length of each amplitude's column, whitened and projected off base and model."""
+    """Return the sensitivity of the readings to each amplitude of a term, beyond the model.
+
+    It is the length of the whitened column after projection off the base model and `basis`.
+    """
     # Columns by amplitude = block · back⁺; `back` maps block coefficients to amplitudes.
     back = problem.back[term]
     columns = problem.block(term) @ (1 / back if back.size == 1 else np.linalg.pinv(back))

@@ -1,4 +1,4 @@
-"""The grammar of unnamed terms: a place where a cause enters × a function of covariates.
+"""The grammar of unnamed terms: a place in the model that a cause enters × a function of covariates.
 
 Places: the bias of an axis, its gain, its misalignment against the other axes, the true angle. Functions:
 a power, modulus or sign of the reading; a harmonic of the stage; of temperature, time, supply, approach,
@@ -31,75 +31,79 @@ from adis_gonio.tracing.named_candidates import choices_of_axes
 from adis_gonio.tracing.thresholds import limits
 
 Shape = Callable[[Floats], Floats]
-"""Function of one covariate in normal form (−1 to 1)."""
+"""Function of one covariate that is scaled to −1 … 1."""
 Columns = Callable[[Conditions], Floats]
-"""Function of the conditions of n dwells, (n,) or (n, q)."""
+"""Function that computes one or q columns, (n,) or (n, q), from the conditions of n dwells."""
 
 COMMON = ("reading", "force", "rotation", "angle", "time", "temperature")
-"""Covariates of full weight; supply, approach, memory and products are less probable causes."""
+"""Covariates with full prior weight; supply, approach, the previous position and products are less
+probable."""
 
 EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "misalignment", "angle")
 
 
 def line_shape(u: Floats) -> Floats:
-    """Identity."""
+    """Return u itself: the shape of a straight line."""
     return u
 
 
 def power_shape(exponent: int) -> Shape:
-    """Power of u with a whole exponent."""
+    """Return the function u^exponent, with a whole exponent."""
     return lambda u: np.asarray(np.prod([u] * exponent, axis=0))
 
 
 def step_shape(place: float) -> Shape:
-    """Step: 0 up to a place, 1 beyond it."""
+    """Return a step function: 0 up to `place`, 1 beyond it."""
     return lambda u: np.where(u > place, 1.0, 0.0)
 
 
 def knee_shape(place: float, sign: float) -> Shape:
-    """Knee: 0 on one side of a place, a line on the other."""
+    """Return a function with a knee: 0 on one side of `place`, a straight line on the other."""
     return lambda u: np.maximum(sign * (u - place), 0)
 
 
 def growth_shape(rate: float) -> Shape:
-    """exp(rate u), scaled to at most 1."""
+    """Return the function exp(rate · u), scaled so that its maximum is 1."""
     return lambda u: np.exp(rate * u - abs(rate))
 
 
 def approach_shape(time_constant: float, sign: float) -> Shape:
-    """Exponential from (sign −1) or towards (sign 1) an end, with the session's length as unit."""
+    """Return an exponential that decays from the start (sign −1) or rises to the end (sign 1).
+
+    The unit of the time constant is the length of the session.
+    """
     return lambda u: np.exp((sign * (u + 1) / 2 - (sign > 0)) / time_constant)
 
 
 def bump_shape(place: float, width: float) -> Shape:
-    """Gaussian bell."""
+    """Return a Gaussian bell curve with its centre at `place`."""
     return lambda u: np.exp(-0.5 * ((u - place) / width) ** 2)
 
 
 def ring_bump(centre_rad: float, width_rad: float) -> Shape:
-    """Bell on the circle (von Mises)."""
+    """Return a periodic bell curve of an angle in rad (von Mises distribution)."""
     return lambda t: np.exp((np.cos(t - centre_rad) - 1) / width_rad**2)
 
 
 def multiple(function: Callable[..., Floats], times: int) -> Shape:
-    """function(times · u)."""
+    """Return the function u → function(times · u)."""
     return lambda u: np.asarray(function(times * u))
 
 
 def legendre(degrees: Sequence[int]) -> Shape:
-    """Legendre polynomials of these degrees, (n, len(degrees))."""
+    """Return a function that computes the Legendre polynomials of these degrees, (n, len(degrees))."""
     one = np.eye(max(degrees) + 1)
     return lambda u: np.stack([np.polynomial.legendre.legval(u, one[k]) for k in degrees], axis=1)
 
 
 def harmonics(orders: Sequence[int]) -> Shape:
-    """Sine and cosine of multiples of an angle, (n, 2 len(orders))."""
+    """Return a function that computes sines and cosines of multiples of an angle, (n, 2 len(orders))."""
     return lambda t: np.stack([f(k * t) for k in orders for f in (np.sin, np.cos)], axis=1)
 
 
 @dataclass(frozen=True)
 class _Made:
-    """Basis functions of one family of the prior, with the places where they may enter."""
+    """An unnamed function as a candidate: its family, basis functions, and the places it may enter."""
 
     family: str
     basis: Basis
@@ -107,7 +111,7 @@ class _Made:
 
 
 def nameless_terms(data: Readings) -> list[NamelessTerm]:
-    """Return all unnamed candidates of a session with their prices."""
+    """Return all unnamed candidate terms of a session, each with its share of the prior."""
     made = list(_bases(data))
     weight = {m.family: 1.0 if m.family in COMMON else limits.family_weight for m in made}
     total = sum(weight[family] for family in sorted(weight))
@@ -167,7 +171,7 @@ def _formula(
     smooth: bool = False,
     constant: bool = False,
 ) -> _Made:
-    """Make columns of the conditions, preceded by a constant column if `constant`."""
+    """Make a candidate from a function of the conditions, with a constant column first if `constant`."""
 
     def matrix(conditions: Conditions) -> Floats:
         rows = columns(conditions)
@@ -187,7 +191,7 @@ def _both(
     covariates: tuple[str, ...] = (),
     smooth: bool = False,
 ) -> Iterator[_Made]:
-    """Iterate over a formula as it is and, unless it is named somewhere, with a constant on the bias.
+    """Yield a formula as a candidate and, if no effect has this form, also with a constant on the bias.
 
     `named` lists the places where the catalogue already contains this formula.
     """
@@ -202,7 +206,7 @@ def _both(
 def _of_own(
     family: str, form: str, function: Shape, *, smooth: bool = False, constant: bool = False
 ) -> _Made:
-    """Make a function of the axis's own reading, or of the rate about the axis."""
+    """Make a candidate that is a function of each axis's own reading, or of the rate about this axis."""
 
     def columns(driven: Floats, axis: int) -> Floats:
         rows = function(driven[:, axis])
@@ -212,7 +216,7 @@ def _of_own(
 
 
 def _of_others(form: str, function: Callable[[Floats, Floats], Floats]) -> _Made:
-    """Make a function of the axis's own reading and each other reading."""
+    """Make a candidate that is a function of each axis's own reading and of the other axes' readings."""
 
     def columns(ideal: Floats, axis: int) -> Floats:
         others = [k for k in range(ideal.shape[1]) if k != axis]
@@ -264,7 +268,10 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
 
 
 def _of_force(data: Readings) -> Iterator[_Made]:
-    """Functions of the accelerometer readings; components and their squares are named effects."""
+    """Yield functions of the accelerometer readings as candidates for a gyro.
+
+    The components and their squares are omitted, because they are named effects.
+    """
     if data.conditions.force_g is None:
         return
 
@@ -304,7 +311,10 @@ def _of_force(data: Readings) -> Iterator[_Made]:
 
 
 def _powers(moving: Sequence[int], degree: int) -> list[tuple[int, ...]]:
-    """Products of up to `degree` components; without z² if x² + y² + z² = 1 g makes it redundant."""
+    """Return the products of up to `degree` components of the force, each as a tuple of axis numbers.
+
+    Products with z² are omitted if x² + y² + z² = 1 g makes them redundant.
+    """
     made = [
         parts
         for count in range(1, degree + 1)
@@ -322,7 +332,10 @@ def _monomials(powers: Sequence[tuple[int, ...]]) -> Columns:
 
 
 def _of_rotation(data: Readings) -> Iterator[_Made]:
-    """Functions of the rate about the axis itself; the line and the modulus are named effects."""
+    """Yield functions of the rate about a gyro's own axis as candidates.
+
+    The straight line and the modulus are omitted, because they are named effects.
+    """
     if data.conditions.rate_dps is None or not np.abs(data.conditions.rate_dps).max() > 0:
         return
     curves: dict[str, Shape] = {
@@ -381,9 +394,10 @@ def _scaled(values: Floats) -> tuple[float, float]:
 
 
 def _knots(values: Floats, count: int) -> list[float]:
-    """Places between the observed values, at even quantiles, with at least two dwells on either side.
+    """Return values between the observed values of a covariate, as places for a step.
 
-    A step that separates a single dwell is an outlier, which is a named effect.
+    They are at even quantiles, with at least two dwells on either side, because a step that separates a
+    single dwell is an outlier, which is a named effect.
     """
     seen = np.unique(values)
     between = (seen[1:] + seen[:-1]) / 2
@@ -393,7 +407,7 @@ def _knots(values: Floats, count: int) -> list[float]:
 
 @dataclass(frozen=True)
 class _Course:
-    """Shapes along one covariate, and the symbols in its formulas."""
+    """Makes candidate functions of one covariate, with the symbols for their formulas."""
 
     family: str
     letter: str
@@ -404,11 +418,11 @@ class _Course:
     half: float
 
     def inside(self, function: Shape) -> Columns:
-        """Apply a function to the covariate in normal form."""
+        """Return columns that apply a function to the covariate, scaled to −1 … 1."""
         return lambda c: function((self.get(c) - self.middle) / self.half)
 
     def steps_and_knees(self, knots: Sequence[float]) -> Iterator[_Made]:
-        """Steps at the knots, and knees on an even grid."""
+        """Yield step functions with the step at each knot, and functions with a knee on an even grid."""
         for knot in knots:
             form = f"a step at {self.letter} = {knot:.4g}{self.unit}"
             yield from _both(self.family, form, self.inside(step_shape((knot - self.middle) / self.half)))
@@ -419,7 +433,7 @@ class _Course:
                 yield from _both(self.family, form, self.inside(shape))
 
     def bumps(self, widths: Sequence[float], digits: int) -> Iterator[_Made]:
-        """Bells on an even grid."""
+        """Yield bell curves of each width, centred on an even grid of the covariate."""
         for knot in np.linspace(self.middle - 0.75 * self.half, self.middle + 0.75 * self.half, 7):
             for width in widths:
                 size = f"{width * self.half:.{digits}g}{self.unit}"
@@ -428,7 +442,7 @@ class _Course:
                 yield from _both(self.family, form, self.inside(shape))
 
     def waves(self, count: int) -> Iterator[_Made]:
-        """Oscillations of geometrically spaced period."""
+        """Yield oscillations along the covariate, with geometrically spaced periods."""
         for cycles in np.geomspace(0.5, 0.5 * 2 ** ((count - 1) / 1.5), count).tolist():
 
             def columns(c: Conditions, cycles: float = cycles) -> Floats:
@@ -439,7 +453,7 @@ class _Course:
             yield _formula(self.family, form, columns)
 
     def polynomials(self, levels: int) -> Iterator[_Made]:
-        """Smooth functions of increasing degree, limited by the number of different values."""
+        """Yield polynomials of the covariate of increasing degree, below its number of different values."""
         for degree in (2, 3, 4, 5, 6, 8):
             if degree < levels:
                 form = f"a smooth function of {self.family} (degree {degree})"
@@ -452,7 +466,7 @@ class _Course:
 def _of_scalar(
     family: str, letter: str, zero: str, get: Columns, reference: float, data: Readings
 ) -> Iterator[_Made]:
-    """Lines, powers, steps, knees, exponentials, bumps and smooth functions of one covariate."""
+    """Yield all candidate functions of one covariate: line, powers, steps, knees, exponentials, bumps."""
     values = get(data.conditions)
     course = _Course(family, letter, "", ("above", "below"), get, *_scaled(values))
     half = course.half
@@ -497,7 +511,10 @@ def _of_time(data: Readings) -> Iterator[_Made]:
 
 
 def _of_rate(data: Readings) -> Iterator[_Made]:
-    """Rate of the temperature, and lagging temperatures, also on gains and the angle."""
+    """Yield functions of the temperature's rate of change and of lagging temperatures.
+
+    They may also enter the gains and the angle.
+    """
     history = data.conditions.temperature_history
     if history is None or len(history[0]) < 2:
         return
@@ -567,7 +584,7 @@ def _of_memory(data: Readings) -> Iterator[_Made]:
 
 @dataclass(frozen=True)
 class _Factor:
-    """A covariate in a product: its name, symbol, values and meaningful zero."""
+    """A covariate that is a factor of a product: name, symbol, values and meaningful zero."""
 
     name: str
     letter: str
@@ -576,7 +593,7 @@ class _Factor:
 
 
 def _factors(conditions: Conditions) -> Iterator[_Factor]:
-    """Covariates that may be part of a product."""
+    """Yield the recorded covariates that may be factors of a product."""
     yield _Factor("time", "t", lambda c: c.time_s)
     if conditions.temperature_c is not None:
         yield _Factor("temperature", "(T − 25 °C)", lambda c: c.covariate("temperature_c"), REFERENCE_C)
@@ -590,7 +607,7 @@ def _factors(conditions: Conditions) -> Iterator[_Factor]:
 
 def _products(data: Readings) -> Iterator[_Made]:
     conditions = data.conditions
-    # A covariate that hardly changes is a constant with noise: its product is the other covariate.
+    # A covariate that hardly changes is a constant with noise: a product with it equals the other factor.
     least = {"temperature": limits.least_range_c, "supply": limits.least_range_v}
     moving = [f for f in _factors(conditions) if np.ptp(f.get(conditions)) > least.get(f.name, 0.0)]
     for one, two in itertools.combinations(moving, 2):
@@ -598,7 +615,7 @@ def _products(data: Readings) -> Iterator[_Made]:
 
 
 def _product(one: _Factor, two: _Factor, conditions: Conditions) -> Iterator[_Made]:
-    """Forms of two covariates together: their product, and surfaces over both."""
+    """Yield candidate functions of two covariates: their product, and surfaces over both."""
     one_middle, one_half = _scaled(one.get(conditions))
     two_middle, two_half = _scaled(two.get(conditions))
     names = (one.name, two.name)
@@ -607,7 +624,7 @@ def _product(one: _Factor, two: _Factor, conditions: Conditions) -> Iterator[_Ma
         return np.asarray((one.get(c) - one.zero) / one_half * (two.get(c) - two.zero) / two_half)
 
     def of(function: Callable[[Floats, Floats], Floats]) -> Columns:
-        """Apply a function to both covariates in normal form."""
+        """Return columns that apply a function to both covariates, each scaled to −1 … 1."""
         return lambda c: function(
             (one.get(c) - one_middle) / one_half, (two.get(c) - two_middle) / two_half
         )

@@ -25,12 +25,13 @@ from adis_gonio.fitting.estimation.terms import ROUNDING, Term
 from adis_gonio.tracing.thresholds import limits
 
 _RANK = 1e-7
-"""Smallest squared length of a column after projection off the other columns of its term."""
+"""A column is dropped if its squared length, after projection off the other columns of its term, is
+smaller."""
 
 
 @dataclass(frozen=True)
 class LinearProblem:
-    """The linear problem about one state of the model.
+    """The model linearised at given parameter values, with the columns of all candidate terms.
 
     Attributes
     ----------
@@ -75,15 +76,18 @@ class LinearProblem:
         return float(self.target @ self.target)
 
     def block(self, term: int) -> Floats:
-        """Columns (rows, width) of a term."""
+        """Return the columns (rows, width) of one term, given by its number."""
         return self.columns[:, self.first[term] : self.first[term] + self.width[term]]
 
     def gains(self, basis: Floats, residual: Floats) -> Floats:
-        """χ² that each term (M,) explains of a residual (rows,), given an orthonormal model (rows, k)."""
+        """Return the χ² (M,) that each term would explain of a model's residual (rows,).
+
+        `basis` (rows, k) is an orthonormal basis of the model's columns.
+        """
         return self.gains_from_products(residual @ self.columns, basis.T @ self.columns)
 
     def gains_from_products(self, z: Floats, inside: Floats) -> Floats:
-        """Like `gains`, from the products of the columns with the residual (P,) and the model (k, P)."""
+        """Compute `gains` from the products of all columns with the residual (P,) and the basis (k, P)."""
         first, k = self.first, len(inside)
         if not len(first):
             return np.zeros(0)
@@ -105,7 +109,7 @@ class LinearProblem:
         return gain
 
     def subset(self, chosen: NDArray[np.intp]) -> LinearProblem:
-        """Return the problem with some of the terms (ascending numbers)."""
+        """Return the problem restricted to the terms with these numbers, in ascending order."""
         index = np.concatenate(
             [np.arange(self.first[k], self.first[k] + self.width[k]) for k in chosen]
         ).astype(np.intp)
@@ -123,14 +127,17 @@ class LinearProblem:
         )
 
     def with_inflation(self, inflation: float) -> LinearProblem:
-        """Return the problem for another noise variance, which changes the relative weight of the prior."""
+        """Return the problem with the noise variance multiplied by `inflation`.
+
+        This changes the weight of the prior relative to the readings.
+        """
         if inflation == self.inflation:
             return self
         factor = inflation / self.inflation
         return self._with_prior([factor * own for own in self.prior], inflation)
 
     def _with_prior(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
-        """Return the problem with other Gram matrices (M,) of the prior rows."""
+        """Return the problem with other prior Gram matrices, one for each of the M terms."""
         columns = np.empty_like(self.columns)
         back: list[Floats] = []
         turned: list[Floats] = []
@@ -145,7 +152,7 @@ class LinearProblem:
         return replace(self, columns=columns, back=tuple(back), prior=tuple(turned), inflation=inflation)
 
     def _by_width(self) -> Iterator[tuple[slice, slice, Floats]]:
-        """Iterate over blocks of equal width: term numbers, column range, columns (m, rows, width)."""
+        """Yield the terms in groups of equal width: numbers, column range, columns (m, rows, width)."""
         begin = 0
         for size, count in zip(*np.unique(self.width, return_counts=True), strict=True):
             members = slice(begin, begin + int(count))
@@ -154,7 +161,7 @@ class LinearProblem:
             begin = members.stop
 
     def gain(self, model: Sequence[int]) -> float:
-        """χ² that a model explains of the target, minus the cost of its amplitudes under the prior."""
+        """Return the decrease of χ² by a model, minus the χ² of its amplitudes under the prior."""
         if not len(model):
             return 0.0
         columns, gram = self.columns_and_gram(model)
@@ -162,7 +169,7 @@ class LinearProblem:
         return float(along @ along)
 
     def columns_and_gram(self, model: Sequence[int]) -> tuple[Floats, Floats]:
-        """Return the columns (rows, p) of a model and their Gram matrix (p, p), prior rows included."""
+        """Return the columns (rows, p) of a model, and their Gram matrix (p, p) including the prior."""
         columns = np.concatenate([self.block(k) for k in model], axis=1)
         gram = columns.T @ columns
         start = 0
@@ -175,7 +182,7 @@ class LinearProblem:
 
 
 def _solve_small_systems(gram: Floats, right: Floats) -> Floats:
-    """Solve M small systems by elimination: gram (k, k, M) positive definite, right (k, M) → (k, M).
+    """Solve M small positive definite systems by elimination: (k, k, M) and (k, M) → (k, M).
 
     Each elimination step is vectorised over all systems; factorising each system alone would be slower.
     """
@@ -191,9 +198,9 @@ def _solve_small_systems(gram: Floats, right: Floats) -> Floats:
 
 
 class Products:
-    """Products of the blocks of a problem with the columns of candidate terms, each computed once.
+    """Cache of the products of a model's columns with the columns of all candidate terms.
 
-    Scoring an extension of a model then needs no pass over the rows.
+    With these products, an extension of a model can be scored without using the rows.
     """
 
     def __init__(self, problem: LinearProblem, joining: LinearProblem) -> None:
@@ -202,7 +209,10 @@ class Products:
         self._of: dict[int, Floats] = {}
 
     def of_model(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
-        """Return the residual's χ², and products (P,), (k, P) of the columns with residual and basis."""
+        """Return the χ² of a model's residual, and products of all columns with residual and basis.
+
+        The products have the shapes (P,) and (k, P) for a model with k columns.
+        """
         problem = self._problem
         if not len(model):
             return problem.chi2, self._target, np.zeros((0, len(self._target)))
@@ -220,7 +230,10 @@ class Products:
 
 
 def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
-    """Build the linear problem about a fit; its model may contain some of the terms."""
+    """Linearise the terms at the values of a fit, and return the linear problem.
+
+    The model of the fit may already contain some of the terms.
+    """
     # The target contains the contributions of the fit's own terms, which are candidates like all others.
     left = fit.declared_misfit
     for k in range(len(fit.terms)):
@@ -253,7 +266,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
 
 
 def _project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Project columns off the base model; return them with unit length, and their original lengths."""
+    """Return the part of columns outside the base model's span, scaled to unit length, and the lengths."""
     before = np.linalg.norm(columns, axis=0)
     # A column of rounding errors (the sixth harmonic's sine on a grid of 30°) is set to zero.
     starts = np.cumsum(widths) - widths
@@ -271,9 +284,10 @@ def _project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -
 def _orthonormal_blocks(
     columns: Floats, length: Floats, spread: Floats, widths: NDArray[np.intp]
 ) -> tuple[list[int], NDArray[np.intp], Floats, tuple[Floats, ...], tuple[Floats, ...]]:
-    """Return visible terms, widths (M,), orthonormal blocks (rows, P), back maps and prior Gram matrices.
+    """Orthonormalise the columns of each term; return the visible terms and their blocks.
 
-    Blocks of equal width are adjacent and computed at once. A back map converts the coefficients of a block
+    The result is: terms, widths (M,), blocks (rows, P), back maps and prior Gram matrices. Blocks of equal
+    width are adjacent and computed at once. A back map converts the coefficients of a block
     to amplitudes. A prior Gram matrix (width, width) follows from the prior standard deviation `spread`
     (P,) of each column's amplitude.
     """
@@ -314,14 +328,20 @@ def _orthonormal_blocks(
 def _back_maps(
     half: Floats, index: NDArray[np.intp], length: Floats, spread: Floats
 ) -> tuple[Floats, Floats]:
-    """Return back maps (…, d, width) for combinations of the columns `index` (…, d), and prior Grams."""
+    """Return matrices that map block coefficients to amplitudes, and Gram matrices of the prior.
+
+    The matrices (…, d, width) belong to combinations `half` of the columns `index` (…, d).
+    """
     back = half / length[index][..., None]
     away = back / spread[index][..., None]
     return back, away.swapaxes(-1, -2) @ away
 
 
 def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
-    """½ Σ ln(1 + s² n) over the columns of each block; a column is spread over n = 1/Σ u⁴ rows."""
+    """Return the price of each term's columns, ½ Σ ln(1 + s² n), in nats.
+
+    The sum is over the columns u of the term; n = 1/Σ u⁴ is the effective number of rows of a column.
+    """
     if not len(first):
         return np.zeros(0)
     price = 0.5 * np.log1p(limits.prior_snr**2 / np.maximum(((columns**2) ** 2).sum(axis=0), 1e-300))
@@ -330,7 +350,10 @@ def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
 
 
 def orthonormal(columns: Floats) -> Floats:
-    """Orthonormal basis (rows, k) of columns of any size; directions of rounding errors are dropped."""
+    """Return an orthonormal basis (rows, k) of the span of columns of any size.
+
+    Directions that consist of rounding errors are dropped.
+    """
     u, s, _ = np.linalg.svd(
         columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False
     )
@@ -350,7 +373,7 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
 
 
 def _orthonormal_combinations(gram: Floats) -> Floats:
-    """Return combinations (p, k) that make columns with this Gram matrix orthonormal."""
+    """Return a matrix (p, k) such that columns with this Gram matrix times it are orthonormal."""
     values, vectors = np.linalg.eigh(gram)
     seen = values > limits.independent
     half: Floats = vectors[:, seen] / np.sqrt(values[seen])
@@ -358,7 +381,7 @@ def _orthonormal_combinations(gram: Floats) -> Floats:
 
 
 def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
-    """Return the most probable amplitudes of each term by linear least squares with the prior."""
+    """Return the most probable amplitudes of each term of a model, by least squares with the prior."""
     if not len(model):
         return []
     if len(model) == 1:

@@ -42,7 +42,7 @@ Model = tuple[int, ...]
 
 @dataclass
 class Search:
-    """Scored models of a problem.
+    """The models of a linear problem that a search has scored.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Search:
     scores : dict of model to float
         Scores against the base model, whose score is 0; a model is a sorted tuple of term numbers.
     opened : dict of model to float
-        χ² of models whose extensions by one term were scored.
+        χ² of the models that were extended by every other term, with all extensions scored.
     promise : (M,) float
         Best score of any model that adds this term to a fully opened model.
     """
@@ -68,26 +68,32 @@ class Search:
 
     @property
     def best(self) -> Model:
-        """Model of the highest score."""
+        """The model with the highest score, as term numbers."""
         return max(self.scores, key=self.scores.__getitem__)
 
     def near(self, within: float) -> dict[Model, float]:
-        """Return the scores of all models at most `within` nats below the best."""
+        """Return the scores of all models with a score at most `within` nats below the best score."""
         top = max(self.scores.values())
         return {m: s for m, s in self.scores.items() if s >= top - within}
 
     def explained(self, model: Model) -> float:
-        """Half of the χ² that a scored model explains."""
+        """Return half of the χ² that a scored model explains (its score without the prices)."""
         return self.scores[model] + float(sum(self.prices[k] for k in model))
 
     def hope(self, model: Model) -> float:
-        """Upper limit of the gain by further terms: half of the χ² in excess of its degrees of freedom."""
+        """Return an upper limit for the rise of a model's score by further terms.
+
+        The limit is half of the residual's χ² in excess of its degrees of freedom.
+        """
         left = self.problem.chi2 / self.inflation - 2 * self.explained(model)
         return 0.5 * max(left - self.problem.dof, 0.0)
 
 
 def price(problem: LinearProblem) -> Floats:
-    """Return the price of each term (M,) in nats: price of its columns and of its share of the prior."""
+    """Return the price (M,) in nats that each term subtracts from a model's score.
+
+    It is the sum of the price of the term's columns and of −ln of its prior probability.
+    """
     priced: Floats = problem.column_price + problem.cost
     return priced
 
@@ -102,14 +108,14 @@ def search(
     """Search for models of up to `max_terms` terms that explain the target.
 
     The best models of each size are extended by every term. The other models of the beam are extended by
-    all names and by the unnamed terms that were promising so far.
+    all named terms, and by the unnamed terms that reached the best scores so far.
 
     Parameters
     ----------
     inflation : float
         Factor on the noise variance (greater than 1 if no model is adequate).
     beam : int
-        Number of models opened at each size; pairs are opened from twice as many single terms.
+        Number of models of each size that are extended by another term; twice as many for single terms.
     spare : int
         Degrees of freedom that must remain; by default half of the base model's degrees of freedom, since a
         model with more columns than remaining readings could not fail. A single named effect with at most
@@ -129,7 +135,7 @@ def search(
 
 @dataclass(frozen=True)
 class _Joining:
-    """Terms that extend models: their linear problem, their numbers in the whole problem, products."""
+    """Terms with which models are extended, their numbers in the whole problem, and products."""
 
     problem: LinearProblem
     number: NDArray[np.intp]
@@ -137,7 +143,7 @@ class _Joining:
 
 
 class _Beam:
-    """State of a search."""
+    """A beam search for models, with its present state."""
 
     def __init__(self, found: Search, spare: int, max_terms: int, width: int) -> None:
         problem = found.problem
@@ -150,7 +156,7 @@ class _Beam:
         self.top = 0.0
 
     def run(self) -> None:
-        """Open models of each size, then the neighbours of the best models."""
+        """Search: extend models size by size, then try exchanging a term in the best models."""
         level: list[Model] = [()]
         for size in range(1, self.max_terms + 1):
             if size > 1 and spent():
@@ -170,7 +176,7 @@ class _Beam:
         self._exchange()
 
     def open(self, model: Model, joining: _Joining) -> dict[Model, float]:
-        """Score every extension of a model by one term."""
+        """Score all models that extend a model by one of the `joining` terms; return them with scores."""
         found, problem = self.found, self.found.problem
         if model in found.opened:
             return {}
@@ -209,7 +215,7 @@ class _Beam:
         return fresh
 
     def _next_level(self, fresh: dict[Model, float], size: int) -> list[Model]:
-        """Return the best models of this size that may still approach the best score."""
+        """Return the models to be extended next: the best of this size that may reach the best score."""
         if not fresh:
             return []
         wide = self._widest(fresh, 2 * self.width if size == 1 else self.width)
@@ -220,14 +226,14 @@ class _Beam:
         return level
 
     def _active(self) -> _Joining:
-        """Return the terms that extend all models of the beam."""
+        """Return the terms for extending models: all named terms, and unnamed terms with good scores."""
         found = self.found
         number = np.union1d(np.flatnonzero(self.named), np.argsort(-found.promise)[: limits.active])
         problem = found.problem.subset(number)
         return _Joining(problem, number, Products(found.problem, problem))
 
     def _widest(self, fresh: dict[Model, float], count: int) -> list[Model]:
-        """Return the best models, and the best of each name on each choice of axes, in order of score."""
+        """Return the `count` best models and, among single terms, the best of each name and axes."""
         terms = self.found.problem.terms
         ranked = sorted(fresh, key=fresh.__getitem__, reverse=True)
         kept, rest = ranked[:count], ranked[count:]
@@ -246,7 +252,10 @@ class _Beam:
         return self.nameless.isdisjoint(model)
 
     def _exchange(self) -> None:
-        """Open the neighbours of the best models (with one term less) until the best model is final."""
+        """Try to exchange each term of the best models for another, until the best model does not change.
+
+        Each model is extended again after one of its terms was removed.
+        """
         for _ in range(limits.exchanges):
             best = self.found.best
             for model in _different(self.found, limits.exchanged):
@@ -261,12 +270,12 @@ class _Beam:
 
 
 def _face(term: Term) -> tuple[str, tuple[str, ...]] | None:
-    """Name and axes of a term; None for an unnamed term."""
+    """Return the name and axes of a term; None for an unnamed term."""
     return (term.effect.name, term.effect.axes) if isinstance(term, NamedTerm) else None
 
 
 def _different(found: Search, count: int) -> list[Model]:
-    """Return the best models near the best, no two with equal names and covariates."""
+    """Return up to `count` of the best models, no two with equal names and covariates."""
     seen = set()
     kept: list[Model] = []
     for model in sorted(found.near(limits.voting), key=lambda m: -found.scores[m]):
@@ -296,9 +305,9 @@ class ModelPosterior:
     same : dict of model to list of models
         The other models of each class.
     names : dict of str to float
-        Posterior that an effect is present.
+        Posterior probability that each effect is present.
     covariates : dict of tuple of str to float
-        Posterior that an unnamed term with these covariates is present.
+        Posterior probability that an unnamed term with these covariates is present.
     """
 
     best: Model
@@ -309,7 +318,7 @@ class ModelPosterior:
 
 
 def posterior(found: Search) -> dict[Model, float]:
-    """Return the posterior of each model near the best, the most probable first; sums to 1.
+    """Return the posterior probability of each model near the best, the most probable first.
 
     Similar models are counted separately.
     """
@@ -321,7 +330,7 @@ def posterior(found: Search) -> dict[Model, float]:
 
 
 def weigh(found: Search) -> ModelPosterior:
-    """Return the posterior of models, names and covariates."""
+    """Return the posterior probabilities of the models, of names and of covariates."""
     terms = found.problem.terms
     each = posterior(found)
     same = _classes(found, list(each))
@@ -339,7 +348,7 @@ def weigh(found: Search) -> ModelPosterior:
 def _present(
     terms: Sequence[Term], weights: Mapping[Model, float]
 ) -> tuple[dict[str, float], dict[tuple[str, ...], float]]:
-    """Return the probability of each name, and of an unnamed term for each set of covariates."""
+    """Return the probability that each name is present, and for each set of covariates a function."""
     names: dict[str, float] = defaultdict(float)
     covariates: dict[tuple[str, ...], float] = defaultdict(float)
     for model, weight in weights.items():
@@ -356,7 +365,7 @@ def _present(
 
 
 def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
-    """Group models whose predictions hardly differ."""
+    """Group models that predict nearly equal readings; map the simplest of each group to the others."""
     problem, terms = found.problem, found.problem.terms
     left = np.array([span(problem, m)[1] for m in models])
     norm = (left**2).sum(axis=1)
@@ -378,7 +387,7 @@ def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
 
 
 def skeleton(found: Search, model: Model) -> Skeleton:
-    """Return names and covariates of a model, without axes, shapes and forms."""
+    """Return the names and covariates of a model, to compare models regardless of axes and shapes."""
     terms = [found.problem.terms[k] for k in model]
     return (
         tuple(sorted({term.name for term in terms if term.name is not None})),

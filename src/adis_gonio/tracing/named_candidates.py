@@ -19,13 +19,13 @@ from adis_gonio.tracing.thresholds import limits
 
 
 def choices_of_axes(axes: Sequence[Any], most: int | None = None) -> list[tuple[Any, ...]]:
-    """Return subsets of up to `most` axes (by default any number), the smallest first."""
+    """Return all subsets of the axes with up to `most` axes (by default any number), smallest first."""
     sizes = range(1, (len(axes) if most is None else most) + 1)
     return [chosen for size in sizes for chosen in itertools.combinations(axes, size)]
 
 
 def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
-    """Return the candidates, and the reason for each effect that cannot be a candidate.
+    """Return the candidate terms of all named effects, and the reason why each other effect is none.
 
     Each effect has a fixed share of the prior. Its variants (axes, dwell, degree, shape) divide it evenly;
     its numbers of cycles n divide it as 1/n, so that every octave has the same probability.
@@ -91,7 +91,7 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
 
 
 def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
-    """Return the possible choices of an effect in this session."""
+    """Return the possible settings of an effect in this session: dwells, degrees, cycles, options."""
     choices = kind.choices()
     options: list[dict[str, int]] = [{}]
     if "dwell" in choices and data.conditions.order is not None:
@@ -109,7 +109,10 @@ def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
 
 
 def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
-    """Return numbers of cycles a turn that these angles distinguish from a constant and fewer cycles."""
+    """Return the numbers of cycles per turn that these angles can distinguish from each other.
+
+    Each number, up to `most`, is also distinguished from a constant and from fewer cycles.
+    """
     most = limits.most_cycles if most is None else most
     one = of_one_phase(np.arange(2 * most + 1), angle_rad)
     shown = np.arange(LEAST_CYCLES)
@@ -120,7 +123,10 @@ def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
 
 
 def _grid(parameter: Parameter, data: Readings) -> list[float]:
-    """Return grid values of a shape: time constants from the dwell spacing to the session's length."""
+    """Return the values to try for a shape parameter (a time constant, or else its typical value).
+
+    Time constants range from the spacing of the dwells to 1.5 times the length of the session.
+    """
     if parameter.unit != "s":
         return [parameter.typical]
     time = data.conditions.time_s

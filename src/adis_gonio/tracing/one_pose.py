@@ -5,11 +5,11 @@ the candidates vary in time: temperature (up to the third power), its lag, warm-
 has its own degree and time constant.
 
 Neighbouring samples are correlated, so no test uses their noise. An effect is added if it reduces the error
-in held-out blocks of time and if its gain recurs from block to block (t-test over blocks, family-wise 1 %).
+in held-out blocks of time consistently from block to block (t-test over blocks, family-wise 1 %).
 Held-out blocks are used neither for the fit nor for the choice of degree and time constant. Inside a fold,
 degrees and time constants are averaged instead of chosen: each variant predicts with the weight of its
 likelihood, and a recording has as many independent values as blocks. A choice would depend mostly on the
-last plateau of the temperature.
+last time in which the temperature was constant.
 
 All candidate columns form one design, and its normal equations are summed once for each block. Leaving out
 blocks is then a subtraction, and a variant is a choice of rows and columns.
@@ -38,7 +38,7 @@ from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Step, TraceRe
 BLOCKS = 10
 LEAST_ROWS = 200
 LEAST_GAIN = 0.02
-"""Smallest relative fall of the held-out error for a further effect."""
+"""Smallest relative decrease of the held-out error for which an effect is added."""
 DEGREES = (1, 2, 3)
 ONE_WAY = 0.98
 """Rank correlation above which temperature and time count as one covariate."""
@@ -68,7 +68,7 @@ class _Variant:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """An effect with its variants."""
+    """An effect of the catalogue, with its variants: degrees and time constants to try."""
 
     effect: Effect
     variants: tuple[_Variant, ...]
@@ -76,12 +76,12 @@ class _Candidate:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Samples, and the columns of all variants of all effects.
+    """The regression of the samples on the columns of all variants of all effects.
 
     Attributes
     ----------
     readings : (n, axes) float
-        In mg.
+        Samples in mg, minus their mean.
     design : (n, P) float
         Constant first; each column is divided by its largest modulus `size`.
     size : (P,) float
@@ -103,7 +103,7 @@ Model = tuple[_Candidate, ...]
 
 
 def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
-    """Trace the samples of a session of one pose.
+    """Find the causes of the drift of the samples in a session with a single pose.
 
     Raises
     ------
@@ -177,7 +177,10 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
 
 
 def series_readings(session: Session, dwell: Dwell) -> Floats:
-    """Samples (n, axes) of a dwell in mg; for counts the length of their mean counts as gravity."""
+    """Return the samples (n, axes) of a dwell in mg.
+
+    Samples in counts are scaled so that their mean has the length of gravity.
+    """
     scale = mg_per_unit(session)
     if session.accel_unit == "counts":
         scale = session.gravity_mg / max(float(np.linalg.norm(dwell.accel.mean(axis=0))), 1e-12)
@@ -185,7 +188,7 @@ def series_readings(session: Session, dwell: Dwell) -> Floats:
 
 
 def series_conditions(dwell: Dwell) -> Conditions:
-    """Conditions of each sample of a dwell."""
+    """Return the conditions (time, temperature, supply) of each sample of a dwell."""
     time = dwell.time_s - dwell.time_s[0]
     assert dwell.temperature_c is not None
     return Conditions(
@@ -197,14 +200,14 @@ def series_conditions(dwell: Dwell) -> Conditions:
 
 
 def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[_Candidate, ...]]:
-    """Return the design of all variants, and the candidates that vary in this recording."""
+    """Build the regression on all candidate effects; return it and the effects that vary in time."""
     n, axes = readings.shape
     letters = AXES[:axes]
     columns: list[Floats] = [np.ones(n)]
     candidates: list[_Candidate] = []
 
     def take(name: str, variants: Sequence[tuple[Floats, float | None]]) -> None:
-        """Add an effect with the columns (n, d) of each of its variants."""
+        """Add an effect to the candidates, and the columns (n, d) of its variants to the design."""
         made = effect(name, letters)
         kept = []
         for block, shape in variants:
@@ -251,7 +254,7 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
 
 
 def _course(name: str, tau_s: float, conditions: Conditions) -> Floats:
-    """Course (n,) of an effect with one time constant, from the catalogue."""
+    """Return the values (n,) of an effect of unit amplitude with this time constant, for each sample."""
     made = effect(name, ("x",))
     ones = np.ones((len(conditions), 1))
     course: Floats = made.derivative(np.array([0.0, tau_s]), ones, conditions)[:, 0, 0]
@@ -259,7 +262,7 @@ def _course(name: str, tau_s: float, conditions: Conditions) -> Floats:
 
 
 def _temperature_powers(conditions: Conditions) -> Floats:
-    """(T − 25 °C)^k, (n, 3), from the catalogue."""
+    """Return the powers (T − 25 °C)^k, k = 1 to 3, of the temperature of each sample, (n, 3)."""
     made = effect("bias_temperature", ("x",), degree=DEGREES[-1])
     ones = np.ones((len(conditions), 1))
     powers: Floats = made.derivative(np.zeros(DEGREES[-1]), ones, conditions)[:, 0]
@@ -267,13 +270,19 @@ def _temperature_powers(conditions: Conditions) -> Floats:
 
 
 def _lag_powers(lag_c: Floats, above_c: Floats) -> Floats:
-    """(T_lag − 25 °C)^k − (T − 25 °C)^k, (n, 3), for the lagging element, from T_lag − T (n,)."""
+    """Return (T_lag − 25 °C)^k − (T − 25 °C)^k, k = 1 to 3, for a lagging element at T_lag, (n, 3).
+
+    `lag_c` is T_lag − T and `above_c` is T − 25 °C, both (n,).
+    """
     late = above_c + lag_c
     return np.column_stack([late**k - above_c**k for k in DEGREES])
 
 
 def _labels(made: Effect, count: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the amplitudes of one axis: `lag`, `lag2`, `lag3`."""
+    """Return the names and the units of an effect's `count` amplitudes on one axis.
+
+    Amplitude k multiplies the k-th power: for a lag the names are `lag`, `lag2`, `lag3`.
+    """
     first = next(p for p in made.parameters if not p.shape)
     stem = first.name.rsplit("_", 1)[0]
     powers = [("", ""), ("2", "²"), ("3", "³")][:count]
@@ -281,9 +290,10 @@ def _labels(made: Effect, count: int) -> tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def _choices(model: Model) -> list[tuple[int, ...]]:
-    """Return combinations of variants, with every third time constant if several effects have one.
+    """Return the combinations of the variants of a model's effects.
 
-    A lagging element has a polynomial of its temperature, so both effects use the same degree.
+    If several effects have a time constant, only every third one is used. A lagging element has a
+    polynomial of its temperature, so this effect and the temperature effect have equal degrees.
     """
     lists = []
     several = sum(len(candidate.variants) > len(DEGREES) for candidate in model) > 1
@@ -307,7 +317,10 @@ def _columns(model: Model, choice: tuple[int, ...]) -> list[int]:
 
 
 def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
-    """Solve normal equations (…, p, axes) with a ridge that matters only for equal columns."""
+    """Return the solution (…, p, axes) of normal equations with a ridge too small to change the result.
+
+    The ridge only makes the equations solvable if columns are equal.
+    """
     p = gram.shape[-1]
     ridge = _RIDGE * np.trace(gram, axis1=-2, axis2=-1)[..., None, None] * np.eye(p)
     solution: Floats = np.linalg.solve(gram + ridge, cross)
@@ -315,7 +328,7 @@ def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
 
 
 def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Floats, Floats]:
-    """Fit every combination of variants to all blocks but one.
+    """Fit every combination of variants to all blocks of time except one, leaving out each in turn.
 
     Returns
     -------
@@ -341,7 +354,7 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
 
 
 def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> Floats:
-    """Return the residual's sums of squares (BLOCKS, axes) for a solution (BLOCKS, p, axes)."""
+    """Return the residual sum of squares (BLOCKS, axes) for coefficients (BLOCKS, p, axes)."""
     # |y − Xb|² = yᵀy − 2 bᵀXᵀy + bᵀXᵀX b, from the sums of each block.
     quadratic = np.einsum("bia,bij,bja->ba", solution, gram, solution)
     left: Floats = np.maximum(square - 2 * (cross * solution).sum(axis=1) + quadratic, 0.0)
@@ -349,7 +362,7 @@ def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> F
 
 
 def _held_out(problem: _Problem, model: Model) -> Floats:
-    """Return held-out sums of squares (BLOCKS, axes), with variants averaged for each axis."""
+    """Return the held-out sum of squares (BLOCKS, axes) of a model, averaged over its variants."""
     _, coefficients, inside = _fits(problem, model)
     # The noise is fitted: −n/2 ln(sum of squares), with one independent value per block.
     likelihood = -BLOCKS / 2 * np.log(np.maximum(inside, 1e-300))
@@ -360,13 +373,16 @@ def _held_out(problem: _Problem, model: Model) -> Floats:
 
 
 def _best_variants(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
-    """Return the most likely variants of each axis."""
+    """Return for each axis the most likely combination of the variants of the model's effects."""
     choices, _, inside = _fits(problem, model)
     return [choices[k] for k in inside.sum(axis=1).argmin(axis=0)]
 
 
 def _gain(before: Floats, after: Floats) -> tuple[float, float]:
-    """Return the relative fall of the held-out error, and the p-value of the mean log gain over blocks."""
+    """Return the relative decrease of the held-out error, and the p-value that it is no decrease.
+
+    The test compares the mean over the blocks of ln(error before / error after) with zero.
+    """
     from scipy import stats
 
     scale = np.maximum(before.sum(axis=0), 1e-300)
@@ -382,7 +398,7 @@ def _gain(before: Floats, after: Floats) -> tuple[float, float]:
 def _best_addition(
     problem: _Problem, model: Model, candidates: tuple[_Candidate, ...], losses: Floats
 ) -> tuple[_Candidate | None, Floats]:
-    """Return the effect that lowers the held-out error most, if its gain is significant."""
+    """Return the effect that lowers the held-out error most, or None if the decrease is not significant."""
     best: tuple[float, _Candidate | None, Floats] = (LEAST_GAIN, None, losses)
     for candidate in candidates:
         if candidate in model:
@@ -396,7 +412,7 @@ def _best_addition(
 
 
 def _one_way(conditions: Conditions) -> bool:
-    """Whether the temperature rises or falls monotonically with time, except for noise."""
+    """Return True if the temperature only rises or only falls with time, except for noise."""
     from scipy import stats
 
     temperature = conditions.covariate("temperature_c")
@@ -408,9 +424,9 @@ def _one_way(conditions: Conditions) -> bool:
 def _confounded(
     problem: _Problem, model: Model, candidates: tuple[_Candidate, ...], losses: Floats, one_way: bool
 ) -> tuple[tuple[str, ...], ...]:
-    """Return each effect found, with the effects that would do as well in its place.
+    """Return groups of effects that the recording cannot distinguish: a found effect and its rivals.
 
-    If the temperature only rose or fell, a polynomial of temperature is confounded with one of time.
+    If the temperature only rose or only fell, its effect cannot be distinguished from a drift in time.
     """
     groups = []
     for which, one in enumerate(model):
@@ -445,7 +461,10 @@ def _figures(problem: _Problem, model: Model) -> ErrorFigures:
 
 
 def _coefficients(problem: _Problem, columns: list[int], axis: int, without: int | None = None) -> Floats:
-    """Coefficients (P,) of one axis, zero for columns not listed; from all blocks or all but one."""
+    """Fit the listed columns to one axis; return coefficients (P,), zero for the other columns.
+
+    The fit uses all blocks, or all except block `without`.
+    """
     kept = np.arange(BLOCKS) != (-1 if without is None else without)
     gram = problem.gram[kept].sum(axis=0)[np.ix_(columns, columns)]
     out = np.zeros(problem.design.shape[1])
@@ -481,7 +500,7 @@ def _finding(problem: _Problem, model: Model, which: int, tried: int, explains: 
 
 
 def _spread(problem: _Problem, columns: list[int], axis: int) -> Floats:
-    """Standard uncertainties (P,) by the jackknife over blocks."""
+    """Return standard uncertainties (P,) of the coefficients of one axis, by the jackknife over blocks."""
     # Estimates without each block in turn.
     values = np.array([_coefficients(problem, columns, axis, b) for b in range(BLOCKS)])
     spread: Floats = np.sqrt((BLOCKS - 1) * values.var(axis=0)) / problem.size
@@ -489,7 +508,10 @@ def _spread(problem: _Problem, columns: list[int], axis: int) -> Floats:
 
 
 def _detectable(problem: _Problem, model: Model) -> dict[str, Detectable]:
-    """Return for each effect found the amplitude at 1 % level and 90 % power, by the jackknife."""
+    """Return for each found effect the amplitude that a test at 1 % significance detects with 90 % power.
+
+    The uncertainties are from the jackknife over blocks.
+    """
     out = {}
     for which, candidate in enumerate(model):
         worst = 0.0
@@ -502,7 +524,7 @@ def _detectable(problem: _Problem, model: Model) -> dict[str, Detectable]:
 
 
 def series_columns(finding: Finding, conditions: Conditions, axes: int) -> list[Floats]:
-    """Columns (n, d) of a finding's amplitudes for each axis, with its degrees and time constants."""
+    """Return for each axis the design columns (n, d) of a finding, with its degree and time constant."""
     out = []
     one = np.ones((len(conditions), 1))
     for axis in AXES[:axes]:

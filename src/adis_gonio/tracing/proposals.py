@@ -52,7 +52,7 @@ START_RAD, SENSOR = 0.3, 0.03
 """Prior standard deviations of the start angle, and of gains (1 is perfect) and skews (rad), about the fit.
 Without a measurement these are known as well as sensors are alike."""
 FAR = 1e6
-"""Limit of whitened predictions, which may overflow in an extrapolation."""
+"""Whitened predictions are limited to this, because they may overflow in an extrapolation."""
 
 _SUPPLY_V = (4.80, 5.20)
 """Inside the specified supply range (4.75 to 5.25 V) with a margin."""
@@ -67,7 +67,7 @@ _EFFORT_WAIT_S = 300.0
 
 @dataclass(frozen=True)
 class ImaginedDwell:
-    """An imagined dwell, relative to the last one.
+    """An imagined dwell, which could be measured after the session.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class ImaginedDwell:
     direction : tuple of float or None
     approach : int
     wait_s : float
-        In addition to the usual time between two dwells.
+        Waiting time in addition to the usual time between two dwells.
     temperature_c, supply_v : float or None
         Required temperature and supply if they differ from the session's.
     """
@@ -89,7 +89,7 @@ class ImaginedDwell:
 
     @property
     def effort(self) -> float:
-        """Effort in units of one additional position."""
+        """Effort of measuring the dwell, in units of the effort for one additional position."""
         return (
             1.0
             + self.wait_s / _EFFORT_WAIT_S
@@ -99,7 +99,7 @@ class ImaginedDwell:
 
     @property
     def conditions(self) -> bool:
-        """Whether the dwell requires another temperature or supply."""
+        """True if the dwell requires another temperature or supply."""
         return self.temperature_c is not None or self.supply_v is not None
 
 
@@ -134,7 +134,7 @@ def propose(
     terms: Sequence[Term],
     most: int = 4,
 ) -> tuple[NextDwell, ...]:
-    """Propose measurements, the most informative first.
+    """Return proposed measurements that would distinguish the possible models, most informative first.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def propose(
 
 
 def label(term: Term) -> str:
-    """Return the name of a term, or a description of an unnamed term."""
+    """Return the name of a term for the advice; for an unnamed term a description."""
     if term.name is not None:
         return term.name
     where = {"bias": "zero", "gain": "gain", "angle": "true angle", "misalignment": "misalignment"}
@@ -199,9 +199,10 @@ def _labels(model: Sequence[Term]) -> tuple[str, ...]:
 
 
 def _rivals(selection: Selection) -> list[Hypothesis]:
-    """Return the chosen model and the best model of each other set of names, up to most of the posterior.
+    """Return the chosen model and its rivals as hypotheses: the best model of each set of names.
 
-    A model that contains the chosen one counts for the chosen one, which is adequate without the rest.
+    Together they have most of the posterior probability. The probability of a model that contains the
+    chosen model is added to the chosen model, which is adequate without the additional terms.
     """
     found, problem = selection.found, selection.problem
     near = found.near(7.0)
@@ -229,9 +230,9 @@ def _rivals(selection: Selection) -> list[Hypothesis]:
 def _explanations(selection: Selection, terms: Sequence[Term]) -> tuple[float, list[Hypothesis]]:
     """Return hypotheses for the residual of an inadequate model, each with one more effect.
 
-    They are judged against the measured noise or, if larger, the smallest residual of any hypothesis. If
-    several names are undecided, only these are compared. "No further effect" is not a hypothesis, because
-    the model is not adequate.
+    The noise is the measured noise or, if larger, the smallest residual of any hypothesis. If several names
+    are undecided, only these are compared. "No further effect" is not a hypothesis, because the model is
+    not adequate.
     """
     extended = _extended(selection, terms, 1.0, set())
     freedom = max(selection.fit.dof - 1, 1)
@@ -252,7 +253,10 @@ def _extended(
     inflation: float,
     known: set[str],
 ) -> list[Hypothesis]:
-    """Return the chosen model, and it with each further effect, weighted by the session's evidence."""
+    """Return the chosen model and its extensions by each further effect as weighted hypotheses.
+
+    The weights are the prior share times the evidence of the session.
+    """
     base, evidence = _hypothesis(selection.fit, 1.0, inflation)
     pairs = [(base, evidence)]
     chosen = selection.fit
@@ -268,7 +272,10 @@ def _extended(
 
 
 def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
-    """Return one candidate of each name: on all axes, with a middle shape; no effects of single dwells."""
+    """Return one candidate term for each effect: on all axes, with a shape in the middle of its grid.
+
+    Effects of single dwells are omitted.
+    """
     variants: dict[str, list[NamedTerm]] = {}
     for term in terms:
         if isinstance(term, NamedTerm) and "dwell" not in term.effect.choices():
@@ -284,7 +291,10 @@ def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
 
 
 def _hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypothesis, float]:
-    """Return a model with the posterior of its parameters under physical priors, and its log evidence."""
+    """Return the hypothesis that a fitted model is true, and its log evidence.
+
+    The posterior of the parameters assumes priors of physically plausible size.
+    """
     columns = _columns(fit, fit.whitener / np.sqrt(inflation))
     flat = columns.reshape(-1, columns.shape[2])
     left = fit.residual.ravel() / np.sqrt(inflation)
@@ -305,7 +315,10 @@ def _hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypothesis, 
 
 
 def _prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
-    """Return mean and precision of the parameters' prior: wide for the base, physical for effects."""
+    """Return the mean and inverse variance (p,) of the prior of each parameter.
+
+    The prior is wide for base parameters, and has the typical physical size for effects.
+    """
     means = [fit.values.base]
     spreads = [START_RAD if np.isinf(p.spread) else SENSOR for p in fit.data.model.parameters]
     sigmas = [np.array(spreads)]
@@ -316,7 +329,7 @@ def _prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
                 if parameter.shape:
                     mean[k], sigma[k] = values[k], 0.5 * max(abs(values[k]), 1e-6)
                 else:
-                    # An effect larger than usual is not therefore wrong.
+                    # An effect may be larger than usual, so the prior is at least as wide as its value.
                     sigma[k] = max(TYPICALS * abs(parameter.typical), abs(values[k]))
         else:
             mean = np.zeros(len(values))
@@ -328,7 +341,7 @@ def _prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
 
 
 def _columns(fit: Fit, whiten: Floats) -> Floats:
-    """Return the whitened derivative (n, rows, p) of the readings by all parameters."""
+    """Return the derivatives (n, rows, p) of the whitened readings with respect to all parameters."""
     columns = whiten @ fit.columns
     return np.clip(np.nan_to_num(columns, posinf=FAR, neginf=-FAR), -FAR, FAR)
 
@@ -343,7 +356,10 @@ def _normalised(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 
 @dataclass(frozen=True)
 class _Predicted:
-    """Whitened predictions of dwells by each hypothesis: means (n, rows) and roots (n, rows, p)."""
+    """Whitened readings of n dwells predicted by each hypothesis, with roots of their covariances.
+
+    Per hypothesis the means are (n, rows) and the roots (n, rows, p).
+    """
 
     mean: list[Floats]
     root: list[Floats]
@@ -352,7 +368,7 @@ class _Predicted:
         return _Predicted([m[k : k + 1] for m in self.mean], [r[k : k + 1] for r in self.root])
 
     def after(self, other: _Predicted) -> _Predicted:
-        """Return the dwells of `other` followed by these."""
+        """Return the predictions of `other`, followed by these."""
         return _Predicted(
             [np.concatenate(pair) for pair in zip(other.mean, self.mean, strict=True)],
             [np.concatenate(pair) for pair in zip(other.root, self.root, strict=True)],
@@ -369,7 +385,7 @@ def _greedy(
     least: float = LEAST_SEPARATION,
     heating: bool = True,
 ) -> tuple[list[ImaginedDwell], list[NextDwell]]:
-    """Choose dwells one by one, each the most informative per effort given the dwells before it."""
+    """Choose dwells one by one, each with the most information per effort given the chosen ones."""
     places = list(before)
     out: list[NextDwell] = []
     if len(hypotheses) < 2:
@@ -387,7 +403,7 @@ def _greedy(
         predicted = _predict(data, inflation, hypotheses, options, places)
         gain = _information(weights, set_of, predicted) - known
         effort = np.array([place.effort for place in options])
-        # Another temperature or supply adds its own effects: use it only if no position decides.
+        # Another temperature or supply adds further effects: use it only if no position decides.
         conditions = np.array([place.conditions for place in options])
         ranked = np.argsort(-gain / effort)
         apart_before = _separations(set_of)
@@ -419,7 +435,10 @@ def _greedy(
 def _separated_pair(
     weights: Floats, apart: Floats, conditions: bool, least: float
 ) -> tuple[int, int] | None:
-    """Return the pair of hypotheses that a dwell separates, the more probable first; None without any."""
+    """Return the most important pair of hypotheses that a dwell separates; None if there is no pair.
+
+    The more probable hypothesis is first.
+    """
     both = np.maximum(apart, apart.T)
     likely = np.sqrt(np.outer(weights, weights)) * (both >= least**2)
     if conditions:
@@ -436,7 +455,10 @@ def _separated_pair(
 
 
 def _information(weights: Floats, given: _Predicted, options: _Predicted | None) -> Floats:
-    """Return the information (n,) in nats of the dwells `given` with each option; (1,) without options."""
+    """Return the expected information (n,) in nats about the true hypothesis, for each option.
+
+    The dwells `given` are measured too. Without options the result (1,) is for these dwells alone.
+    """
     count = 1 if options is None else len(options.mean[0])
     means, covariances = [], []
     for k in range(len(weights)):
@@ -463,7 +485,7 @@ def _information(weights: Floats, given: _Predicted, options: _Predicted | None)
 
 
 def _separations(dwells: _Predicted) -> Floats:
-    """Return the expected excess of χ² (K, K) of hypothesis j if i is true."""
+    """Return how well dwells separate K hypotheses: expected excess χ² (K, K) of j if i is true."""
     count = len(dwells.mean)
     out = np.zeros((count, count))
     if not dwells.mean[0].size:
@@ -507,7 +529,10 @@ def _measurement(
 
 
 def _options(data: Readings) -> list[ImaginedDwell]:
-    """Return every position as it is, and a coarser choice of positions with one changed condition."""
+    """Return the dwells to choose from: all positions, and some positions with a changed condition.
+
+    A changed condition is a wait, another temperature or another supply.
+    """
     c = data.conditions
     if data.planar:
         sides = (1, -1) if c.approach is not None else (0,)
@@ -541,7 +566,7 @@ def _predict(
     options: list[ImaginedDwell],
     before: list[ImaginedDwell],
 ) -> _Predicted:
-    """Return whitened predictions of each option as the dwell after `before`."""
+    """Predict the whitened readings of each option, if it is measured after the dwells `before`."""
     groups: dict[float | None, list[int]] = {}
     for k, place in enumerate(options):
         groups.setdefault(place.temperature_c, []).append(k)
@@ -571,7 +596,7 @@ def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothe
 
 
 def _imagining(fit: Fit, imagined: Readings) -> Fit:
-    """Return the fit's values at the attitudes of imagined dwells."""
+    """Return a fit with the parameters of `fit` that predicts the readings of imagined dwells."""
     declared = np.isfinite(imagined.angle_rad)
     _, attitude = imagined.model.begin(imagined.mean, imagined.turn_rad, declared, imagined.conditions)
     return Fit(imagined, fit.terms, Values(fit.values.base, attitude, fit.values.terms), fit.with_prior)
@@ -580,7 +605,7 @@ def _imagining(fit: Fit, imagined: Readings) -> Fit:
 def _imagined(
     data: Readings, options: list[ImaginedDwell], before: list[ImaginedDwell], temperature_c: float | None
 ) -> Readings:
-    """Return readings of the options at one temperature, after the session and the dwells `before`."""
+    """Make readings for imagined dwells at one temperature, after the session and dwells `before`."""
     c, n = data.conditions, len(options)
     end = float(c.time_s.max())
     step = float(np.median(np.diff(np.sort(c.time_s)))) if len(data) > 1 else 30.0
@@ -637,7 +662,7 @@ def _imagined(
 
 
 def _warmed(c: Conditions, n: int, wanted: float | None) -> Floats | None:
-    """Return temperatures (n, 3) of the dies, each shifted by the change of their mean."""
+    """Return the temperatures (n, 3) of the three dies after their mean has changed to `wanted`."""
     if c.temperatures_c is None or c.temperature_c is None or wanted is None:
         return None
     return np.tile(c.temperatures_c[-1] + wanted - c.temperature_c[-1], (n, 1))

@@ -37,7 +37,7 @@ Kind = Literal["reading_scatter", "fixture_scatter"]
 
 @dataclass(frozen=True)
 class Scatter:
-    """A variance component.
+    """Dwell-to-dwell scatter: additional noise that differs from dwell to dwell.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Scatter:
     log_odds : float
         Log evidence for the component, against functions with the measured noise.
     p_value : float
-        Of the restricted likelihood ratio for one model, divided by the prior of a component.
+        p-value of the restricted likelihood ratio for a model, divided by the component's prior share.
     """
 
     kind: Kind
@@ -62,7 +62,7 @@ class Scatter:
     unit: str = "mg"
 
     def applied(self, data: Readings) -> Readings:
-        """Add the component to the noise of readings."""
+        """Return the readings with this scatter added to their noise."""
         own = self.kind == "reading_scatter"
         return _add_component(data, self.kind, self.value if own else math.radians(self.value))
 
@@ -70,9 +70,10 @@ class Scatter:
 def with_scatter(
     selection: Selection, terms: Sequence[Term], max_effects: int
 ) -> tuple[Selection, Scatter | None]:
-    """Return the selection, or a selection with a variance component if its evidence is higher.
+    """Return the selection, or a selection with dwell-to-dwell scatter if its evidence is higher.
 
-    Components are compared using the promising candidates; with the chosen component, all compete.
+    Scatter of the readings and of the fixture are compared with the candidates that scored well. With the
+    better one, a model is selected from all candidates.
     """
     data = selection.data
     promising = selection.promising(terms)
@@ -106,21 +107,21 @@ def _kinds(data: Readings) -> Iterator[Kind]:
 
 
 def _price(data: Readings) -> float:
-    """Price of one fitted parameter plus the price of a hypothesis, as for any effect."""
+    """Return the log evidence that a scatter component costs: for its parameter and its hypothesis."""
     return -math.log(limits.effect_share) + 0.5 * math.log(max(data.mean.size, 2))
 
 
 def _evidence(selection: Selection) -> float:
-    """Log evidence of the chosen model, up to constants."""
+    """Return the log evidence of the chosen model, except for constants common to all models."""
     prices = sum(float(selection.found.prices[k]) for k in selection.verdict.best)
     return _restricted(selection.fit, base_only=True) - prices
 
 
 def _evidence_of_processes(selection: Selection) -> float:
-    """Log evidence of the best smooth function, without any formula, with names of the model.
+    """Return the log evidence of the best smooth function together with named terms of the model.
 
-    It is tried with all names, with the bias only and without names, since names may have explained a
-    part of it.
+    The function is tried with all named terms, with the bias only and without named terms, since named
+    terms may have explained a part of it.
     """
     candidates = processes(selection.data)
     if not candidates:
@@ -145,7 +146,10 @@ def _evidence_of_processes(selection: Selection) -> float:
 def _fit_component(
     data: Readings, kind: Kind, selection: Selection, terms: Sequence[Term], max_effects: int
 ) -> tuple[float, Selection | None]:
-    """Return the size of a component and the selection with it, found by turns."""
+    """Return the size of a scatter component and the model selected with it; (0, None) if negligible.
+
+    Size and model are determined alternately, twice.
+    """
     bias = [term for term in selection.terms if term.constant]
     kept = selection.fit.with_terms(bias, [selection.fit.value_of(term) for term in bias])
     size = 0.0
@@ -166,7 +170,7 @@ def _fit_component(
 def _select_with(
     data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int
 ) -> Selection:
-    """Return the selection with a component of this size."""
+    """Select a model of the readings with a scatter component of this size added to their noise."""
     beam, rounds = limits.scatter_beam, limits.fold_rounds
     found = select(_add_component(data, kind, size), terms, max_effects, beam=beam, rounds=rounds)
     check()
@@ -174,7 +178,10 @@ def _select_with(
 
 
 def _likeliest_size(fit: Fit, data: Readings, kind: Kind) -> float:
-    """Return the size of greatest restricted likelihood for a model, in units of readings or rad, or 0."""
+    """Return the size of the scatter with the greatest restricted likelihood for a model; 0 if none.
+
+    The unit is the unit of the readings, or rad for scatter of the fixture.
+    """
     from scipy.optimize import minimize_scalar
 
     scale = _measured_u(data, kind)
@@ -187,12 +194,12 @@ def _likeliest_size(fit: Fit, data: Readings, kind: Kind) -> float:
 
 
 def _fit_with(fit: Fit, data: Readings) -> Fit:
-    """Refit the model with other noise by one step, which is enough near the best values."""
+    """Refit the model to readings with other noise, by a single iteration from the present values."""
     return replace(fit, data=data).refit(1)
 
 
 def _measured_u(data: Readings, kind: Kind) -> float:
-    """Uncertainty of a reading or, with the fixture's, of the angle by a reading (rad)."""
+    """Return the standard uncertainty of a reading; for the fixture, of an angle in rad."""
     reading = float(np.sqrt(np.median(data.variance_of_mean)))
     if kind == "reading_scatter":
         return reading
@@ -206,9 +213,10 @@ def _add_component(data: Readings, kind: Kind, size: float) -> Readings:
 
 
 def _restricted(fit: Fit, *, base_only: bool = False) -> float:
-    """Restricted log likelihood up to constants; `base_only` restricts it for the base parameters only.
+    """Return the restricted log likelihood of a fit, except for constants.
 
-    The amplitudes of the terms are then paid for by the prices of the terms.
+    With `base_only` it is restricted for the base parameters only, since the prices of the terms already
+    account for their amplitudes.
     """
     data = fit.data
     covariance = data.own_covariance
@@ -232,7 +240,10 @@ def _restricted(fit: Fit, *, base_only: bool = False) -> float:
 
 
 def _make_scatter(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds: float) -> Scatter:
-    """Return the component with its uncertainty from the curvature of the restricted likelihood."""
+    """Return the scatter for the result, with its uncertainty.
+
+    The uncertainty follows from the curvature of the restricted likelihood.
+    """
     from scipy.stats import chi2
 
     step = 0.1

@@ -1,4 +1,4 @@
-"""Selection of effects: choose in the linear problem, refit in full, choose again about the new state."""
+"""Selection of effects: choose in a linearised model, refit the full model, linearise and choose again."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from adis_gonio.tracing.thresholds import limits
 
 @dataclass(frozen=True)
 class Selection:
-    """A chosen model and its quality.
+    """The chosen model, with the search that found it and its test.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Selection:
     found : Search
     verdict : ModelPosterior
     base, fit : Fit
-        Base model and chosen model, refitted in full.
+        Base model and chosen model, fitted by nonlinear least squares.
     inflation : float
         Factor on the noise variance under which effects were chosen; 1 if the model is adequate.
     adequate : bool
@@ -43,7 +43,7 @@ class Selection:
 
     @property
     def data(self) -> Readings:
-        """Fitted readings."""
+        """Readings to which the chosen model was fitted."""
         return self.fit.data
 
     @property
@@ -52,7 +52,7 @@ class Selection:
         return self.fit.terms
 
     def promising(self, terms: Sequence[Term]) -> list[Term]:
-        """Return the candidates that were promising in the search, and the best of each name and axes."""
+        """Return the terms that scored well in the search, and the best term of each name and axes."""
         candidates = self.problem.terms
         ranked = [candidates[k] for k in np.argsort(-self.found.promise)]
         active = {term.label for term in ranked[: limits.fold_active]}
@@ -65,7 +65,10 @@ class Selection:
         return [term for term in terms if term.label in active]
 
     def without_functions(self, refuted: Sequence[Term]) -> Selection:
-        """Return the best model without unnamed functions of the refuted covariates."""
+        """Return a selection with the best model that has no unnamed function of these covariates.
+
+        The held-out dwells contradicted the `refuted` terms.
+        """
         gone = {term.covariates for term in refuted}
         terms = self.problem.terms
         scores = {
@@ -78,7 +81,7 @@ class Selection:
         return replace(self, found=found, verdict=verdict).with_model(verdict.best)
 
     def with_model(self, chosen: Sequence[int]) -> Selection:
-        """Return the selection with another model of the linear problem, refitted in full."""
+        """Return a copy that chooses another model, given by term numbers, and refit it."""
         model = tuple(chosen)
         return replace(
             self.with_fit(fit_model(self.problem, model, self.base)),
@@ -86,7 +89,7 @@ class Selection:
         )
 
     def with_fit(self, fit: Fit) -> Selection:
-        """Return the selection with another fit."""
+        """Return a copy of the selection with another fit of the chosen model."""
         known = fit.data.noise_known
         adequate = adequacy(fit.chi2, fit.dof, fit.data.noise_dof) >= limits.adequate if known else True
         inflation = 1.0 if known and adequate else self.inflation
@@ -94,7 +97,7 @@ class Selection:
 
 
 def fit_model(problem: LinearProblem, chosen: Sequence[int], about: Fit) -> Fit:
-    """Refit a model of the linear problem in full, starting at its amplitudes there."""
+    """Fit a model by nonlinear least squares, starting at its amplitudes in the linear problem."""
     terms = [problem.terms[k] for k in chosen]
     values = [term.start(a) for term, a in zip(terms, amplitudes(problem, chosen), strict=True)]
     return about.with_terms(terms, values).refit()
@@ -107,7 +110,7 @@ def select(
     beam: int = limits.beam,
     rounds: int = limits.rounds,
 ) -> Selection:
-    """Choose terms for these readings, which must not contain `check` dwells."""
+    """Choose the terms of the model of these readings, which must not contain `check` dwells."""
     base = Fit.begin(data).refit()
     about = _start_with_slips(base, terms) if max_terms else base
     inflation = 1.0 if data.noise_known else max(base.chi2 / max(base.dof, 1), 1e-12)
@@ -147,10 +150,12 @@ def select(
 
 
 def _start_with_slips(base: Fit, terms: Sequence[Term]) -> Fit:
-    """Refit the base model with roughly known slips and a bias; without such slips return `base`.
+    """Refit the base model with the roughly known slips of the position and a bias.
 
-    A slip beyond the reach of the linear problem would appear there as an outlier of both axes. About a
-    state with the slip, and the bias that the other dwells show, the linear problem is exact.
+    Without such slips return `base`.
+
+    A slip that is too large for the linearised model would look like an outlier on both axes. If the model
+    is linearised about the approximate slip and bias instead, the linearisation is accurate.
     """
     orders = base.data.conditions.order
     here = set() if orders is None else set(np.round(orders).tolist())
@@ -171,8 +176,8 @@ def _refit_best(
 ) -> tuple[ModelPosterior, Fit]:
     """Refit the best model; if its χ² exceeds the base model's, try the next best models.
 
-    A model that contains the base model cannot have a larger χ². Such a refit has diverged from
-    amplitudes that are possible only in the linear problem.
+    A model that contains the base model cannot have a larger χ². Such a refit has diverged: it
+    started at amplitudes that only the linearised model allows.
     """
     ranked = sorted(verdict.weights, key=lambda m: -verdict.weights[m])
     for chosen in dict.fromkeys([verdict.best, *ranked[:4]]):
@@ -210,7 +215,7 @@ def _search_with_noise(
 
 
 def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
-    """Return a function that makes a fit with a bias, or None if no bias explains nearly all."""
+    """Return a function that fits the model with a bias alone, if a bias explains nearly all; else None."""
     constants = _mostly_bias(problem)
     if constants is not None:
         return lambda: fit_model(problem, [constants], about)
@@ -219,7 +224,7 @@ def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[]
 
 
 def _mostly_bias(problem: LinearProblem) -> int | None:
-    """Return the number of the widest bias if it alone explains nearly all of the base model's excess."""
+    """Return the number of the bias on the most axes if it alone explains nearly all of the excess χ²."""
     widest = _widest_bias(problem)
     if widest is None:
         return None
@@ -229,7 +234,10 @@ def _mostly_bias(problem: LinearProblem) -> int | None:
 
 
 def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> Fit | None:
-    """Like `_mostly_bias`, but by a full refit, for a bias too large for the linear problem."""
+    """Return a refit with a bias if this explains nearly all of the excess χ²; None if it does not.
+
+    Unlike `_mostly_bias` this also works for a bias that is too large for the linear problem.
+    """
     widest = _widest_bias(problem)
     if widest is None or problem.dof <= int(problem.width[widest]):
         return None
@@ -241,6 +249,6 @@ def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> Fit | None:
 
 
 def _widest_bias(problem: LinearProblem) -> int | None:
-    """Number of the bias on the most axes; None without any."""
+    """Return the term number of the bias on the most axes; None if no candidate is a bias."""
     constants = [k for k, term in enumerate(problem.terms) if term.constant]
     return max(constants, key=lambda k: problem.width[k]) if constants else None

@@ -35,14 +35,14 @@ AMPLITUDES = (2.0, 4.0, 8.0, 16.0)
 
 _HARMONICS = 16
 _BEYOND = 0.1
-"""Part of its range by which a covariate may leave the fitted range."""
+"""Fraction of its fitted range by which a covariate may lie outside this range."""
 
 Get = Callable[[Conditions], Floats]
 
 
 @dataclass(frozen=True)
 class Process:
-    """A Gaussian process as a candidate.
+    """A Gaussian process as a candidate for an unnamed function.
 
     Attributes
     ----------
@@ -57,7 +57,10 @@ class Process:
 
 
 def processes(data: Readings) -> list[Process]:
-    """Return all processes of a session: place × covariate × length × amplitude."""
+    """Return all Gaussian processes to try in a session.
+
+    There is one for each place, covariate, length and amplitude.
+    """
     reading_u = float(np.sqrt(data.variance_of_mean.mean()))
     subsets = choices_of_axes(range(data.axes))
     made: list[NamelessTerm] = []
@@ -127,7 +130,7 @@ def evidence(
 
 
 def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
-    """Iterate over the features of every kernel, with the places where it may enter."""
+    """Yield the basis functions of every kernel, with the places in the model that it may enter."""
     c = data.conditions
     scalars, rings = _lines_and_rings(c, data.model.driven_by)
     for name, get in scalars.items():
@@ -150,7 +153,7 @@ def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
 
 
 def _lines_and_rings(c: Conditions, driven_by: Sequence[str]) -> tuple[dict[str, Get], dict[str, Get]]:
-    """Return the covariates along a line and the covariates on a circle."""
+    """Return the covariates with a linear scale, and the covariates that are angles, by name."""
     lines: dict[str, Get] = {"time": lambda k: k.time_s}
     if "force" in driven_by and c.force_g is not None:
         lines |= {f"force_{letter}": _component(axis) for axis, letter in enumerate(AXES)}
@@ -171,7 +174,10 @@ def _component(axis: int) -> Get:
 
 
 def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floats]:
-    """Features of exp(−½ Δ²/ℓ²) on an interval, from points 0.6 ℓ apart (Nyström's method)."""
+    """Return basis functions for the kernel exp(−½ Δ²/ℓ²) on an interval (Nyström's method).
+
+    The method uses points 0.6 ℓ apart.
+    """
     points = np.linspace(low, high, max(int(np.ceil((high - low) / (0.6 * length))) + 1, 4))
 
     def kernel(u: Floats) -> Floats:
@@ -183,7 +189,10 @@ def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floa
 
 
 def _line(get: Get, seen: Floats, length: float) -> Get:
-    """Features of 1 + u² + exp(−½ Δ²/ℓ²) of the scaled covariate u, which is clipped near its range."""
+    """Return basis functions for a constant, a line and the kernel exp(−½ Δ²/ℓ²) of a covariate.
+
+    The covariate is scaled to its fitted range and clipped shortly beyond it.
+    """
     low, size = float(seen.min()), float(np.ptp(seen))
     curve = _inducing(-_BEYOND, 1 + _BEYOND, length)
 
@@ -195,7 +204,7 @@ def _line(get: Get, seen: Floats, length: float) -> Get:
 
 
 def _product(one: Get, two: Get) -> Get:
-    """Features of the product of two kernels."""
+    """Return the basis functions of the product of two kernels, from the functions of each."""
 
     def features(conditions: Conditions) -> Floats:
         left, right = one(conditions), two(conditions)
@@ -205,7 +214,10 @@ def _product(one: Get, two: Get) -> Get:
 
 
 def _ring(get: Get, width: float) -> Get:
-    """Features of exp(−2 sin²(Δ/2)/w²), whose Fourier coefficients are Bessel functions I_k(1/w²)."""
+    """Return basis functions for the periodic kernel exp(−2 sin²(Δ/2)/w²) of an angle.
+
+    Its Fourier coefficients are modified Bessel functions I_k(1/w²).
+    """
     order = np.arange(_HARMONICS + 1)
     weight = special.ive(order, 1 / width**2) * np.where(order == 0, 1.0, 2.0)
     order, root = order[weight > 1e-4], np.sqrt(weight[weight > 1e-4])
@@ -218,7 +230,10 @@ def _ring(get: Get, width: float) -> Get:
 
 
 def _of_reading(length: float) -> Callable[[Floats, int], Floats]:
-    """Features of 1 + exp(−½ Δ²/ℓ²) of an axis's reading in g, with a range of 2 g."""
+    """Return basis functions for the kernel 1 + exp(−½ Δ²/ℓ²) of each axis's own reading in g.
+
+    The reading has a range of 2 g, which is the unit of `length`.
+    """
     curve = _inducing(-1.1, 1.1, 2 * length)
 
     def features(ideal: Floats, axis: int) -> Floats:

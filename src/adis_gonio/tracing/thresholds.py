@@ -18,7 +18,10 @@ slower."""
 
 
 def number(value: float, origin: Origin, why: str, off: float | None = None) -> Any:
-    """Make a field of the table; `off` disables the rule of this number, None if it is not a rule."""
+    """Make a field of `Limits` with its origin and reason.
+
+    The value `off` disables the rule that uses the number; None if there is no rule.
+    """
     return field(default=value, metadata={"origin": origin, "why": why, "off": off})
 
 
@@ -27,7 +30,7 @@ INFINITE = float("inf")
 
 @dataclass
 class Limits:
-    """Every number of the trace that is not arithmetic; see the table's columns in docs/thresholds.md."""
+    """The thresholds and weights of the trace; docs/thresholds.md lists them with origin and reason."""
 
     # Prior
     effect_share: float = number(0.0175, "measured", "prior share of an effect (scripts/trace_level.py)")

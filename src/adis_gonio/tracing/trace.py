@@ -97,7 +97,7 @@ def trace(
         Seconds after which the trace ends at the next safe point with the best model found by then
         (`TraceResult.stopped`). By default there is no limit, so the result does not depend on the machine.
     part : {"accelerometer", "gyro"}
-        Part of the sensor whose readings are traced.
+        The traced readings: of the accelerometers or the gyros.
 
     Raises
     ------
@@ -150,13 +150,13 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
 
 
 def with_time_left_out(result: TraceResult, *, checked: bool) -> TraceResult:
-    """Record in the result which stages the time limit cut off."""
+    """Return the result with a record of the stages that the time limit cut off, if there are any."""
     budget = current()
     return replace(result, stopped=Stopped.of(budget, checked=checked)) if budget.left_out else result
 
 
 def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | None = None) -> TraceResult:
-    """Trace readings; see `trace`.
+    """Find the causes of the residual of readings, like `trace` for a session.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
 
 
 class TraceRun:
-    """State of a trace of readings, one method a stage.
+    """A trace of readings in progress; each method is one stage.
 
     Attributes
     ----------
@@ -207,20 +207,20 @@ class TraceRun:
 
     @property
     def final(self) -> Selection:
-        """The selection with the chosen model, or with the average that replaces it."""
+        """The selection that the result reports: the chosen model, or the average that replaces it."""
         return self.selection if self.averaged is None else self.selection.with_fit(self.averaged.fit)
 
     def search(self) -> None:
-        """Choose a model; add dwell-to-dwell scatter if that explains the readings better."""
+        """Choose a model of the readings; include dwell-to-dwell scatter if this is more probable."""
         self.selection, self.scatter = search_model(self.measured, self.terms, self.max_effects)
         if self.scatter is not None:
             self.data = self.scatter.applied(self.data)
         self.checking = self.data.checking
 
     def drop_refuted_functions(self) -> None:
-        """Remove the unnamed functions that held-out dwells refute, and choose again.
+        """Remove unnamed functions that make the prediction of held-out dwells worse, and choose again.
 
-        A refuted function leaves the posterior, so the names that it competed with are judged again.
+        A removed function has no posterior probability any more, so the names that it competed with gain.
         """
         self.nest(self.selection)
         while gone := refuted_functions(self.selection, self.fits, self.errors):
@@ -229,7 +229,7 @@ class TraceRun:
             self.nest(self.selection.without_functions(gone))
 
     def nest(self, selection: Selection) -> None:
-        """Adopt a selection, and compute its nested models and their held-out errors."""
+        """Store a selection, and compute the nested models of its terms and their held-out errors."""
         self.selection = selection
         self.averaged = attempt("the average of functions without a name", lambda: average(selection), None)
         self.fold = Fold.of(selection, self.terms, self.averaged, self.max_effects)
@@ -242,7 +242,10 @@ class TraceRun:
         )
 
     def judge_names(self) -> None:
-        """Judge each name of the model by evidence; list the names that could explain the rest."""
+        """Accept or reject each named effect of the model by its probability.
+
+        If the model is not adequate, also list the effects that could explain the unexplained part.
+        """
         self.names = reject_unchecked(judge(self.selection, self.averaged), self.selection)
         if self.scatter is not None or not self.selection.adequate:
             could = undecided(self.selection)
@@ -250,7 +253,7 @@ class TraceRun:
                 self.names = replace(self.names, confounded=(*self.names.confounded, could))
 
     def measure_errors(self) -> None:
-        """Measure the errors of the nested models, with effects chosen in each fold."""
+        """Compute the errors of the nested models on held-out dwells, with effects chosen in each fold."""
         self.figures, self.design = attempt(
             "the error on held-out dwells, effects chosen again",
             lambda: error_figures(self.selection, self.measured, self.checking, self.fits, self.fold),
@@ -258,7 +261,7 @@ class TraceRun:
         )
 
     def shorten(self) -> None:
-        """Keep the longest nested model that is never worse than a shorter one."""
+        """Shorten the model to the longest nested model with a held-out error that is not worse."""
         reported = reported_errors(self.figures) if self.checking is None else None
         unit = self.measured.model.unit
         count, self.names, cut = never_worse(self.names, self.steps, self.errors, reported, unit)
@@ -274,7 +277,7 @@ class TraceRun:
         self.reasons = cut
 
     def judge_findings(self) -> None:
-        """Reject weak names, and test the model on the check dwells."""
+        """Make the findings of the accepted names, reject weak ones, and test the model on check dwells."""
         final, noise_known = self.final, self.measured.noise_known
         findings = [finding_of(final, name, self.averaged) for name in self.names.accepted]
         places = credible_sets(self.selection, self.averaged)
@@ -293,7 +296,7 @@ class TraceRun:
             self.adequate = not disagreement
 
     def finished(self) -> TraceResult:
-        """Build the result of a completed trace, with advice."""
+        """Return the result of a completed trace, with advice for the next session."""
         from adis_gonio.tracing.advice import advise
 
         selection, final = self.selection, self.final
@@ -326,7 +329,7 @@ class TraceRun:
         )
 
     def unfinished(self) -> TraceResult:
-        """Build the result of a trace that was not validated: the best model's errors and no findings."""
+        """Return the result of a trace that was not validated: errors of the best model, no findings."""
         open_ = [*self.steps, *([] if self.scatter is None else [self.scatter.kind])]
         return self._result(
             adequate=False,
@@ -357,7 +360,7 @@ class TraceRun:
 def shown_findings(
     findings: Sequence[Finding], data: Readings, scatter: Scatter | None, of_step: dict[str, float]
 ) -> tuple[Finding, ...]:
-    """Return the findings in the file's units with their shares, followed by any scatter."""
+    """Return the findings in the file's units with the share each explains, and any scatter last."""
     seen = with_shares([in_units_of_file(finding, data.unit) for finding in findings], of_step)
     if scatter is None:
         return seen
@@ -367,7 +370,7 @@ def shown_findings(
 def search_model(
     training: Readings, terms: Sequence[Term], max_effects: int
 ) -> tuple[Selection, Scatter | None]:
-    """Return the chosen model and, if it explains the readings better, dwell-to-dwell scatter."""
+    """Choose a model of the readings and, if this explains them better, dwell-to-dwell scatter."""
     current().tell("the search for effects")
     first = select(training, terms, max_effects)
     if spent():
@@ -380,13 +383,13 @@ def search_model(
 
 
 def reported_errors(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:
-    """Return the reported held-out errors of the base model and the final model."""
+    """Return the held-out errors of the base model and of the final model; None if not measured."""
     first, last = figures[0].heldout_rms, figures[-1].heldout_rms
     return None if first is None or last is None else (first, last)
 
 
 def likelier_functions(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> dict[str, str]:
-    """Map each named cause to the unnamed function that is more probable in its place, if any."""
+    """Return the named causes for which an unnamed function is more probable, each with this function."""
     names = {term.name for term in terms}
     return {one.cause: one.names[0] for one in sets if one.names[0] not in names and one.cause in names}
 
@@ -397,7 +400,7 @@ def weak_names(
     likelier: Mapping[str, str],
     places: Sequence[CredibleSet],
 ) -> dict[str, str]:
-    """Return the names to reject, with the reason for each."""
+    """Return the effects that must not be reported as found, by name, each with the reason."""
     weak = {}
     empty = {one.cause: 1 - one.present for one in places if one.present < limits.certain}
     for finding in findings:
@@ -415,7 +418,7 @@ def weak_names(
 
 
 def disagreement_of(final: Selection, checking: Readings) -> list[str]:
-    """Return a note if the check dwells contradict the model fitted to the other dwells."""
+    """Return a list with a note if the check dwells contradict the model; otherwise an empty list."""
     p = disagreement_p_value(final.fit, checking, final.inflation)
     if p >= limits.adequate:
         return []
@@ -442,7 +445,7 @@ _MOVED = frozenset({"mistyped", "misset", "swapped"})
 
 
 def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
-    """Return readings with large lasting slips corrected, or the same readings if there are none.
+    """Return the readings with declared angles corrected for large lasting slips; unchanged without slips.
 
     The stage's dial and its errors are unaffected by a slip, so `Conditions.angle_rad` does not change.
     """
@@ -453,12 +456,12 @@ def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
 
 
 def _large_slips(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
-    """Return the lasting slips that are too large for the linear problem."""
+    """Return the lasting slips of the position that are too large for the linearised model."""
     return [f for f in positions.findings if f.finding == "slipped" and _out_of_reach(data, f)]
 
 
 def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
-    """Whether an error of a position is too large for the linear problem.
+    """Return True if an error of a position is too large for the linearised model.
 
     If a dwell is off by δ, its reading along the declared direction is G (1 − cos δ) shorter than the
     linear term predicts (2 mg at 4°). The error is too large if that difference exceeds the reading's
@@ -471,7 +474,9 @@ def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
 def restrict_candidates(
     terms: Sequence[NamedTerm], data: Readings, positions: Diagnosis
 ) -> list[NamedTerm]:
-    """Drop candidates of single dwells that the angles rule out, and set the start of large slips.
+    """Return the candidates without effects of single dwells that the angles exclude.
+
+    The candidates of large slips get the size of the slip as the start value of the fit.
 
     A dwell with a correct reading is not a candidate for `outlier_dwell`. A dwell at its declared
     position is not a candidate for `position_slip`.
@@ -480,7 +485,7 @@ def restrict_candidates(
     if order is None:
         return list(terms)
     of_position = dict(zip(data.position.tolist(), order.tolist(), strict=True))
-    # By whether the effect turns the part (a slip) or changes the reading (an outlier), and by its dwell.
+    # Keys: whether the effect turns the sensor (a slip) or changes the reading (an outlier), and its dwell.
     excluded: set[tuple[bool, int | None]] = set()
     begins: dict[tuple[bool, int | None], float] = {}
     for found in positions.findings:
@@ -503,7 +508,7 @@ def restrict_candidates(
 
 
 def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) -> TraceResult:
-    """Add the notes on positions, and put the advice to correct them first."""
+    """Return the result with the findings on wrong positions, and with advice to correct these first."""
     if not positions.findings:
         return result
     corrected = [

@@ -113,17 +113,20 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
 
 
 def _may_hold_bias(term: Term, *, biased: bool) -> bool:
-    """Whether a term may contain a part of the bias, in a model with a bias or without.
+    """Return True if a term may have absorbed a part of the bias, in a model with or without a bias.
 
-    A function of the reading may, and in a model without a bias also an unnamed function whose value at the
-    middle of the session is unknown.
+    This is true for a function of the reading. In a model without a bias it is also true for an unnamed
+    function with an unknown value at the middle of the session.
     """
     unnamed = not biased and term.name is None and not follows_clock(term)
     return not term.enters_angle and (term.covariates == ("reading",) or unnamed)
 
 
 def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
-    """Fit the remaining terms again with a bias; return the fit and the factor on its variance."""
+    """Refit without the given terms but with a bias; return the fit and its variance factor.
+
+    If only named terms are removed from a model with a bias, the fit is not changed.
+    """
     biased = any(term.constant for term in fit.terms)
     terms = [term for term in terms if _may_hold_bias(term, biased=biased)]
     if not terms or (biased and all(term.name is not None for term in terms)):
@@ -141,7 +144,7 @@ def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[F
 
 
 class _Columns:
-    """Parameters of a fit in the units of results, with their gradients.
+    """Collects the parameters of a calibration from a fit, with their gradients.
 
     Terms in time are evaluated at the middle of the session.
     """
@@ -156,7 +159,10 @@ class _Columns:
         """Name, value, unit and gradient (p,) of each parameter."""
 
     def _gain(self, axis: int) -> tuple[float, Floats]:
-        """Factor on the gain of an axis at the middle of the session, and its gradient (p,)."""
+        """Return the factor on an axis's scale at the middle of the session, and its gradient (p,).
+
+        The factor comes from the terms that depend on time.
+        """
         ideal_mg = np.zeros(self.fit.data.axes)
         ideal_mg[axis] = MG_PER_G
         full, slope = clock_at_middle(self.fit, ideal_mg)
@@ -170,7 +176,7 @@ class _Columns:
         return gradient
 
     def base(self, parameter: BaseParameter) -> None:
-        """Add a base parameter; the start angle only if the dwells determine it."""
+        """Add a base parameter to the list; the start angle only if the dwells determine it."""
         k = self.fit.data.model.index(parameter.name)
         if parameter.name == "alpha" and not self.fit.data.visible[k]:
             return
@@ -191,7 +197,10 @@ class _Columns:
         self.rows.append((parameter.name, stated, unit, gradient))
 
     def biases(self, terms: Sequence[NamedTerm]) -> list[str]:
-        """Add the bias of every axis, zero without a term; return the names that have a term."""
+        """Add the bias of every axis to the list; return the names of the biases that were fitted.
+
+        A bias that was not fitted is zero.
+        """
         at: dict[str, int] = {}
         for term in terms:
             start = self.fit.slice_of(self.fit.terms.index(term)).start
@@ -206,7 +215,7 @@ class _Columns:
         return list(at)
 
     def effect(self, term: NamedTerm) -> EffectTerm:
-        """Add the values of an effect."""
+        """Add the parameters of an effect to the list; return the effect with their names."""
         index = self.fit.terms.index(term)
         start = self.fit.slice_of(index).start
         names = []
@@ -220,7 +229,7 @@ class _Columns:
         return EffectTerm(term.effect, tuple(names))
 
     def stated(self, inflation: float) -> tuple[tuple[Coefficient, ...], Floats]:
-        """Return the parameters and their covariance (p, p)."""
+        """Return the collected parameters with uncertainties, and their covariance matrix."""
         rows = np.stack([gradient for _, _, _, gradient in self.rows])
         # Covariance of functions of the parameters by their gradients.
         matrix = rows @ self.fit.covariance @ rows.T * inflation
@@ -232,7 +241,10 @@ class _Columns:
 
 
 def _is_corrected(term: NamedTerm, result: TraceResult) -> bool:
-    """Whether an effect is a finding, or confounded only with other effects that are corrected."""
+    """Return True if the calibration shall correct an effect.
+
+    It is a finding, or confounded only with other effects that are corrected.
+    """
     if term.name in {finding.effect for finding in result.found}:
         return True
     rivals = {name for names in result.confounded if term.name in names for name in names}
@@ -257,7 +269,7 @@ def _reason_not_corrected(term: Term, result: TraceResult, at_s: float) -> NotCo
 
 
 def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
-    """Return zero rates and correctable effects of gyros by the final model of a trace.
+    """Return the zero rates and the correctable effects of gyros, from the final model of a trace.
 
     Raises
     ------
@@ -291,7 +303,7 @@ def _not_corrected(term: Term, nameless: str, unknown: str) -> NotCorrected:
 def _gyro_stated(
     fit: Fit, kept: Sequence[NamedTerm], inflation: float
 ) -> tuple[tuple[Coefficient, ...], Floats]:
-    """Return parameters with gains K and misalignments of D, and their covariance."""
+    """Return the gyro parameters in the form of a calibration, and their covariance matrix."""
     parameters = list(fit.data.model.parameters)
     units = [one.unit for one in parameters]
     names, places = [one.name for one in parameters], list(range(len(parameters)))
@@ -309,7 +321,7 @@ def _gyro_stated(
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:
-    """Add the session's gyros to a calibration; unchanged if they cannot be calibrated.
+    """Return a calibration with the gyro calibration of a session; unchanged if this is not possible.
 
     Raises
     ------
@@ -326,7 +338,7 @@ def with_gyros(calibration: Calibration, session: Session, *, traced: bool = Fal
 
 
 def gyros_alone(session: Session) -> str:
-    """Advice if a session calibrates its gyros but not its accelerometers; else empty."""
+    """Return advice for an error message if a session calibrates only its gyros; else an empty text."""
     try:
         gyro_calibration_of(session)
     except AdisGonioError:
@@ -338,7 +350,9 @@ def gyros_alone(session: Session) -> str:
 
 
 def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibration:
-    """Return the calibration of a session's gyros with the offsets that were written afterwards.
+    """Return the calibration of a session's gyros for the offsets written to the sensor afterwards.
+
+    The calibration is valid for the offsets that the sensor has after the session.
 
     Parameters
     ----------
@@ -356,12 +370,12 @@ def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibr
 
 
 def gyros_as_recorded(session: Session, *, traced: bool = False) -> GyroCalibration:
-    """Like `gyro_calibration_of`, with the offsets in effect during the recording."""
+    """Return the calibration of a session's gyros for the offsets that they had while recording."""
     return make_gyro_calibration(gyro_estimates_of(session, traced=traced), provenance_of(session))
 
 
 def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimates:
-    """Return the parameters of a session's gyros by name.
+    """Return the calibration parameters of a session's gyros, from the fit or the trace.
 
     Raises
     ------
@@ -380,7 +394,9 @@ _FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")
 
 
 def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
-    """Load a calibration from a JSON file or fit a session; the first character decides.
+    """Load a calibration from a JSON file, or fit a session file and return its calibration.
+
+    The first character of the file decides which it is.
 
     Parameters
     ----------
@@ -416,7 +432,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
 def load_gyro_calibration(
     path: str | Path, part: Provenance | None = None, *, traced: bool = False
 ) -> GyroCalibration:
-    """Load a gyro calibration; see `GyroCalibration.load`.
+    """Load a gyro calibration from a JSON file or a session file; see `GyroCalibration.load`.
 
     Parameters
     ----------
@@ -460,7 +476,7 @@ def _named(part: Provenance) -> tuple[str, str]:
 
 
 def _exported(session: Any) -> tuple[str, str]:
-    """Sensor and serial number as `session_dict` states them."""
+    """Return the sensor and the serial number from an exported JSON session; empty if missing."""
     about = session if isinstance(session, dict) else {}
     return str(about.get("sensor") or ""), str(about.get("serial") or "")
 

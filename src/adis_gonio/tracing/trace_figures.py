@@ -23,7 +23,7 @@ from adis_gonio.tracing.validation import residuals_on
 
 _LEFT = ("angle", "time", "temperature", "supply")
 _LEAST_SPAN = {"temperature": 0.145, "supply": 0.0018}
-"""Spans (°C, V) below one step of the sensors on the part, which a figure cannot show."""
+"""Ranges (°C, V) smaller than one digit of the chip's thermometer and voltmeter, not shown in figures."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,11 @@ class Panel:
 
 @dataclass(frozen=True)
 class StepView:
-    """The panels of a step; empty if the term of the step is unknown.
+    """The panels that show the residual before and after an added effect.
 
-    `beside_all`: `before` is the final model without this effect instead of the model of the step before.
+    They are empty if the effect's term is unknown.
+
+    If `beside_all` is true, `before` is the final model without this effect instead of the previous model.
     """
 
     effect: str
@@ -71,11 +73,12 @@ class StepView:
 
 @dataclass(frozen=True)
 class Views:
-    """All figures of a trace.
+    """Data of all residual figures of a trace.
 
     Attributes
     ----------
     steps : tuple of StepView
+        Residuals before and after each added effect.
     left : tuple of Panel
         Residuals of the final model; `before` is the base model.
     """
@@ -85,7 +88,7 @@ class Views:
 
 
 def views_of(readings: Readings, result: TraceResult) -> Views:
-    """Return the residuals of traced readings before and after each step.
+    """Return the data of the figures: residuals of the readings before and after each added effect.
 
     Parameters
     ----------
@@ -100,7 +103,7 @@ def views_of(readings: Readings, result: TraceResult) -> Views:
 
 
 def _new_term(before: Fit, after: Fit) -> Term:
-    """Term that a model has in addition to the model before."""
+    """Return the term that a model contains in addition to the previous nested model."""
     inside = {term.label for term in before.terms}
     fresh = [term for term in after.terms if term.label not in inside]
     return (fresh or list(after.terms))[-1]
@@ -129,7 +132,7 @@ def _axes(term: Term) -> list[int]:
 
 
 def _covariate(data: Readings, term: Term, axis: int) -> str:
-    """Return the covariate that shows a term best in a plot."""
+    """Return the name of the covariate against which a term is best plotted."""
     planar_angle = data.planar and data.conditions.angle_rad is not None
     shown = term.effect.shown_over if isinstance(term, NamedTerm) else ""
     name = term.covariates[0] if term.covariates else ""
@@ -145,7 +148,7 @@ def _covariate(data: Readings, term: Term, axis: int) -> str:
 
 
 def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
-    """Return a covariate (n,) in the unit of figures; None if it was not recorded."""
+    """Return the values (n,) of a covariate in the unit of the figures; None if it was not recorded."""
     c = conditions
     if name.startswith("reading_"):
         return data.mean[:, AXES.index(name[-1])] / data.model.full
@@ -167,7 +170,7 @@ def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
 
 
 def _lag(data: Readings, after: Fit) -> Floats:
-    """Temperature of the fitted lagging element minus the die's (n,) in °C."""
+    """Return the temperature of the fitted lagging element minus the die's temperature, (n,) in °C."""
     for term, values in zip(after.terms, after.values.terms, strict=True):
         if isinstance(term, NamedTerm) and term.effect.shown_over == "temperature_lag":
             axis = AXES.index(term.effect.axes[0])
@@ -204,7 +207,7 @@ def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit
 
 
 def _left_over(fit: Fit, quantity: str, others: Readings | None = None) -> Floats:
-    """Residual (n,) of a quantity, for the fitted dwells or others."""
+    """Return the residual (n,) of an axis, the norm or the angle, for the fitted dwells or others."""
     data = fit.data if others is None else others
     if quantity == "angle":
         turned = fit.angle_error_rad(data)
@@ -223,7 +226,7 @@ def _along(data: Readings) -> Floats:
 
 
 def _uncertainty(fit: Fit, quantity: str) -> Floats:
-    """Standard uncertainty (n,) of a quantity for the fitted dwells."""
+    """Return the standard uncertainty (n,) of an axis, the norm or the angle, for the fitted dwells."""
     data = fit.data
     if quantity == "angle":
         # A reading changes by `slope` standard uncertainties per rad.
@@ -238,7 +241,10 @@ def _uncertainty(fit: Fit, quantity: str) -> Floats:
 
 
 def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
-    """Plot the final residual over each covariate that varied, starting with the unnamed part's."""
+    """Return panels with the final residual over each covariate that varied.
+
+    The covariates of the unnamed part are first.
+    """
     base, last = result.fits[0], result.fits[-1]
     data = last.data
     unnamed = result.unnamed.covariates if result.unnamed is not None else ()
@@ -255,7 +261,7 @@ def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
 
 
 def series_views(session: Session, result: TraceResult) -> Views:
-    """Return the residuals of the samples of a traced pose before and after each step."""
+    """Return the data of the figures of a single pose: residuals before and after each added effect."""
     dwell = next(dwell for dwell in session.dwells if len(dwell))
     readings = series_readings(session, dwell)
     conditions = series_conditions(dwell)
@@ -281,7 +287,7 @@ def series_views(session: Session, result: TraceResult) -> Views:
 
 
 def _series_left(readings: Floats, blocks: Sequence[Sequence[Floats]]) -> Floats:
-    """Residual (n, axes) of the readings after a constant and the columns (n, d) of each axis."""
+    """Return the residual (n, axes) of a least-squares fit of a constant and columns (n, d) per axis."""
     left = np.empty_like(readings)
     for axis in range(readings.shape[1]):
         design = np.concatenate([np.ones((len(readings), 1)), *(block[axis] for block in blocks)], axis=1)

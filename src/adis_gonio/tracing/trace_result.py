@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ErrorFigures(JsonRecord):
-    """Errors of one model.
+    """Errors of a model: on the fitted dwells, on held-out dwells and of the angle.
 
     The JSON document is the keys of `error.before`.
 
@@ -79,7 +79,7 @@ class Finding(JsonRecord):
     axes : tuple of str
     parameters : mapping of str to Value
     p_value : float
-        Of the group score test in the final model, times the number of candidates, at most 1.
+        p-value of the group score test in the final model, times the number of candidates, at most 1.
     explains : float
         Fraction of the base model's excess residual; 0 for an effect that was found only inside dwells.
     probability : float
@@ -129,7 +129,7 @@ class Unnamed(JsonRecord):
 
 @dataclass(frozen=True)
 class Step(JsonRecord):
-    """One added term and the errors of the model with it. The JSON document is one entry of `steps`."""
+    """An effect added to the model, and the errors after adding it; one entry of `steps` in the JSON."""
 
     effect: str
     error: ErrorFigures = field(metadata=INLINE)
@@ -157,8 +157,8 @@ class NextDwell(JsonRecord):
     temperature_c, supply_v : float or None
         Required temperature and supply; None for no change.
     separation : float
-        Expected difference between the two hypotheses, in standard uncertainties of the measurement, in
-        addition to the separation by earlier proposed dwells.
+        Expected difference of the reading between the two hypotheses, in standard uncertainties of the
+        measurement, beyond the difference that earlier proposed dwells show.
     information : float
         Expected information about the true model in nats, given the earlier proposed dwells.
     purpose : {"decide", "cover"}
@@ -189,13 +189,13 @@ class NextDwell(JsonRecord):
 
     @property
     def separates(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The two groups of effects, `one` and `other`."""
+        """The effects that only the one and only the other of the two compared models contains."""
         return self.one, self.other
 
 
 @dataclass(frozen=True)
 class Stopped(JsonRecord):
-    """Effect of the time limit on a trace.
+    """Record that the time limit ended a trace early.
 
     The JSON document is the value of `stopped`.
 
@@ -218,12 +218,12 @@ class Stopped(JsonRecord):
 
     @classmethod
     def of(cls, budget: Budget, *, checked: bool) -> Stopped:
-        """Record the stages that a budget has cut off."""
+        """Make the record of the stages that a time budget has cut off."""
         return cls(budget.limit_s, budget.elapsed_s, tuple(budget.left_out), checked)
 
     @property
     def sentence(self) -> str:
-        """The record as one sentence."""
+        """A sentence that reports the time limit and the stages that it cut off."""
         if self.checked:
             outcome = "what is called found was checked"
         else:
@@ -234,7 +234,7 @@ class Stopped(JsonRecord):
 
 @dataclass(frozen=True)
 class Rival(JsonRecord):
-    """A model of high posterior probability. The JSON document is one entry of `rivals`."""
+    """The terms of a model of high posterior probability; one entry of `rivals` in the JSON."""
 
     terms: tuple[str, ...]
     probability: float
@@ -250,13 +250,19 @@ class TraceResult(ParameterTable):
         Whether the residual of the final model agrees with the noise measured within the dwells; False if
         this was not tested (see `adequacy`).
     found : tuple of Finding
+        Named effects that were found.
     steps : tuple of Step
+        Terms added to the base model, in this order.
     confounded : tuple of tuple of str
         Effects, or an effect and unnamed forms, that this session cannot distinguish.
     unnamed : Unnamed or None
+        Structure that no named effect explains.
     before, after : ErrorFigures
+        Errors of the base model and of the final model.
     detectable : mapping of str to Detectable
+        For each effect, the smallest amplitude that would have been found.
     advice : tuple of str
+        Sentences about further measurements.
     rivals : tuple of Rival
         Models of high posterior probability, the most probable first.
     base : mapping of str to Value
@@ -267,7 +273,7 @@ class TraceResult(ParameterTable):
     within : tuple of WithinFinding
         Findings in the samples inside the dwells.
     heldout_design : str
-        How dwells were left out.
+        Description of the dwells that were held out to measure the error.
     sets : tuple of CredibleSet
         For each cause in the model, the names that could replace it.
     measurements : tuple of NextDwell
@@ -323,12 +329,15 @@ class TraceResult(ParameterTable):
 
     @property
     def tested(self) -> bool:
-        """Whether the noise is known and enough readings remain to reject the model."""
+        """True if the final model could be tested.
+
+        This needs a known noise and more readings than parameters.
+        """
         return self.after.chi2_per_dof is not None
 
     @property
     def adequacy(self) -> Literal["adequate", "not adequate", "not tested"]:
-        """Result of the test of the final model against the noise within the dwells."""
+        """Whether the residual of the final model agrees with the noise measured within the dwells."""
         if not self.tested:
             return "not tested"
         return "adequate" if self.adequate else "not adequate"
@@ -362,12 +371,12 @@ class TraceResult(ParameterTable):
 
     @property
     def part(self) -> str:
-        """Part of the sensor that was traced."""
+        """The traced part of the sensor: `accelerometer` or another, such as `gyro`."""
         return self.fits[-1].data.model.part if self.fits else ACCELEROMETER
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of the noise used for the uncertainties; inf if unlimited."""
+        """Degrees of freedom of the noise estimate behind the uncertainties; inf if the noise is known."""
         return next((value.dof for value in self.base.values() if value.u is not None), math.inf)
 
     @property
@@ -387,7 +396,7 @@ class TraceResult(ParameterTable):
         return float(recorded.mean())
 
     def summary(self) -> str:
-        """Return the outcome, the change of the errors and the parameters of the effects as text."""
+        """Return a text with the outcome, the errors before and after, and the effects' parameters."""
         from adis_gonio.tracing import trace_summary as words
 
         return "\n".join([words.headline(self), words.gains(self), *lines_of(self._of_effects)])
@@ -400,15 +409,15 @@ class TraceResult(ParameterTable):
         return [(name, one.as_dict()) for found in self.found for name, one in found.parameters.items()]
 
     def caption_and_parameters(self) -> tuple[str, Entries]:
-        """Return the summary, and the parameters of the base model and the effects."""
+        """Return the summary as a caption, and the parameters of the base model and the effects."""
         return self.summary(), [*finite(self.base).items(), *self._of_effects]
 
     @property
     def error(self) -> dict[str, ErrorFigures]:
-        """Errors before and after."""
+        """Errors of the base model (`before`) and of the final model (`after`)."""
         return {"before": self.before, "after": self.after}
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON document of `trace`."""
+        """Return the result as the JSON document that `trace` prints."""
         other = {} if self.part == ACCELEROMETER else {"part": self.part}
         return {**other, **super().as_dict(), **listed(self.position_findings)}

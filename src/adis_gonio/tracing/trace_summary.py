@@ -31,17 +31,18 @@ _SURE = (
     (0.9, 5e-2, "likely"),
     (0.0, 1.0, "the best of several explanations"),
 )
-"""Smallest probability and largest p-value for each phrase."""
+"""Smallest probability and largest p-value of a finding for each phrase."""
 
 
 @dataclass(frozen=True)
 class SightWords:
-    """Effects that the session would have shown.
+    """Effects that were not found, grouped by whether the session could have shown them.
 
     Attributes
     ----------
     visible, weak : tuple of (name, text)
-        Effects with the smallest amplitude that would have shown: smaller, and larger than typical.
+        Effects with the smallest amplitude that would have been found. In `visible` it is smaller than the
+        effect's typical size, in `weak` larger.
     open : tuple of (name, text)
         Visible effects that the session cannot distinguish from others.
     blind : tuple of (names, reason)
@@ -55,7 +56,7 @@ class SightWords:
 
 
 def title(session: Session) -> str:
-    """Name of the session: its title or, without one, its file."""
+    """Return the name of the session: its title, or the name of its file if it has no title."""
     return session.title or session.source.rsplit("/", maxsplit=1)[-1] or "session"
 
 
@@ -64,13 +65,16 @@ _WRITTEN_DOWN = {"serial": "part", "stage": "stage", "operator": "operator"}
 
 
 def written_down(session: Session) -> dict[str, str]:
-    """Return the stated serial number, stage and operator by their names on the page."""
+    """Return the serial number, stage and operator of a session, under their names on the page."""
     texts = {name: str(getattr(session, field, "")).strip() for field, name in _WRITTEN_DOWN.items()}
     return {name: text for name, text in texts.items() if text}
 
 
 def overridden(session: Session) -> list[str]:
-    """Return the replaced metadata, such as `gravity_mps2: 9.81 instead of 9.80665`."""
+    """Return a text for each value of metadata that the user replaced.
+
+    An example is `gravity_mps2: 9.81 instead of 9.80665`.
+    """
     return [
         name
         if change["new"] is True
@@ -86,7 +90,7 @@ def _stated(value: Any) -> str:
 
 
 def shape(session: Session) -> str:
-    """Describe the session, such as `24 dwells, adis16354, one plane`."""
+    """Describe the size and kind of a session, such as `24 dwells, adis16354, one plane`."""
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if session.free_turn and session.recording is not None:
         return f"one free turn, {counted(len(session.recording), 'sample')}, {session.sensor}"
@@ -102,12 +106,12 @@ def shape(session: Session) -> str:
 
 
 def with_axes(finding: Finding) -> str:
-    """`bias (x, y)`."""
+    """Return the name of a finding with its axes, such as `bias (x, y)`."""
     return f"{finding.effect} ({', '.join(finding.axes)})" if finding.axes else finding.effect
 
 
 def parameters(finding: Finding) -> list[str]:
-    """Parameters with values, one line for each axis."""
+    """Return the parameters of a finding with their values as lines of text, one for each axis."""
     groups: dict[str, list[str]] = {}
     for name, value in finding.parameters.items():
         axis = name.rsplit("_", 1)[-1]
@@ -117,7 +121,10 @@ def parameters(finding: Finding) -> list[str]:
 
 
 def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
-    """Return head and rows of the errors, the base model first, without empty columns."""
+    """Return the column names and the rows of the table of errors, one row for each nested model.
+
+    The base model is first. Columns without values are omitted.
+    """
     rows: list[tuple[str, ErrorFigures]] = [
         ("base model", result.before),
         *((f"+ {step.effect}", step.error) for step in result.steps),
@@ -139,13 +146,13 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
 
 
 def _by_axis(rows: Sequence[tuple[str, ErrorFigures]], unit: str) -> dict[str, list[float | None]]:
-    """Return columns of the held-out error of each axis, if the axes share no attitude."""
+    """Return the columns with the held-out error of each axis; empty if it was not computed by axis."""
     each = [error.heldout_by_axis for _, error in rows]
     return {f"{axis} / {unit}": [(own or {}).get(axis) for own in each] for axis in each[0] or ()}
 
 
 def how_sure(finding: Finding) -> str:
-    """`very likely: probability 99.6 %, p < 10⁻¹²`."""
+    """Describe how certain a finding is, such as `very likely: probability 99.6 %, p < 10⁻¹²`."""
     word = next(
         word for least, most, word in _SURE if finding.probability >= least and finding.p_value <= most
     )
@@ -153,26 +160,26 @@ def how_sure(finding: Finding) -> str:
 
 
 def uncertain_steps(result: TraceResult) -> list[str]:
-    """Effects of the final model that are not findings."""
+    """Return the effects of the final model that are not certain enough to be findings."""
     found = {finding.effect for finding in result.found}
     return list(dict.fromkeys(step.effect for step in result.steps if step.effect not in found))
 
 
 def ordered(result: TraceResult) -> list[Finding]:
-    """Findings in the order in which they entered the model."""
+    """Return the findings in the order in which the effects were added to the model."""
     order = [step.effect for step in result.steps]
     return sorted(result.found, key=lambda f: order.index(f.effect) if f.effect in order else len(order))
 
 
 def inside_only(result: TraceResult) -> list[Finding]:
-    """Findings inside the dwells that are not part of the model of the readings."""
+    """Return the findings from samples inside the dwells that the model of the readings lacks."""
     steps = {step.effect for step in result.steps}
     seen = {finding.effect for finding in result.within}
     return [finding for finding in result.found if finding.effect in seen - steps]
 
 
 def within(result: TraceResult) -> list[str]:
-    """Findings inside the dwells as sentences with p-values."""
+    """Return a sentence with the p-value for each finding inside the dwells."""
     return [
         f"{finding.sentence[:1].upper()}{finding.sentence[1:]} ({format_p(finding.p_value)})."
         for finding in result.within
@@ -180,7 +187,7 @@ def within(result: TraceResult) -> list[str]:
 
 
 def headline(result: TraceResult) -> str:
-    """The outcome in a few sentences, preceded by the effect of a time limit."""
+    """Return the outcome of the trace in a few sentences; if the time limit ended it, this is first."""
     if result.stopped is not None:
         rest = f" {_outcome(result)}" if result.stopped.checked else ""
         return result.stopped.sentence + rest
@@ -196,7 +203,7 @@ def _outcome(result: TraceResult) -> str:
 
 
 def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
-    """Sentences on the model of the readings and its findings."""
+    """Return sentences about these findings and how well the model describes the readings."""
     names = [with_axes(finding) for finding in found]
     what = f"Found: {join_words(names)}." if names else ""
     rest = result.unnamed
@@ -250,12 +257,12 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
 
 
 def exact(result: TraceResult) -> bool:
-    """Whether the final model passes exactly through every reading."""
+    """Return True if the final model passes exactly through every reading."""
     return bool(result.steps) and result.after.residual_rms < 1e-9 * result.before.residual_rms
 
 
 def gains(result: TraceResult) -> str:
-    """The errors before and after in one sentence."""
+    """Return a sentence with the errors of the base model and of the final model."""
     before, after = result.before, result.after
     unit = format_unit(before.unit)
     if exact(result):
@@ -287,7 +294,7 @@ def gains(result: TraceResult) -> str:
 
 
 def confounded(result: TraceResult, most: int = 4) -> list[str]:
-    """Groups that the session cannot distinguish, one line for each first name."""
+    """Return the groups of effects that the session cannot distinguish, one line per first name."""
     groups: dict[str, list[str]] = {}
     for names in result.confounded:
         if len(names) == 1:
@@ -312,13 +319,13 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
 
 
 def open_names(result: TraceResult) -> list[str]:
-    """Rejected effects that are in no group, with the reason."""
+    """Return the other rejected effects, which are in none of these groups, each with its reason."""
     grouped = {names[0] for names in result.confounded}
     return [f"{name}: {reason}" for name, reason in result.reasons.items() if name not in grouped]
 
 
 def unnamed(result: TraceResult) -> str:
-    """The unnamed part with its probability."""
+    """Describe the unnamed part: its form, the share it explains and its probability; "" if none."""
     rest = result.unnamed
     if rest is None:
         return ""
@@ -327,7 +334,7 @@ def unnamed(result: TraceResult) -> str:
 
 
 def sight(result: TraceResult) -> SightWords:
-    """Compare the smallest visible amplitude of each effect with its typical size."""
+    """Group effects that were not found by whether the session could show them at typical size."""
     found = {finding.effect for finding in result.found}
     undecided = {name for names in result.confounded for name in names} | set(result.reasons)
     undecided |= {step.effect for step in result.steps}
@@ -356,25 +363,25 @@ def sight(result: TraceResult) -> SightWords:
 
 
 def absent(result: TraceResult) -> str:
-    """Statement on an effect that would have shown and was not found."""
+    """Return the statement about effects that the session could show but that were not found."""
     if result.adequate and result.unnamed is None:
         return "not there: it would have shown"
     return "not recognised; it would have shown alone"
 
 
 def amplitude(entry: Detectable) -> str:
-    """Smallest visible amplitude with unit."""
+    """Return the smallest amplitude that would have been found, with unit; a dash if there is none."""
     return "–" if entry.amplitude is None else with_unit(format_number(entry.amplitude, 2), entry.unit)
 
 
 def typical(name: str, entry: Detectable) -> str:
-    """Typical size of the parameter on a bench, with unit."""
+    """Return the typical size of an effect's parameter on a bench, with unit."""
     prototype = _parameter(name, entry)
     return "" if prototype is None else with_unit(f"{abs(prototype.typical):.4g}", prototype.unit)
 
 
 def advice(result: TraceResult) -> Sequence[str]:
-    """Advice for the next session, or a statement that none is needed."""
+    """Return the advice for the next session, or a statement that no other session is needed."""
     return result.advice or ("nothing: the session answers what it was asked",)
 
 
@@ -399,7 +406,7 @@ def _reason(reason: str) -> str:
 
 
 def _parameter(name: str, entry: Detectable) -> Parameter | None:
-    """Parameter to which an amplitude refers."""
+    """Return the parameter of an effect to which a detectable amplitude refers; None if unknown."""
     kind = catalogue().get(name)
     if kind is None or not entry.parameter:
         return None

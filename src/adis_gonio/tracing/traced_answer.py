@@ -34,7 +34,7 @@ TRACED = "trace"
 
 @dataclass(frozen=True)
 class TracedAnswer(Answer):
-    """Answer by a traced model with effects that the recommended method lacks.
+    """Answer to the user from a traced model, which has effects that the recommended method lacks.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class TracedAnswer(Answer):
 
     @property
     def parameters(self) -> dict[str, Value]:
-        """All parameters of the traced model by name, including its effects."""
+        """Parameters of the base model and of all found effects by name."""
         found = dict(self.traced.base)
         for finding in self.traced.found:
             found |= finding.parameters
@@ -65,22 +65,22 @@ class TracedAnswer(Answer):
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Uncertainty budget of `values` in the plane by the traced model."""
+        """Uncertainty budget of each of `values` by the traced model; empty for attitudes in space."""
         return budgets_of_trace(self.traced, self.values)
 
     @property
     def shows_another_method(self) -> bool:
-        """False, since the traced model is the recommended one."""
+        """False: the answer shows the traced model, which is the recommended model."""
         return False
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Empty, since the effects are in the model."""
+        """Doubts about the model: none, since the model contains the effects."""
         return ()
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on the values, such as their reference temperature."""
+        """Remarks on the shown values, such as the temperature at which they are valid."""
         temperature = self.traced.reference_temperature_c
         return (
             super().remarks if temperature is None else (f"Parameters are valid at {temperature:.1f} °C.",)
@@ -88,17 +88,17 @@ class TracedAnswer(Answer):
 
     @property
     def reference_temperature_c(self) -> float | None:
-        """Temperature to which the parameters refer."""
+        """Temperature in °C at which the parameters are valid; None if unknown."""
         own = self.traced.reference_temperature_c
         return super().reference_temperature_c if own is None else own
 
     @property
     def scored_as(self) -> str:
-        """`trace`."""
+        """Name of the shown model in `scores`: `trace`."""
         return TRACED
 
     def facts(self) -> list[str]:
-        """Residual of the traced model as one line."""
+        """Return a line with the residual of the traced model."""
         after = self.traced.after
         return [f"residual {after.residual_rms:.3g} {after.unit} rms"]
 
@@ -146,14 +146,17 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
 
 
 def _beyond(likely: FitResult, trace: TraceResult) -> tuple[str, ...]:
-    """Return the effects of the traced model that the fit lacks; most fits contain biases."""
+    """Return the effects of the traced model that a fit lacks.
+
+    A bias does not count if the fit contains biases, as most fits do.
+    """
     biased = any(e.name.startswith("bias_") for e in likely.parameters)
     names = dict.fromkeys(step.effect for step in trace.steps)
     return tuple(name for name in names if not (biased and name == "bias"))
 
 
 def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendation:
-    """Add to the recommendation the verdict of a trace without additional effects."""
+    """Return the recommendation with the conclusion of a trace that found no additional effect."""
     if trace.stopped is not None and not trace.stopped.checked:
         return recommended
     said = {
@@ -165,7 +168,7 @@ def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendatio
 
 
 def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
-    """Predict each dwell by the traced model's effects, with values fitted without this dwell."""
+    """Predict each dwell by the traced model, refitted without the dwell; None if the axes differ."""
     final = trace.fits[-1]
     if not session.planar and not final.data.planar and final.data.axes != session.axes:
         return None
@@ -177,7 +180,7 @@ def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
 def _reason(
     trace: TraceResult, found: dict[str, DwellPrediction], scores: dict[str, Score], best: str
 ) -> str | None:
-    """Reason to recommend the traced model, or None."""
+    """Return the reason to recommend the traced model; None if it predicts worse or was not checked."""
     if trace.stopped is not None and not trace.stopped.checked:
         return None
     if predicts_worse(found[TRACED], found[best]):
@@ -195,7 +198,10 @@ def _reason(
 
 
 def shown_angle(traced: TraceResult, error_deg: float) -> Value:
-    """Return an error of the angle with the uncertainty of an angle by the traced model (rms of dwells)."""
+    """Return an angle error with the standard uncertainty of an angle by the traced model.
+
+    The uncertainty is the root mean square over the dwells.
+    """
     final = traced.fits[-1]
     covariance = _covariance(final)
     if covariance is None:
@@ -232,7 +238,7 @@ def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[s
 
 
 def _covariance(fit: Fit) -> Floats | None:
-    """Covariance of all parameters of a fit; None if an average replaces some of them."""
+    """Return the covariance of all parameters of a fit; None if an average replaces some of them."""
     covariance = fit.covariance
     return covariance if len(covariance) == len(fit.values.parameters) else None
 
@@ -248,7 +254,10 @@ def _gradients(fit: Fit) -> dict[str, Floats]:
 
 
 def _completed(rows: tuple[BudgetRow, ...], value: Value) -> tuple[BudgetRow, ...]:
-    """Complete the rows so that they add up to u, with the remainder as the choice of the model."""
+    """Return the rows of a budget completed so that they add up to the uncertainty of a value.
+
+    The remainder is assigned to the choice of the model.
+    """
     total = (value.u or 0.0) ** 2
     known = sum(row.contribution**2 for row in rows if row.source != MODEL)
     rest = math.sqrt(max(total - known, 0.0))

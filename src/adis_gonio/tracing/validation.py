@@ -42,7 +42,7 @@ class HeldOut:
     angle_rad : (n,) float or None
         Angle computed from the reading minus declared angle.
     predicted : (n,) bool
-        Whether the model that was fitted without a dwell determines its reading.
+        True for each dwell if the model that was fitted without it determines its reading.
     """
 
     residual: Floats
@@ -50,7 +50,7 @@ class HeldOut:
     predicted: NDArray[np.bool_]
 
     def rows(self, index: NDArray[np.bool_]) -> HeldOut:
-        """Return some of the dwells."""
+        """Return the residuals of the selected dwells."""
         turned = None if self.angle_rad is None else self.angle_rad[index]
         if turned is not None and np.isnan(turned).any():
             turned = None
@@ -66,8 +66,8 @@ class Chosen:
     fit : Fit
         Fit that predicts the held-out dwells.
     by : Fit
-        Fit whose covariance decides which dwells are predicted: the selection behind an average, since an
-        average has no columns, else `fit`.
+        Fit with the covariance that decides which dwells are predicted. For an average this is the selected
+        model, since an average has no columns; otherwise it is `fit`.
     """
 
     fit: Fit
@@ -75,24 +75,27 @@ class Chosen:
 
 
 def residuals_on(fit: Fit, data: Readings) -> HeldOut:
-    """Return the residuals of a fitted model on other dwells."""
+    """Return the residuals of dwells that a model was not fitted to."""
     there = fit.on(data)
     turned = fit.angle_error_rad(data)
     return HeldOut(there.misfit, turned, np.ones(len(data), dtype=bool))
 
 
 def rms(residual: Floats, by_axis: bool) -> float:
-    """Root mean square over the readings of all axes, or of the norm's residual (`Readings.by_axis`)."""
+    """Return the root mean square of residuals (n, axes).
+
+    It is over all axes, or, if not `by_axis`, of the length of each dwell's residual.
+    """
     squares = residual**2
     return float(np.sqrt(squares.mean() if by_axis else squares.sum(axis=1).mean()))
 
 
 def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
-    """Return the applicable fold designs: name → masks (n,) of the held-out dwells."""
+    """Return the possible ways to hold out dwells: name → masks (n,) of the dwells of each fold."""
     n = len(data)
     count = min(limits.folds, n) if n > limits.alone else n
     order = np.arange(n)
-    # A fixed shuffle, so that no fold holds exactly every fifth angle of a turn.
+    # A fixed shuffle, so that no fold consists of exactly every fifth angle of a turn.
     shuffled = np.random.default_rng(5).permutation(n)
     designs = {"whole dwells": [shuffled % count == k for k in range(count)]}
     blocks = [order * limits.blocks // n == k for k in range(limits.blocks)]
@@ -114,7 +117,8 @@ def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
         theta = data.conditions.angle_rad
         if theta is None:
             return []
-        # Distances of all pairs of angles; less than half of the dwells with a neighbour: no repetition.
+        # Distances of all pairs of angles. Positions do not repeat if less than half of the dwells have a
+        # neighbour.
         apart = np.abs(wrap_radians(theta[:, None] - theta[None, :]))
         if 2 * int(((apart < np.deg2rad(limits.repeated_deg)).sum(axis=1) > 1).sum()) < len(data):
             return []
@@ -131,7 +135,7 @@ def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
 def predicted_dwells(
     data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], model: Sequence[Term]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Return the dwells (n,) that count as predicted under each design, for a model of all dwells.
+    """Return by design a mask (n,) of the dwells that count in the held-out error.
 
     Under designs that leave out whole ranges of angle or time, a dwell counts if the other dwells predict
     it by the base model and the unnamed functions of the model. If a quarter of a turn is left out, the
@@ -155,7 +159,9 @@ def predicted_dwells(
 def determined(
     data: Readings, masks: Sequence[NDArray[np.bool_]], beside: Sequence[Term] = ()
 ) -> NDArray[np.bool_]:
-    """Return the dwells (n,) that the dwells outside their fold predict by base model and biases.
+    """Return a mask (n,) of the dwells that can be predicted from the dwells of the other folds.
+
+    The prediction is by the base model and biases.
 
     With whitened columns X, the prediction of held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
     units of the noise. A dwell counts up to a variance of four. Beyond that its error shows that the fit
@@ -164,7 +170,7 @@ def determined(
     Parameters
     ----------
     beside : sequence of Term
-        Terms whose columns have to be determined too.
+        Terms with columns that have to be determined too.
     """
     begun = Fit.begin(data)
     # A bias on each axis, in units of the full reading.
@@ -180,7 +186,10 @@ def determined(
 
 
 def _poses_repeat(data: Readings, blocks: list[NDArray[np.bool_]]) -> bool:
-    """Whether every held-out dwell has a neighbour outside its block: 2.5 angle steps, in space 45°."""
+    """Return True if every dwell has a near pose in another block of time.
+
+    Near is less than 2.5 steps of the angle, or 45° in space.
+    """
     if not data.planar:
         unit = data.model.pose(data.mean, data.conditions)
         if unit is None:
@@ -204,7 +213,10 @@ def cross_validate(
     designs: dict[str, list[NDArray[np.bool_]]],
     fit: Callable[[Readings], Chosen],
 ) -> dict[str, HeldOut]:
-    """Return held-out residuals of all dwells by design; `fit` selects and fits on the other dwells."""
+    """Return by design the residual of every dwell under a model fitted without its fold.
+
+    `fit` selects and fits a model of the remaining dwells.
+    """
     out = {}
     folds_in_all, begun = sum(map(len, designs.values())), 0
     for name, masks in designs.items():
@@ -225,14 +237,14 @@ def cross_validate(
 
 
 def select_counted(left: Mapping[str, HeldOut], counts: Mapping[str, NDArray[np.bool_]]) -> list[HeldOut]:
-    """Return the held-out residuals of the dwells that count, design by design."""
+    """Return for each design the held-out residuals of the dwells selected by the masks `counts`."""
     return [left[name].rows(own) for name, own in counts.items()]
 
 
 def drop_unpredicted(
     counts: Mapping[str, NDArray[np.bool_]], anew: Mapping[str, HeldOut]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Remove dwells that a model chosen without them does not determine.
+    """Remove from the masks the dwells that a model chosen without them does not determine.
 
     If the quarter of a turn that shows an effect is left out, or a fifth of a few poses, another effect may
     be chosen that fits the rest equally well. Its covariance shows that the missing dwells are undetermined
@@ -248,7 +260,7 @@ def drop_unpredicted(
 
 @dataclass(frozen=True)
 class Fold:
-    """Selection and fit that are repeated inside each fold.
+    """The choice and fit of a model that are repeated without the dwells of each fold.
 
     Attributes
     ----------
@@ -270,7 +282,7 @@ class Fold:
     def of(
         cls, selection: Selection, terms: Sequence[Term], averaged: Averaged | None, max_effects: int
     ) -> Fold:
-        """Use the candidates that were promising on all dwells (`Selection.promising`)."""
+        """Return a fold with the candidates that scored well on all dwells (`Selection.promising`)."""
         return cls(selection.promising(terms), averaged, max_effects)
 
     def left_out(
@@ -281,7 +293,7 @@ class Fold:
         Parameters
         ----------
         fit : Fit, optional
-            Fit whose effects are kept in every fold; by default effects are chosen again.
+            Fit with the effects that are kept in every fold; by default effects are chosen again.
         """
         fresh = {name: masks for name, masks in designs.items() if (id(fit), name) not in self._made}
         made = cross_validate(data, fresh, self.chosen_anew if fit is None else _keep_effects(fit))
@@ -289,7 +301,7 @@ class Fold:
         return {name: self._made[id(fit), name][1] for name in designs}
 
     def chosen_anew(self, rows: Readings) -> Chosen:
-        """Choose and fit a model from the remaining dwells alone."""
+        """Choose and fit a model of the dwells that are not held out."""
         chosen = select(
             rows, self.terms, self.max_effects, beam=limits.fold_beam, rounds=limits.fold_rounds
         )
@@ -301,7 +313,10 @@ class Fold:
 
 
 def nest_fits(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
-    """Return fits of nested models, the term of largest gain first, and the name of each step."""
+    """Return fits of nested models, from the base model to the chosen model, and the added names.
+
+    The term that explains most is added first.
+    """
     left = list(selection.verdict.best)
     model: list[int] = []
     values = {t.label: v for t, v in zip(selection.terms, selection.fit.values.terms, strict=True)}
@@ -330,7 +345,7 @@ def error_figures(
     fits: Sequence[Fit],
     fold: Fold,
 ) -> tuple[list[ErrorFigures], str]:
-    """Return error figures of nested models, and a description of the held-out dwells.
+    """Return the errors of nested models, and a description of how dwells were held out.
 
     Parameters
     ----------
@@ -365,7 +380,7 @@ def error_figures(
 def without_folds(
     fits: Sequence[Fit], measured: Readings, checking: Readings | None
 ) -> tuple[list[ErrorFigures], str]:
-    """Return error figures by the check dwells alone; without check dwells nothing is held out."""
+    """Return the errors of nested models without folds: held-out errors are from check dwells only."""
     lefts: list[list[HeldOut]] = [[] for _ in fits]
     design = "no dwell"
     if checking is not None:
@@ -375,7 +390,10 @@ def without_folds(
 
 
 def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[HeldOut]) -> ErrorFigures:
-    """Return the error figures of a fit, given its residuals on held-out dwells."""
+    """Return the errors of a fit: residual, held-out error, angle error and χ².
+
+    `left` are its residuals on held-out dwells.
+    """
     residual = [part.residual for part in left]
     turned = [part.angle_rad for part in left if part.angle_rad is not None]
     # χ² against the measured noise, whatever noise the fit assumed.
@@ -391,7 +409,7 @@ def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[HeldOut]) -> Err
 
 
 def _by_axis(data: Readings, residual: Sequence[Floats]) -> dict[str, float] | None:
-    """Held-out error of each axis; None if an attitude connects the axes."""
+    """Return the held-out error of each axis; None if the axes share an unknown attitude."""
     if data.model.freedom or not residual:
         return None
     each = np.sqrt((np.concatenate(residual) ** 2).mean(axis=0))
@@ -411,13 +429,15 @@ def _parameters(fit: Fit) -> int:
 
 
 def leaves_too_few(fit: Fit) -> bool:
-    """Whether too few dwells remain for a selection if some are held out."""
+    """Return True if too few dwells remain for the choice of a model when some are held out."""
     rows = (len(fit.data) - 1) * fit.data.equations_each
     return len(fit.data) < limits.least_choice or rows < _parameters(fit)
 
 
 def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
-    """Hold out each dwell alone with the effects kept, if the others determine the final model.
+    """Return residuals with each dwell held out alone, and a description of this.
+
+    Empty lists if the other dwells do not determine the final model.
 
     The other dwells are too few to choose effects, so only the values are fitted again.
     """
@@ -438,7 +458,9 @@ def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
 
 
 def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[float | None]:
-    """Return held-out errors of nested models that choose the final model; effects are kept in each fold.
+    """Return the held-out errors of nested models by which the final model is chosen.
+
+    In each fold the effects are kept and only their values are fitted.
 
     `check` dwells are excluded, since they must not influence the choice.
     """
@@ -447,7 +469,7 @@ def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[
     data = selection.data
     designs = folds(data)
     counts = predicted_dwells(data, designs, selection.terms)
-    # A formula found on all dwells already knows the held-out dwells; an average even more so.
+    # A formula that was found with all dwells was influenced by the held-out dwells, and so was an average.
     final = fits[-1] if fold.averaged is None else None
     lefts = [fold.left_out(data, designs, fit) for fit in (*fits[:-1], final)]
     counts = drop_unpredicted(counts, lefts[-1])
@@ -455,12 +477,12 @@ def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[
 
 
 def _heldout(parts: Sequence[HeldOut], data: Readings) -> float | None:
-    """Root mean square of held-out residuals; None without any."""
+    """Return the root mean square of held-out residuals; None if there are no residuals."""
     return rms(np.concatenate([part.residual for part in parts]), data.by_axis) if parts else None
 
 
 def rms_deg(turned: list[Floats]) -> float | None:
-    """Root mean square of angles in rad, modulo whole turns, in degrees; None without any."""
+    """Return the root mean square in degrees of angles in rad, modulo whole turns; None if empty."""
     if not turned:
         return None
     return float(np.degrees(np.sqrt((wrap_radians(np.concatenate(turned)) ** 2).mean())))
@@ -480,14 +502,17 @@ def reject_unchecked(names: Names, selection: Selection) -> Names:
 
 
 def reject_names(names: Names, reasons: dict[str, str]) -> Names:
-    """Remove rejected names, and list each of them under `confounded`."""
+    """Return the names without the rejected ones, which are listed under `confounded` instead."""
     more = tuple((name,) for name in reasons if name in names.accepted)
     accepted = tuple(name for name in names.accepted if name not in reasons)
     return Names(accepted, names.rejected, tuple(dict.fromkeys((*names.confounded, *more))))
 
 
 def longest_acceptable(errors: Sequence[float | None], most: int) -> int:
-    """Return the steps, up to `most`, of the longest model with hardly more error than any shorter one."""
+    """Return the number of terms of the longest nested model with an acceptable held-out error.
+
+    Its error is hardly larger than the error of any shorter model. At most `most` terms are allowed.
+    """
     known = [error for error in errors if error is not None]
     if len(known) < len(errors):
         return most
@@ -500,7 +525,7 @@ def longest_acceptable(errors: Sequence[float | None], most: int) -> int:
 def refuted_functions(
     selection: Selection, fits: Sequence[Fit], errors: Sequence[float | None]
 ) -> list[Term]:
-    """Return the unnamed functions that the held-out dwells contradict."""
+    """Return the unnamed functions that make the prediction of held-out dwells worse."""
     stay = fits[longest_acceptable(errors, len(fits) - 1)]
     if stay is fits[-1]:
         return []
@@ -546,7 +571,7 @@ def never_worse(
 
 
 def disagreement_p_value(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
-    """p-value of the residuals of held-out dwells.
+    """Return the p-value of the residuals of held-out dwells under a fitted model.
 
     The predicted reading has the covariance 1 + X C Xᵀ, from its noise and from the parameters (Cook and
     Weisberg, Residuals and Influence in Regression, 1982, chapter 2). Noise that dwells share is treated

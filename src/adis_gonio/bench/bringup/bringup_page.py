@@ -19,7 +19,7 @@ from adis_gonio.page.svg import Series, plot
 
 
 def build_page(found: Bringup) -> str:
-    """The bring-up as one HTML page without external resources."""
+    """Render the result of a bring-up as one HTML page without external resources."""
     return render(
         "Bring-up",
         found.url,
@@ -151,5 +151,5 @@ def _number(value: float, figure: Measured) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text without `not measured`, which is in the column before."""
+    """Remove `not measured` from the beginning of a text, since the column before shows it."""
     return text.removeprefix("not measured: ")

@@ -58,7 +58,7 @@ NO_ANSWER = "not measured: {}"
 
 @dataclass(frozen=True)
 class Permission:
-    """Permitted changes of the part.
+    """Changes to the sensor that the operator permits during a bring-up.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ def bring_up(
     tell: Callable[[Row], object] = lambda row: None,
     steps: tuple[BringupStep, ...] = STEPS,
 ) -> Bringup:
-    """Check a board step by step.
+    """Check a new board by the bring-up steps, and return the results.
 
     A Ctrl-C ends it early: the registers are restored, and the result is marked `stopped`.
 
@@ -110,7 +110,7 @@ def bring_up(
 
 
 class _Run:
-    """State of one run."""
+    """A bring-up in progress: runs the steps and collects their results."""
 
     def __init__(
         self, bus: SpiBus, variant: str | Variant, permission: Permission, tell: Callable[[Row], object]
@@ -230,7 +230,7 @@ class _Run:
 
 
 def _bridge(bus: ClockCeiling) -> dict[str, Any]:
-    """Facts about the bridge."""
+    """Facts about the bridge for the document: bus, capabilities, limits, firmware."""
     inner = bus.inner
     facts: dict[str, Any] = {"bus": type(inner).__name__, "capabilities": sorted(inner.capabilities)}
     facts["unbroken_frames"] = inner.unbroken_frames

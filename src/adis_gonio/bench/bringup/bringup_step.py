@@ -33,7 +33,7 @@ _FIGURES = _PART.performance
 
 @dataclass(frozen=True)
 class Question(JsonRecord):
-    """An open question about the ADIS16354, a row of the register table or of the variants.
+    """A property of the ADIS16354 that is not certain, with its value in the package's tables.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Question(JsonRecord):
         A: the data sheet of the sibling and code agree; B: the sibling's sheet only; C: derived or code
         only; D: an estimate; ?: nothing is known.
     otherwise : str
-        Reason why it is not measured, if no step answers it.
+        Reason why the property is not measured, if no step answers the question.
     """
 
     document_keys = ("name", "text", "table", "source", "confidence")
@@ -156,7 +156,7 @@ Number = TypeVar("Number", float, float | None)
 
 
 class Verdict(StrEnum):
-    """Result of a step."""
+    """Kinds of result of a bring-up step."""
 
     OK = "ok"
     FAULT = "fault"
@@ -167,7 +167,7 @@ class Verdict(StrEnum):
 
 
 class Outcome(StrEnum):
-    """Answer to a question about the table."""
+    """Kinds of answer to a question that the table of the sensor's properties leaves open."""
 
     CONFIRMS = "confirms"
     CONTRADICTS = "contradicts"
@@ -178,7 +178,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Measured(JsonRecord):
-    """A figure with its standard uncertainty.
+    """A measured figure with its standard uncertainty.
 
     Attributes
     ----------
@@ -199,7 +199,7 @@ class Measured(JsonRecord):
 
 @dataclass(frozen=True)
 class Answer(JsonRecord):
-    """Answer to one question about the part; `text` is one sentence."""
+    """Answer to one open question about the sensor; `text` is one sentence."""
 
     outcome: Outcome
     text: str
@@ -208,7 +208,7 @@ class Answer(JsonRecord):
 
 @dataclass(frozen=True)
 class Curve:
-    """Series to draw against x, by name, with the labels of the axes."""
+    """Curves of one diagram: values `y` by the name of the curve, abscissas `x`, and labels."""
 
     name: str
     x_label: str
@@ -221,7 +221,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class StepResult(JsonRecord):
-    """Result of a step: a verdict, one sentence, figures, and answers to open questions."""
+    """Result of a bring-up step: a verdict, one sentence, figures, and answers to open questions."""
 
     document_keys = ("verdict", "text", "figures")
 
@@ -237,7 +237,7 @@ def _plain(number: Number) -> Number:
 
 
 class Findings:
-    """Collects figures, answers and curves of a step, and makes its result."""
+    """Collects the figures, answers and curves of a bring-up step and makes its result from them."""
 
     def __init__(self) -> None:
         self.figures: list[Measured] = []
@@ -252,35 +252,35 @@ class Findings:
         u: float | None = None,
         expected: float | None = None,
     ) -> Measured:
-        """Add a figure; numbers of numpy become numbers of Python."""
+        """Add a measured figure; numpy numbers are converted to Python numbers."""
         figure = Measured(name, _plain(value), unit, _plain(u), _plain(expected))
         self.figures.append(figure)
         return figure
 
     def answer(self, question: str, outcome: Outcome, text: str, *figures: Measured) -> None:
-        """Answer a question about the part."""
+        """Record the answer to an open question about the sensor."""
         self.answers[question] = Answer(outcome, text, figures)
 
     def settle(self, question: str, text: str, *, differs: bool) -> StepResult:
-        """Result of a step with one question: the answer has all figures and one sentence."""
+        """Answer the only question of a step with all its figures, and return the result of the step."""
         self.answer(question, Outcome.CONTRADICTS if differs else Outcome.CONFIRMS, text, *self.figures)
         return self.differs(text) if differs else self.ok(text)
 
     def contradictions(self) -> str:
-        """Texts of the answers that contradict the table, or empty."""
+        """Join the texts of the answers that contradict the table; empty if there are none."""
         answers = self.answers.values()
         return "; ".join(one.text for one in answers if one.outcome is Outcome.CONTRADICTS)
 
     def ok(self, text: str) -> StepResult:
-        """Result of a step that found no fault."""
+        """Return the result of a step that found no fault."""
         return self._result(Verdict.OK, text)
 
     def fault(self, text: str) -> StepResult:
-        """Result of a step that found a fault of the board."""
+        """Return the result of a step that found a fault of the board."""
         return self._result(Verdict.FAULT, text)
 
     def differs(self, text: str) -> StepResult:
-        """Result of a step that contradicts the table."""
+        """Return the result of a step that contradicts the table."""
         return self._result(Verdict.DIFFERS, text)
 
     def _result(self, verdict: Verdict, text: str) -> StepResult:
@@ -289,7 +289,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class Row(JsonRecord):
-    """A step with its result, as in the document."""
+    """A bring-up step with its result, as in the JSON document."""
 
     name: str
     does: str
@@ -299,7 +299,7 @@ class Row(JsonRecord):
 
 @dataclass(frozen=True)
 class Bringup:
-    """Result of a bring-up.
+    """Result of a bring-up: the results of all steps, and the answers to open questions.
 
     Attributes
     ----------
@@ -330,29 +330,29 @@ class Bringup:
     stopped: bool = False
 
     def row(self, name: str) -> StepResult:
-        """Result of a step by its name."""
+        """Find the result of a step by the step's name."""
         return next(row.result for row in self.rows if row.name == name)
 
     @property
     def accused(self) -> tuple[str, ...]:
-        """Names of the steps that found a fault or a difference."""
+        """Names of the steps that found a fault of the board or a difference from the table."""
         return tuple(
             row.name for row in self.rows if row.result.verdict in (Verdict.FAULT, Verdict.DIFFERS)
         )
 
     @property
     def sound(self) -> bool:
-        """True if no step found a fault and every write was undone."""
+        """True if no step found a fault and all registers were restored."""
         return self.undone_ok and all(row.result.verdict is not Verdict.FAULT for row in self.rows)
 
     @property
     def simulated(self) -> bool:
-        """True for a simulated sensor."""
+        """True if the sensor of the bring-up is simulated."""
         return self.url.startswith("sim:")
 
     @property
     def headline(self) -> str:
-        """Summary in one sentence."""
+        """Summarise the bring-up in one sentence."""
         faults = [row.name for row in self.rows if row.result.verdict is Verdict.FAULT]
         differs = [row.name for row in self.rows if row.result.verdict is Verdict.DIFFERS]
         left = sum(row.result.verdict is Verdict.NOT_MEASURED for row in self.rows)
@@ -367,7 +367,7 @@ class Bringup:
         return text[0].upper() + text[1:] + "."
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document."""
+        """The document that `adis-gonio bringup --json` prints."""
         return {
             "format": FORMAT,
             "software": self.software,
@@ -391,7 +391,10 @@ class Bringup:
 
 
 class ClockCeiling(SpiBus):
-    """Forwards to another bus; `ceiling_hz` limits its clock from the next `configure` on."""
+    """A bus that forwards to another bus and limits its clock to `ceiling_hz`.
+
+    A new limit acts from the next `configure` on.
+    """
 
     def __init__(self, inner: SpiBus, ceiling_hz: float) -> None:
         super().__init__(inner.timing)
@@ -403,11 +406,11 @@ class ClockCeiling(SpiBus):
         self.unbroken_frames = inner.unbroken_frames
 
     def now_s(self) -> float:
-        """Monotonic time of the bus in s."""
+        """Present time in s on the monotonic clock of the bus."""
         return self.inner.now_s()
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait on the bus's clock."""
+        """Wait for some seconds on the clock of the bus."""
         self.inner.sleep_s(seconds)
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
@@ -435,11 +438,11 @@ class ClockCeiling(SpiBus):
 FALSE_ALARM = 1e-4
 """Probability that a good board is accused of anything."""
 MOST_TESTS = 256
-"""Limit of comparisons of a run."""
+"""Largest number of comparisons in a bring-up."""
 
 
 class AlarmBudget:
-    """Divides the probability of a false alarm among the comparisons."""
+    """Divides the permitted probability of a false alarm among the comparisons of a bring-up."""
 
     def __init__(self, total: float = FALSE_ALARM, tests: int = MOST_TESTS) -> None:
         self.total = total
@@ -447,7 +450,7 @@ class AlarmBudget:
         self.spent = 0
 
     def alpha(self) -> float:
-        """Probability of a false alarm for one more comparison.
+        """Permitted probability of a false alarm in the next comparison.
 
         Raises
         ------
@@ -460,25 +463,25 @@ class AlarmBudget:
         return self.total / self.tests
 
     def z(self) -> float:
-        """Limit of |x − μ| / u, two-sided, of a normal figure."""
+        """Limit of |x − μ| / u for the next comparison of a figure with normal errors (two-sided)."""
         from scipy.special import ndtri
 
         return float(-ndtri(self.alpha() / 2))
 
     def variance_ratio(self, dof: float) -> tuple[float, float]:
-        """Limits of s²/σ² with `dof` degrees of freedom, two-sided."""
+        """Lower and upper limit of s²/σ² for the next comparison, with `dof` degrees of freedom."""
         from scipy.special import gammainccinv, gammaincinv
 
         tail, shape = self.alpha() / 2, dof / 2
         return float(gammaincinv(shape, tail)) / shape, float(gammainccinv(shape, tail)) / shape
 
     def highest_bin(self, bins: int) -> float:
-        """Limit of the largest of `bins` bins of a periodogram over their mean."""
+        """Limit of the largest of `bins` bins of a periodogram, relative to the mean of the bins."""
         return math.log(bins / self.alpha())
 
 
 def at_most(errors: int, trials: int, confidence: float = 0.95) -> float:
-    """Upper limit of a probability after `errors` in `trials` (Clopper and Pearson)."""
+    """Upper confidence limit of an error probability after `errors` in `trials` (Clopper and Pearson)."""
     from scipy.special import betaincinv
 
     return 1.0 if errors >= trials else float(betaincinv(errors + 1, trials - errors, confidence))
@@ -499,7 +502,7 @@ FEWEST = 16
 
 
 class SideEffect(StrEnum):
-    """Effect of a step on the part."""
+    """Kinds of change that a bring-up step makes to the sensor."""
 
     READS = "reads"
     LENDS = "lends data-ready"
@@ -509,7 +512,7 @@ class SideEffect(StrEnum):
 
 
 class BringupStep(ABC):
-    """A step of the bring-up.
+    """One test of a bring-up, such as the link or the noise.
 
     Attributes
     ----------
@@ -521,7 +524,7 @@ class BringupStep(ABC):
     question : str
         Question to the operator before a register is written.
     settles : tuple of str
-        Questions about the part that it answers.
+        Names of the questions about the sensor that the step answers.
     """
 
     name: str
@@ -532,25 +535,25 @@ class BringupStep(ABC):
 
     @abstractmethod
     def run(self, bench: BringupBench) -> StepResult:
-        """Run the step; raises `AdisGonioError` if the part or the bridge fails."""
+        """Run the step; raises `AdisGonioError` if the sensor or the bridge fails."""
 
 
 @dataclass
 class BringupBench:
-    """Sensor, bus and findings of one run.
+    """Sensor and bus of one bring-up, and the findings that later steps need.
 
     Attributes
     ----------
     lends : bool
-        Data-ready may be enabled.
+        True if data-ready may be enabled.
     blocked : str
         Reason why no further step can measure, or empty.
     clock : float
         Measured period of the update over its nominal period; 1 if unknown.
     data_ready : bool
-        Edges were seen to belong to the updates.
+        True if edges of data-ready were seen to follow the updates.
     supply_ok : bool
-        The supply allows a flash update.
+        True if the supply voltage allows a flash update.
     """
 
     bus: ClockCeiling
@@ -565,17 +568,17 @@ class BringupBench:
     constants: dict[str, int] = field(default_factory=dict)
 
     def has(self, capability: Capability) -> bool:
-        """True if the bridge offers a capability."""
+        """True if the bridge offers this capability, such as streams."""
         return capability in self.bus.capabilities
 
     def refresh(self) -> None:
-        """Set the clock by the present mode and the ceiling."""
+        """Set the clock of the bus for the present mode of the sensor, within the ceiling."""
         self.sensor._follow()
 
     # -- reading --------------------------------------------------------------------------------------
 
     def repeated(self, name: str | Register, count: int) -> tuple[Words, float]:
-        """Words (count,) of one register in consecutive frames, and the time of a frame in s.
+        """Read one register in consecutive frames; return the replies (count,) and the time of a frame.
 
         Returns fewer than `count` words if the bridge cannot run that many frames without a pause.
         """
@@ -591,7 +594,7 @@ class BringupBench:
         return replies[1:], self.bus.timing.frame_s if timed else took_s
 
     def scans(self, count: int, names: Sequence[str]) -> tuple[ScanBlock, bool]:
-        """Scans (at most `count`, no longer than `LONGEST_S`), and True if they have no gap.
+        """Read at most `count` scans, for at most `LONGEST_S`; return them, and True if they have no gap.
 
         The bridge streams if data-ready may be lent and works, else it polls. If there are gaps, the
         longest run without a gap is returned if it is long enough, else all scans.
@@ -620,12 +623,12 @@ class BringupBench:
         return PolledScans(self.bus, layout, max(4, min(block_scans, round(0.5 / now.sample_period_s))))
 
     def means(self, count: int, names: Sequence[str]) -> Floats:
-        """Means of the registers' numbers over `count` scans."""
+        """Means of some registers over `count` scans, in LSB, one per register."""
         block, _ = self.scans(count, names)
         return np.asarray(block.numbers().mean(axis=0), np.float64)
 
     def sample_quickly(self) -> None:
-        """Set the fastest sample rate, for steps that write."""
+        """Set the fastest sample rate, for steps that may write registers."""
         if self.sensor.read("SMPL_PRD") & 0xFF != 0x01:
             self.sensor.write("SMPL_PRD", 0x01)
             self.wait_updates()
@@ -633,21 +636,24 @@ class BringupBench:
     # -- flags ------------------------------------------------------------------------------------------
 
     def alarm_stands(self) -> bool:
-        """EA of a word; STATUS is not read."""
+        """True if the error/alarm flag (EA) of a data word is set; STATUS is not read."""
         return bool(self.sensor.read_words(["XACCL_OUT"])[0] & EA)
 
     def status(self) -> int:
-        """Read STATUS, which clears it."""
+        """Read the register STATUS, which also clears it."""
         return self.sensor.read("STATUS")
 
     def wait_updates(self, count: int = 4) -> None:
-        """Let some updates pass, and the filter settle."""
+        """Wait until the filter has settled and `count` more samples were taken."""
         now = self.sensor.configuration()
         self.bus.sleep_s(now.settling_s + count * now.sample_period_s)
 
 
 def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
-    """Longest run without a missed update; a block with gaps of unknown position is not used."""
+    """Longest run of scans without a missed update.
+
+    A block with gaps at unknown places is not used.
+    """
     whole = join(blocks)
     # Scans before which an update was missed.
     breaks: list[int] = [0]
@@ -668,14 +674,14 @@ def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
 
 
 def not_measured(why: str) -> StepResult:
-    """Result of a step that could not measure."""
+    """Return the result of a step that could not measure, with the reason."""
     return StepResult(Verdict.NOT_MEASURED, f"not measured: {why}")
 
 
 def writable() -> tuple[Register, ...]:
     """Registers that are saved before any write and compared after it.
 
-    SLP_CNT sends the part to sleep, and the levels of GPIO_CTRL follow the wires: no step writes them.
+    SLP_CNT sends the sensor to sleep, and the levels of GPIO_CTRL follow the wires: no step writes them.
     """
     return tuple(
         row

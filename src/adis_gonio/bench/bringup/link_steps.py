@@ -1,4 +1,4 @@
-"""The link and the part behind it: words, limits, clocks, supply, temperature, and which part it is."""
+"""Bring-up steps on the link and the sensor: replies, limits, clocks, supply, temperature, variant."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _CONSTANT = tuple(
 
 
 def legal(row: Register, word: int) -> bool:
-    """True if a register can have this word: no bit is set outside its number or its fields."""
+    """True if a register can have this content: no bit is set outside its number or its fields."""
     if row.name == "ENDURANCE":
         return word < 1 << 15
     if row.name == "SMPL_PRD":
@@ -85,13 +85,13 @@ _READINGS: tuple[tuple[str, Callable[[int], int]], ...] = (
 
 
 class Link(BringupStep):
-    """Checks that there is a chip and that its words are read correctly."""
+    """Checks that a chip answers and that its replies are read correctly."""
 
     name = "link"
     does = "reads the control registers three times: silence, a stuck, inverted or shifted data line"
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Compare the words with all known errors of reading."""
+        """Read the control registers, and test if a known wiring error explains the replies."""
         frames = np.append(np.tile(read_frames(_CONSTANT), _PASSES), np.uint16(IDLE))
         words = bench.bus.exchange_array(frames)[1:].reshape(_PASSES, -1)
         first = [int(word) for word in words[0]]
@@ -140,14 +140,14 @@ def _unsteady(words: Words) -> str:
 
 
 class Timing(BringupStep):
-    """Clock, stall and period as reported by the bridge, and the time of a frame by its clock."""
+    """Compares the clock, stall and period of the bridge with the sensor's limits, and times a frame."""
 
     name = "timing"
     does = "asks the bridge for both modes' timing and times 500 frames"
     _frames = 500
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Compare with the limits of the part."""
+        """Compare the timing that the bridge reports and the measured time of a frame with the limits."""
         found, wrong = Findings(), []
         for mode, asked in (("fast", FAST), ("normal", NORMAL)):
             got = bench.bus.inner.configure(asked)
@@ -174,14 +174,14 @@ class Timing(BringupStep):
 
 
 def _frame_s(bench: BringupBench, count: int) -> float:
-    """Time of a frame in a batch, by the bus's clock."""
+    """Measure the time of a frame in a batch of `count` frames, in s, by the clock of the bus."""
     begin_s = bench.bus.now_s()
     bench.bus.exchange_array(np.full(count, IDLE, np.uint16))
     return (bench.bus.now_s() - begin_s) / count
 
 
 def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
-    """Message if a frame is shorter than the bridge reports by more than the error of its clock."""
+    """Message if a frame takes less time than the bridge reports; its clock error is allowed for."""
     least_us = 1e6 * timing.frame_s
     if frame_us < least_us * (1 - np.sqrt(3) * BOARD_CLOCK_U):
         return [f"a frame takes {frame_us:.1f} µs, the part needs {least_us:.0f}: the stall is not kept"]
@@ -198,7 +198,7 @@ class _Trial:
 
 
 class BitErrors(BringupStep):
-    """Constant registers at every clock, slowest first; ends at the first clock with errors.
+    """Reads constant registers at every clock, slowest first; ends at the first clock with errors.
 
     A flipped bit may turn a read into a write, so no clock above a clock with errors is tried. A link is
     good if its error rate is below 1e-10 per bit: then about one board in 100 000 shows an error.
@@ -208,7 +208,7 @@ class BitErrors(BringupStep):
     does = "1000 reads of constant registers at each clock of the bridge, slowest first"
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Try the clocks and set the ceiling."""
+        """Read the registers at each clock, and limit later steps to the fastest clock without errors."""
         smpl_prd = bench.constants["SMPL_PRD"] & 0xFF
         mode, limit = ("fast", FAST) if smpl_prd <= FAST_UP_TO else ("normal", NORMAL)
         clocks = _offered(bench, FASTEST_HZ[mode], limit)
@@ -271,7 +271,7 @@ class BitErrors(BringupStep):
 
 
 def _offered(bench: BringupBench, most_hz: float, limit: SpiTiming) -> list[float]:
-    """Clocks of the bridge within the limits of the mode, slowest first."""
+    """Clocks in Hz that the bridge offers within the limits of the mode, slowest first."""
     found = set()
     for asked in CLOCKS_HZ:
         if asked <= most_hz:
@@ -298,7 +298,7 @@ def _judge(clock_hz: float, words: Words, expected: Words, frame_us: float) -> _
 
 
 def _majority(words: Words) -> Words:
-    """Majority of the passes for each bit."""
+    """Words (registers,) in which each bit has the value that most of the passes read."""
     # Bits (passes, registers, 16): a bit is one if it is one in most passes.
     ones = ((words[:, :, np.newaxis] >> np.arange(16, dtype=np.uint16)) & 1).mean(axis=0) > 0.5
     words_of: Words = (ones.astype(np.uint32) << np.arange(16)).sum(axis=1).astype(np.uint16)
@@ -317,22 +317,22 @@ _SCANS = 256
 def mean_and_u(numbers: Floats, gain: float = 1.0) -> tuple[Floats, Floats]:
     """Means (k,) of numbers (n, k) and their standard uncertainties, in LSB.
 
-    The filter does not reduce noise at the lowest frequencies: the uncertainty is σ/√n with the σ of
-    unfiltered noise, which is the measured one over `gain`. If the noise is below an LSB, its rounding is
-    not random: 1/√12.
+    The filter does not reduce noise at the lowest frequencies, so that the uncertainty of a mean is σ/√n
+    with the σ of unfiltered noise: the measured σ divided by `gain`, the noise gain of the filter. A
+    rounding error of 1/√12 LSB is added, since rounding is not random if the noise is below an LSB.
     """
     spread = numbers.std(axis=0, ddof=1) / gain
     return numbers.mean(axis=0), np.hypot(spread / np.sqrt(len(numbers)), 1 / np.sqrt(12))
 
 
 class Health(BringupStep):
-    """Supply and temperature, and STATUS."""
+    """Checks the supply voltage, the temperatures and the register STATUS."""
 
     name = "supply"
     does = f"{_SCANS} readings of supply and temperatures; STATUS, read twice (a read clears it)"
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Compare with the limits of operation."""
+        """Compare supply and temperatures with the limits of operation, and check that STATUS is clear."""
         first = bench.status()
         bench.wait_updates()
         standing = Status(bench.status())
@@ -366,7 +366,7 @@ class Health(BringupStep):
 
 
 class WhichPart(BringupStep):
-    """|a| at rest, the only property that identifies the variant."""
+    """Identifies the sensor variant by |a| at rest, the only property that differs."""
 
     name = "variant"
     does = (
@@ -375,7 +375,7 @@ class WhichPart(BringupStep):
     )
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Compare |a| with 1 g of each variant."""
+        """Compare |a| in LSB with the value that each variant has at 1 g."""
         block, _ = bench.scans(_SCANS, ACCEL_OUT)
         mean, u = mean_and_u(block.numbers().astype(np.float64), _gain(bench))
         # The bias in the table is that of the part alone, without the offset registers.
@@ -412,7 +412,7 @@ class WhichPart(BringupStep):
 
 
 def _tolerance(part: Variant, warm_c: float) -> float:
-    """Relative standard deviation of |a| over parts and places."""
+    """Relative standard deviation of |a| at rest among good sensors and places on Earth."""
     figures = part.performance
     return float(
         np.sqrt(
@@ -425,5 +425,5 @@ def _tolerance(part: Variant, warm_c: float) -> float:
 
 
 def _gain(bench: BringupBench) -> float:
-    """Rms gain of the present filter for white noise."""
+    """Ratio of the noise after the present filter to the noise before it, rms, for white noise."""
     return white_noise_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))

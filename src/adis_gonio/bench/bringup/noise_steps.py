@@ -1,4 +1,4 @@
-"""Noise and its spectrum, and the steps of the filter."""
+"""Bring-up steps on the noise and its spectrum, and on the settings of the filter."""
 
 from __future__ import annotations
 
@@ -40,11 +40,14 @@ _HANN_WIDTH = 35 / 18
 _MOST_FLICKER = 0.1
 """Largest share of flicker, relative to white noise, at the lowest frequency used."""
 GYRO_FLOOR_DPS = 0.015
-"""Bias instability of the gyros (D: the simulator's)."""
+"""Bias instability of the gyros (an estimate, D: the simulator has this value)."""
 
 
 def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
-    """Degrees of freedom of the variance of `count` filtered samples at a distance of `spacing` samples."""
+    """Degrees of freedom of the variance of `count` filtered samples, `spacing` samples apart.
+
+    The filter (of length parameter `m`) correlates neighbouring samples, which reduces the number.
+    """
     # Autocorrelation of the filter at the lags of the samples: each correlated lag costs degrees of
     # freedom.
     weights = filter_weights(m)
@@ -56,7 +59,7 @@ def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
 
 
 def flicker(floor: Floats, frequency_hz: Floats, rate_hz: float) -> Floats:
-    """Level (n, k) in a periodogram of flicker with an Allan deviation of floor (k,).
+    """Level (n, k) of flicker (1/f) noise in a periodogram, for an Allan deviation of floor (k,).
 
     Its one-sided density is floor² / (2 ln 2 f); white noise has 2 σ² / rate and the level σ² in each bin.
     """
@@ -65,7 +68,7 @@ def flicker(floor: Floats, frequency_hz: Floats, rate_hz: float) -> Floats:
 
 
 def spectrum(values: Floats) -> tuple[Floats, Floats]:
-    """Frequencies (cycles a sample) and periodogram of values (n, k) with Hann's window.
+    """Frequencies (cycles per sample) and periodogram of k series of n values, with Hann's window.
 
     White noise of variance σ² has the mean σ² in every bin.
     """
@@ -80,7 +83,7 @@ def spectrum(values: Floats) -> tuple[Floats, Floats]:
 
 
 class Noise(BringupStep):
-    """Noise against the variant's figures, and its spectrum against the filter's shape."""
+    """Compares the noise of all axes with the variant's figures, and its spectrum with the filter."""
 
     name = "noise"
     does = f"{_SCANS} scans of accelerometers and gyros at rest: rms, bands of the spectrum, tones"
@@ -88,7 +91,7 @@ class Noise(BringupStep):
     settles = ("accel_noise", "gyro_noise")
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Judge six axes."""
+        """Record scans at rest and judge the noise of the six axes."""
         sensor = bench.sensor
         configuration = sensor.configuration()
         names = (*ACCEL_OUT, *GYRO_OUT)
@@ -150,7 +153,7 @@ class Noise(BringupStep):
 
 
 class _Judged:
-    """Noise of six axes in LSB, unfiltered, and its deviations."""
+    """Noise of the six axes in LSB, as before the filter, with the axes that deviate."""
 
     def __init__(self, sigma: Floats, u: Floats) -> None:
         self.sigma = sigma
@@ -162,7 +165,7 @@ class _Judged:
         self.density: tuple[Floats, Floats, Floats] | None = None
 
     def curves(self) -> tuple[Curve, ...]:
-        """Smoothed spectra and the expected spectrum."""
+        """The smoothed spectra and the expected spectrum, for the report; empty if there are none."""
         if self.density is None:
             return ()
         hz, power, shape = self.density
@@ -182,7 +185,7 @@ class _Judged:
 
 
 def floors(part: Variant, expected: Floats) -> Floats:
-    """Bias instability (6,) in LSB, for axes of the expected noise in LSB."""
+    """Bias instability (6,) of the axes in LSB; `expected` is their white noise in LSB."""
     performance = part.performance
     white = np.array([performance.noise_mg] * 3 + [performance.gyro_noise_dps] * 3)
     return np.asarray(
@@ -192,7 +195,7 @@ def floors(part: Variant, expected: Floats) -> Floats:
 
 
 def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, expected: Floats) -> _Judged:
-    """Judge scans with gaps by their variance."""
+    """Judge the noise of scans with gaps by their variance."""
     # Over so few octaves the variance of flicker is about twice its floor squared.
     extra = 2 * floors(bench.sensor.variant, expected) ** 2
     variance = np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12 - extra, 1e-9)
@@ -206,7 +209,10 @@ def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, e
 
 
 def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
-    """Judge level, shape and tones at frequencies at which noise exceeds rounding and flicker."""
+    """Judge the noise of scans without gaps by their spectrum: level, shape and single tones.
+
+    Only frequencies are used at which white noise exceeds rounding and flicker noise.
+    """
     cycles, power = spectrum(numbers)
     gain = filter_response(m, cycles)
     part = bench.sensor.variant
@@ -254,7 +260,7 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
 
 
 def _answer_noise(found: Findings, names: Sequence[str], off: Sequence[bool]) -> None:
-    """Answer the questions by the figures of the six axes, which are the first ones."""
+    """Answer the questions on noise by the six first figures, one per axis."""
     for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
         axes = slice(first, first + 3)
         pairs = zip(names[axes], found.figures[axes], strict=True)
@@ -265,7 +271,7 @@ def _answer_noise(found: Findings, names: Sequence[str], off: Sequence[bool]) ->
 
 
 class FilterSteps(BringupStep):
-    """Noise gain of each step of the filter."""
+    """Measures how much each filter setting M reduces the noise."""
 
     name = "filter steps"
     does = "writes M = 0 … 6 in SENS_AVG and measures the noise of the accelerometers at each"
@@ -275,7 +281,7 @@ class FilterSteps(BringupStep):
     _scans = 2048
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Compare each variance with the variance at M = 0 and the gain by the table."""
+        """Compare the variance at each M with the variance at M = 0 times the tabulated noise gain."""
         lsb = bench.sensor.variant.accel_mg_per_lsb
         flicker = (bench.sensor.variant.performance.bias_instability_mg / lsb) ** 2
         variances, dofs = [], []

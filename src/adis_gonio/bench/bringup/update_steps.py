@@ -1,4 +1,4 @@
-"""The internal update: its rate, data-ready's edges, the steps of SMPL_PRD."""
+"""Bring-up steps on the sample updates: their rate, the edges of data-ready, the values of SMPL_PRD."""
 
 from __future__ import annotations
 
@@ -33,23 +33,25 @@ _MISC = BY_NAME["MSC_CTRL"]
 _READ = "XACCL_OUT"
 _NO_EDGE = "no edge arrives: wire DIO1 to the bridge's data-ready input if it is to stream"
 _LONGEST_FRAME_US = 20_000.0
-"""Limit of the distance of frames in a list; the timers of the bridges reach about 50 ms."""
+"""Largest time between two frames of a scan in µs; the timers of the bridges reach about 50 ms."""
 _BENT = 0.02
 """Relative error of the times of a bridge while the rate of its clock is being estimated."""
 _UNBROKEN_PERIODS = 3
-"""Periods in a batch without a pause so that its frames can be used as a clock."""
+"""Number of periods that a batch without a pause must span so that its frames can be used as a clock."""
 
 
 @dataclass(frozen=True)
 class Period:
-    """Measured period of the update in s with its standard uncertainty."""
+    """Measured period of the sensor's sample updates in s, with its standard uncertainty."""
 
     value_s: float
     u_s: float
 
 
 def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
-    """Period of the update from the ND flags of one register, or the reason why it cannot be measured.
+    """Measure the period of the sample updates by the flags ND of one register.
+
+    Returns the reason as text if it cannot be measured.
 
     The first read after an update carries ND, so that a span between ND flags is a whole number of periods,
     with a uniform error of one read at either end: u = frame sqrt(1/6) / number of periods.
@@ -84,7 +86,10 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
 
 
 def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
-    """Period of the update by short batches and the bus's clock; each batch finds at most one update."""
+    """Measure the period of the sample updates by many short reads, timed by the clock of the bus.
+
+    Each read finds at most one update. Returns the reason as text if the period cannot be measured.
+    """
     first = last = 0.0
     count, longest = -1, 0.0
     end_s = bench.bus.now_s() + 3 * (updates + 3) * expected_s
@@ -108,18 +113,18 @@ def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | 
 
 
 def nearest_code(period_s: float) -> int:
-    """SMPL_PRD with the nearest nominal period, by ratio."""
+    """Value of SMPL_PRD with the nominal period nearest to a period in s, by ratio."""
     return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
 class Rate(BringupStep):
-    """Rate of ND against SMPL_PRD."""
+    """Compares the rate of new samples, by their flag ND, with the setting SMPL_PRD."""
 
     name = "sample rate"
     does = "counts new-data flags (ND) of one register that is read without a pause"
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Compare with the period of SMPL_PRD."""
+        """Measure the period of the updates and compare it with the nominal period of SMPL_PRD."""
         configuration = bench.sensor.configuration()
         expected = configuration.sample_period_s
         period = measured_period(bench, expected, max(8, min(512, round(2.0 / expected))))
@@ -146,7 +151,7 @@ class Rate(BringupStep):
 
 @dataclass(frozen=True)
 class _Edges:
-    """Result of scans of one register that the bridge starts at edges.
+    """Scans of one register, each started by the bridge at an edge of data-ready.
 
     Attributes
     ----------
@@ -164,40 +169,40 @@ class _Edges:
 
     @property
     def surplus(self) -> float:
-        """Number of edges minus number of updates."""
+        """Number of data-ready edges minus number of sample updates."""
         seen = len(self.position) + self.lost
         return seen - self.expected
 
     @property
     def slack(self) -> float:
-        """Tolerance of `surplus`: one edge at either end, and the error of the bridge's times."""
+        """Tolerance of `surplus`: one edge at either end, and the error of the bridge's clock."""
         return 2 + _BENT * self.expected
 
     @property
     def missed(self) -> int:
-        """Edges without a scan, reported by the bridge or seen as gaps in its times."""
+        """Number of edges without a scan, reported by the bridge or seen as gaps in its times."""
         gaps = self.expected - len(self.position)
         return max(self.lost, round(gaps) if gaps > self.slack else 0)
 
     @property
     def usual(self) -> int:
-        """Most frequent position."""
+        """Most frequent position of the read with ND."""
         values, counts = np.unique(self.position, return_counts=True)
         return int(values[np.argmax(counts)])
 
     @property
     def locked(self) -> float:
-        """Share of scans with ND within one read of the usual position, so that edges follow updates."""
+        """Share of scans with ND within one read of the usual position; near 1 if edges follow updates."""
         near = np.abs(self.position - self.usual) <= 1
         return float(np.mean(near & (self.position >= 0)))
 
 
 class _NoEdgeError(Exception):
-    """A stream gets no edge."""
+    """Raised if no data-ready edge starts a scan."""
 
 
 class DataReady(BringupStep):
-    """Edges of data-ready: rate, relation to the updates, leading edge, jitter, missed edges."""
+    """Tests the data-ready line: rate, leading edge, jitter, missed edges, delay from edge to update."""
 
     name = "data-ready"
     does = "enables data-ready, counts edges, starts scans at both edges of the pulse and finds the ND"
@@ -205,7 +210,7 @@ class DataReady(BringupStep):
     settles = ("data_ready_edge", "data_ready_pulse")
     _scans = 256
     _lists = (16, 8)
-    """Reads of a scan: 16 is the limit of the firmware, 8 is usual."""
+    """Numbers of reads in a scan that are tried: 16 is the limit of the firmware, 8 is usual."""
 
     def run(self, bench: BringupBench) -> StepResult:
         """Test both polarities if the bridge starts scans; only count edges if it cannot."""
@@ -265,7 +270,7 @@ class DataReady(BringupStep):
         bench.bus.exchange_array(write_frames(_MISC, word & _MISC.write_mask, byte_mask=0x00FF))
 
     def _count(self, bench: BringupBench, period_s: float) -> tuple[float, int]:
-        """Expected updates and counted edges of a span of time."""
+        """Count edges for some time; return the expected number of updates and the number of edges."""
         bench.bus.read_event_counter()
         begin_s = bench.bus.now_s()
         bench.bus.sleep_s(max(0.5, 20 * period_s))
@@ -282,7 +287,7 @@ class DataReady(BringupStep):
         return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
 
     def _scan(self, bench: BringupBench, period_s: float) -> _Edges:
-        """Scans of one register that nearly fill the period.
+        """Record scans of one register, each nearly as long as the period, started at data-ready edges.
 
         A bridge may be too slow for long scans, so edges count as missed only if short scans miss them too.
         """
@@ -378,7 +383,7 @@ def _positions(words: Words) -> NDArray[np.int64]:
 
 
 def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
-    """Rms deviation in µs of the times from equal steps, and their rate in Hz."""
+    """Rms deviation in µs of times from an evenly spaced series, and the rate of the series in Hz."""
     # Number the edges by rounded periods, then subtract the straight line of even steps.
     steps = np.diff(time_s)
     number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / period_s), 1))])
@@ -387,7 +392,7 @@ def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
 
 
 def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[float, float]:
-    """Earliest and latest time of the update after the edge in µs; negative before the edge.
+    """Earliest and latest time in µs from a data-ready edge to the sample update; negative if before it.
 
     A word is taken at the end of its frame, so that the update lies between the ends of the read with ND
     and the read before it, which may be the last read of the scan before.
@@ -399,7 +404,7 @@ def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[floa
 
 
 def _pulse(first: _Edges, second: _Edges, period_s: float, bench: BringupBench) -> Answer:
-    """Width of the pulse from the times of the update after its two edges."""
+    """Width of the data-ready pulse, from the delay of the update after each of its two edges."""
     one, two = (_delay_us(edges, period_s, bench) for edges in (first, second))
     low, high = one[0] - two[1], one[1] - two[0]
     if first.usual == second.usual:
@@ -427,7 +432,7 @@ def _histogram(first: _Edges, second: _Edges) -> Curve:
 
 
 class SamplePeriods(BringupStep):
-    """Steps of SMPL_PRD in both time bases."""
+    """Sets eight values of SMPL_PRD, in both of its time bases, and checks the sample period of each."""
 
     name = "sample periods"
     does = "writes eight steps of SMPL_PRD in both time bases and measures the period of each"
@@ -437,7 +442,10 @@ class SamplePeriods(BringupStep):
     _codes = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Compare each period with base × (N + 1)."""
+        """Compare each measured period with the nominal period of its code.
+
+        The nominal period is the time base (bit 7 of the code) times (N + 1), with N in bits 0 to 6.
+        """
         found, off, why = Findings(), [], ""
         for code in self._codes:
             bench.sensor.write("SMPL_PRD", code)

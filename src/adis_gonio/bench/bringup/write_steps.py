@@ -1,4 +1,4 @@
-"""Steps that write: offsets, manual self-test, STATUS, the flash's counter. All writes are undone."""
+"""Bring-up steps that write registers: offsets, self-test, STATUS, flash. All writes are undone."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _ALARM = BY_NAME["STATUS"].field("alarm1").mask
 
 
 class Offset(BringupStep):
-    """Size of the offsets' LSB, and whether they act before or after the filter."""
+    """Measures the LSB of the offset registers, and tests if offsets act before or after the filter."""
 
     name = "offset"
     does = f"writes {_STEP:+d} to XACCL_OFF, YACCL_OFF, ZACCL_OFF and looks how far the outputs move"
@@ -42,7 +42,7 @@ class Offset(BringupStep):
     settles = ("accel_offset_lsb", "offset_after_filter")
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Means before, with and after the offset; drift between before and after cancels."""
+        """Compare the means with an offset and without it; means before and after it cancel a drift."""
         sensor = bench.sensor
         bench.sample_quickly()
         held = [sensor.read(name) for name in ACCEL_OFF]
@@ -77,7 +77,7 @@ class Offset(BringupStep):
 
     @staticmethod
     def _behind_filter(bench: BringupBench, held: int, step: int, ratio: float) -> Answer:
-        """Test with the longest filter whether a step appears at once or over 127 samples."""
+        """Test, with the longest filter, if a change of the offset appears at once or over 127 samples."""
         sensor = bench.sensor
         sensor.write("SENS_AVG", sens_avg_word(300, _MOST_M))
         bench.wait_updates()
@@ -108,9 +108,9 @@ class Offset(BringupStep):
 
 
 def _mean_u(bench: BringupBench, count: int) -> Floats:
-    """Standard uncertainty in LSB of means of accelerometers and gyros over `count` scans.
+    """Standard uncertainty (6,) in LSB of the means of all six axes over `count` scans.
 
-    It comes from white noise, the floor of flicker and rounding, by the figures of the variant.
+    It is computed from white noise, flicker noise and rounding, with the figures of the sensor variant.
     """
     part = bench.sensor.variant
     lsb, _, _ = scales(registers((*ACCEL_OUT, *GYRO_OUT)), part, 300)
@@ -121,7 +121,7 @@ def _mean_u(bench: BringupBench, count: int) -> Floats:
 
 
 class SelfTests(BringupStep):
-    """Internal self-test, and manual self-test with both signs."""
+    """Runs the internal self-test, and the manual self-test with both signs of the stimulus."""
 
     name = "self-test"
     does = "runs the internal self-test, then the manual one with the positive and the negative stimulus"
@@ -130,7 +130,10 @@ class SelfTests(BringupStep):
     settles = ("self_test_gyro", "self_test_accel")
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Means of six axes without, with +, without, with −, without."""
+        """Measure the change of all six axes by each stimulus.
+
+        The means are taken without, with +, without, with − and without stimulus.
+        """
         internal = bench.sensor.self_test()
         bench.sample_quickly()
         bench.wait_updates()
@@ -195,7 +198,7 @@ def _answer_self_test(found: Findings, plus: Floats, minus: Floats, limit: Float
 
 
 class StatusBits(BringupStep):
-    """Behaviour of the bits of STATUS after their condition ends, and the threshold of over-range."""
+    """Tests if bits of STATUS clear when their condition ends, and measures the threshold of over-range."""
 
     name = "status"
     does = "raises an alarm and over-range by registers alone, ends them, and looks at EA and STATUS"
@@ -205,7 +208,7 @@ class StatusBits(BringupStep):
     _halvings = 9
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Test the alarm, which stays by the table, then over-range, which falls by the table."""
+        """Test the alarm bit, which should stay, then the over-range bit, which should clear."""
         bench.sample_quickly()
         bench.status()
         bench.wait_updates()
@@ -241,7 +244,10 @@ class StatusBits(BringupStep):
         )  # fmt: skip
 
     def _over_range(self, bench: BringupBench, found: Findings) -> None:
-        """Push the axis that gravity loads most over its range by its offset register."""
+        """Drive one axis over its range by its offset register, and find the threshold by bisection.
+
+        It is the axis along which gravity is largest.
+        """
         sensor = bench.sensor
         part = sensor.variant
         mean = bench.means(64, ACCEL_OUT)
@@ -313,7 +319,7 @@ def _falling(*, stood: bool, falls: bool) -> Answer:
 
 
 class FlashCount(BringupStep):
-    """ENDURANCE counts a flash update."""
+    """Tests if the register ENDURANCE counts a flash update."""
 
     name = "flash count"
     does = "resets the part, so that the registers have the flash's numbers, and saves them: ENDURANCE + 1"
@@ -322,7 +328,7 @@ class FlashCount(BringupStep):
     settles = ("flash_count",)
 
     def run(self, bench: BringupBench) -> StepResult:
-        """Save numbers that are in the flash already."""
+        """Save the numbers that the flash already has, and compare ENDURANCE before and after."""
         if not bench.supply_ok:
             return not_measured("the supply is outside its limits, so that a flash update may fail")
         used = {"AUX_DAC": 0x0FFF, "GPIO_CTRL": 0x0003}  # a voltage, lines that are outputs

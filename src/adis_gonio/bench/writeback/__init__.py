@@ -1,6 +1,6 @@
 """Write-back of biases and zero rates to the sensor's offset registers, with verification and undo.
 
-The part adds an offset register to its output (DS, A), so that the register is set to the negative bias:
+The sensor adds an offset register to its output (DS, A), so that the register is set to the negative bias:
 new = number during the recording − bias / LSB.
 """
 

@@ -51,7 +51,7 @@ OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])
 
 @dataclass(frozen=True)
 class Rest(JsonRecord):
-    """Means of a dwell.
+    """Mean readings of the sensor over a dwell at rest.
 
     Attributes
     ----------
@@ -81,14 +81,14 @@ class Rest(JsonRecord):
 
     @property
     def of_gyros(self) -> tuple[Floats, Floats]:
-        """Mean (3,) of the gyros and its standard uncertainty; `UsageError` if they were not read."""
+        """Mean rates (3,) and their standard uncertainties; `UsageError` if no gyros were read."""
         if self.mean_dps is None or self.u_dps is None:
             raise UsageError("the dwell has no gyros")
         return self.mean_dps, self.u_dps
 
 
 def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool = False) -> Rest:
-    """Wait until the part is at rest, then record a dwell with the present settings of the sensor.
+    """Wait until the sensor is at rest, then record a dwell with its present settings.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool
     UsageError
         The dwell is too short for the sensor's rate.
     SessionError
-        The part does not come to rest or moves within the dwell, or an axis is stuck.
+        The sensor does not come to rest or moves within the dwell, or an axis is stuck.
     BusError, SilentChipError
         The sensor does not answer.
     """
@@ -175,7 +175,7 @@ def _means(scans: ScanBlock, now: Configuration) -> Rest:
 
 
 def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats, Floats]:
-    """Mean (3,) with its standard uncertainty, and the standard deviation of a sample."""
+    """Means (3,) of samples (n, 3), their standard uncertainties, and standard deviations of a sample."""
     deviation = values.std(axis=0, ddof=1)
     # The filter does not reduce noise at the lowest frequencies: use the noise of unfiltered samples.
     spread = deviation / white_noise_gain(now.filter_m)
@@ -219,12 +219,12 @@ class Agreement(JsonRecord):
 
     @property
     def off(self) -> Floats:
-        """Differences (k,) in units of their standard uncertainties."""
+        """Differences (k,) measured minus expected, in units of their standard uncertainties."""
         return np.asarray((self.measured - self.expected) / self.u)
 
     @property
     def agrees(self) -> bool:
-        """True if no difference exceeds `SIGMAS`."""
+        """True if no difference exceeds `SIGMAS` standard uncertainties."""
         return bool((np.abs(self.off) <= SIGMAS).all())
 
     def __str__(self) -> str:
@@ -237,7 +237,7 @@ class Agreement(JsonRecord):
 
 
 class _FittedSensor:
-    """The session's fit as a function of its parameters, with the uncertainties of these and of a dwell.
+    """The sensor by the fit of a session: predicts readings, with the uncertainty of fit and dwell.
 
     Raises
     ------
@@ -277,7 +277,7 @@ class _FittedSensor:
         )
 
     def at_angle(self, angle_rad: float) -> Agreement:
-        """Compare the readings at a declared angle with the fit."""
+        """Compare the readings at a declared angle with the readings that the fit predicts."""
 
         def left(values: Floats, mean: Floats) -> Floats:
             return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad) - self._bias_mg(values))
@@ -288,12 +288,12 @@ class _FittedSensor:
         return Agreement(where, ("X", "Y"), predicted + value, predicted, u)
 
     def by_length(self) -> Agreement:
-        """Compare the length of gravity by the session's calibration with local gravity.
+        """Compare the magnitude of gravity, by the session's calibration, with local gravity.
 
         Raises
         ------
         FitError
-            The part is not in the session's plane.
+            The sensor is not in the session's plane.
         """
         gravity = self.session.gravity_mg
 
@@ -312,7 +312,7 @@ class _FittedSensor:
         return Agreement(what, ("|g|",), value, np.array([gravity]), u)
 
     def bias_found(self, angle_rad: float) -> tuple[Floats, Floats]:
-        """Biases (2,) in mg by the dwell, the fit's gains and its angles, and their u."""
+        """Biases (2,) in mg that the dwell gives with the fit's gains and angles, and their u."""
 
         def left(values: Floats, mean: Floats) -> Floats:
             return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad))
@@ -320,25 +320,25 @@ class _FittedSensor:
         return self._propagated(left, self._fixture_u(angle_rad))
 
     def _base(self, values: Floats) -> Floats:
-        """Base parameters in natural units."""
+        """Convert values of the known parameters to the parameters of the model, in natural units."""
         held = dict(zip(self.known, values, strict=True))
         return np.array(
             [held[p.name] / p.per_natural if p.name in held else p.nominal for p in self.model.parameters]
         )
 
     def _bias_mg(self, values: Floats) -> Floats:
-        """Biases (axes,) with the present offsets."""
+        """Biases (axes,) in mg with the present numbers in the offset registers."""
         held = dict(zip(self.known, values, strict=True))
         found = [held.get(name, 0.0) for name in BIASES[: self.model.axes]]
         return np.asarray(np.array(found) + self.moved_mg)
 
     def _ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
-        """Readings (2,) of gravity alone at a declared angle."""
+        """Readings (2,) in mg by gravity alone, without bias, at a declared angle."""
         ideal: Floats = self.model.ideal(self._base(values), np.zeros(1), np.array([-angle_rad]))[0]
         return ideal
 
     def _fixture_u(self, angle_rad: float) -> Floats:
-        """Part of the standard uncertainty of a reading (2,) that comes from the declared angle."""
+        """Contribution of the declared angle to the standard uncertainty of the readings (2,) in mg."""
         more = SET_ANEW_U_DEG if self.session.fixture_sigma_deg is None else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
         tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))
@@ -347,7 +347,7 @@ class _FittedSensor:
     def _propagated(
         self, function: Callable[[Floats, Floats], Floats], more_u: Floats
     ) -> tuple[Floats, Floats]:
-        """Value (k,) of a function of parameters and mean, and its standard uncertainty."""
+        """Value (k,) of a function of fitted parameters and mean reading, and its standard uncertainty."""
         mean = self.rest.mean_mg
         by_parameter = _slopes(lambda v: function(v, mean), self.values)
         by_reading = _slopes(lambda m: function(self.values, m), mean[: self.model.axes])
@@ -358,7 +358,7 @@ class _FittedSensor:
 
 
 def _slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:
-    """∂f/∂x (k, p) by central differences; the functions here are smooth over a step of 1e-4."""
+    """Derivatives ∂f/∂x (k, p) by central differences; all f here are smooth over the step of 1e-4."""
     return central_differences(function, at, 1e-4 * np.maximum(1.0, np.abs(at)))
 
 
@@ -368,7 +368,9 @@ PRECISE_S = 30.0
 
 @dataclass(frozen=True)
 class AutonullFound(JsonRecord):
-    """Zero rates (3,) in °/s in this pose, at the offsets of the recording, by the chip and by the session.
+    """Zero rates (3,) in °/s in the present pose, found by the chip's autonull and by the session.
+
+    Both are for the offsets during the recording.
 
     Attributes
     ----------
@@ -377,7 +379,7 @@ class AutonullFound(JsonRecord):
     chip_dps, u_chip_dps : (3,) float
     session_dps, u_session_dps : (3,) float
     force_dps : (3,) float
-        Part of the session's zero rates that comes from force in this pose.
+        Contribution of force in this pose to the zero rates of the session.
     """
 
     document_keys = (
@@ -394,12 +396,12 @@ class AutonullFound(JsonRecord):
 
     @property
     def off_dps(self) -> Floats:
-        """Differences (3,) of chip and session."""
+        """Differences (3,) in °/s: zero rates found by the chip minus zero rates of the session."""
         return np.asarray(self.chip_dps - self.session_dps)
 
     @property
     def u_dps(self) -> Floats:
-        """Standard uncertainties (3,) of the differences."""
+        """Standard uncertainties (3,) of the differences in °/s."""
         return np.hypot(self.u_chip_dps, self.u_session_dps)
 
     @property
@@ -409,7 +411,7 @@ class AutonullFound(JsonRecord):
 
     @property
     def by(self) -> str:
-        """Differences of the gyros beyond the limit, as text."""
+        """The differences that exceed the limit, as text."""
         return ", ".join(
             f"{axis.upper()} {off:+.3f} °/s (u {u:.2g} °/s)"
             for axis, off, u in zip(AXES, self.off_dps, self.u_dps, strict=True)
@@ -477,12 +479,12 @@ TEMPCO_DPS_PER_C = 0.02
 
 
 class Accelerometers:
-    """The accelerometers of a session, with its fit.
+    """Checks and plans the offsets of a session's accelerometers.
 
     Parameters
     ----------
     angle_deg : float or None
-        Declared angle of the part.
+        Declared angle of the sensor.
     """
 
     registers, others, unit = ACCEL_OFF, GYRO_OFF, "mg"
@@ -493,22 +495,22 @@ class Accelerometers:
 
     @cached_property
     def result(self) -> FitResult:
-        """Fit with the biases to write."""
+        """Fit of the session, by which the biases to cancel are known."""
         return fit(self.session, self._method)
 
     def plan(self, now: Numbers) -> WritePlan:
-        """See `plan_offsets`."""
+        """Plan the numbers for the offset registers (see `plan_offsets`)."""
         return plan_offsets(self.session, self.result, now)
 
     def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
-        """Compare a dwell at rest with the session's fit at the present offsets.
+        """Compare a dwell at rest with the readings that the fit predicts, at the present offsets.
 
         At the declared angle both readings are compared; without an angle, the length of gravity.
 
         Raises
         ------
         FitError
-            The fit lacks a parameter, or the part is not in the session's plane.
+            The fit lacks a parameter, or the sensor is not in the session's plane.
         """
         sensor = _FittedSensor(self.session, self.result, plan, rest)
         if self._angle_rad is not None and math.isfinite(self.result.fixture_sigma_deg or 0.0):
@@ -516,7 +518,7 @@ class Accelerometers:
         return sensor.by_length()
 
     def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
-        """Compare the change of the outputs between two dwells in one place with the plan."""
+        """Compare the change of the outputs by the write, between two dwells, with the planned change."""
         figures = variant(plan.variant).performance
         rows = [AXES.index(axis.axis) for axis in plan.axes]
         # Between neighbouring dwells the bias wanders by the floor of its Allan deviation and the warmth.
@@ -531,21 +533,24 @@ class Accelerometers:
         return Agreement("the write moved the outputs by", names, moved, planned, u)
 
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
-        """Biases (2,) in mg by a dwell at the declared angle and their u; None without a declared angle."""
+        """Biases (2,) in mg measured by a dwell at the declared angle, and their standard uncertainties.
+
+        Returns None without a declared angle.
+        """
         if self._angle_rad is None:
             return None
         return _FittedSensor(self.session, self.result, plan, rest).bias_found(self._angle_rad)
 
     @property
     def _angle_rad(self) -> float | None:
-        """Declared angle, if the fit knows the start angle of the plane."""
+        """Declared angle in rad; None if the fit does not determine the start angle of the plane."""
         if self.angle_deg is None or self.session.plane != "xy" or "alpha" not in self.result:
             return None
         return math.radians(self.angle_deg)
 
 
 class Gyros:
-    """The gyros of a session, with their calibration."""
+    """Checks and plans the offsets of a session's gyros."""
 
     registers, others, unit = GYRO_OFF, ACCEL_OFF, "dps"
 
@@ -559,23 +564,26 @@ class Gyros:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks of the gyros' fit on undetermined parameters and on drift."""
+        """Remarks of the gyro fit on undetermined parameters and on drift."""
         return self._found.remarks
 
     @cached_property
     def gyro(self) -> GyroCalibration:
-        """Calibration for the offsets during the recording."""
+        """Calibration of the gyros with the offsets that they had during the recording."""
         made = gyros_as_recorded(self.session)
         if made.covariance is None:
             raise FitError(f"{self.session.source}: nothing states the uncertainty of its zero rates")
         return made
 
     def plan(self, now: Numbers) -> WritePlan:
-        """See `plan_gyro_offsets`."""
+        """Plan the numbers for the offset registers (see `plan_gyro_offsets`)."""
         return plan_gyro_offsets(self.session, self.gyro, now, self._found.doubts)
 
     def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
-        """Compare the dwell's rates with the session's zero rates for this pose and temperature."""
+        """Compare the rates of a dwell with the zero rates that the session predicts.
+
+        The prediction is for the pose, the temperature and the supply of the dwell.
+        """
         mean, u = rest.of_gyros
         moved = np.array([(axis.now - axis.recorded) * axis.lsb for axis in plan.axes])
         zero, of_zero = self.zero(rest)
@@ -583,7 +591,7 @@ class Gyros:
         return Agreement("zero rates here against the session", GYRO_NAMES, mean, zero + moved, u, "dps")
 
     def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
-        """Compare the change of the gyros between two dwells in one place with the plan."""
+        """Compare the change of the rates by the write, between two dwells, with the planned change."""
         (first, u_first), (second, u_second) = before.of_gyros, after.of_gyros
         wander = math.hypot(
             math.sqrt(2) * self._figures.gyro_instability_dps,
@@ -595,24 +603,30 @@ class Gyros:
         return Agreement("the write moved the gyros by", GYRO_NAMES, second - first, planned, u, "dps")
 
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
-        """Zero rates (3,) of a dwell without the effect of force, and their standard uncertainties."""
+        """Zero rates (3,) in °/s by a dwell, without the effect of force, and their u."""
         mean, u = rest.of_gyros
         force, of_force = self.by_force(rest)
         return mean - force, np.hypot(u, of_force)
 
     def zero(self, rest: Rest) -> tuple[Floats, Floats]:
-        """Zero rates (3,) in °/s in this pose at the recorded offsets, and their standard uncertainties."""
+        """Zero rates (3,) in °/s that the session predicts for a dwell, and their standard uncertainties.
+
+        They are for the offsets during the recording.
+        """
         read = self.gyro.readings_of(
             np.zeros(3), rest.mean_mg / 1000, rest.temperatures_c, supply_v=rest.supply_v
         )
         return read.rate_dps, read.u_dps
 
     def by_force(self, rest: Rest) -> tuple[Floats, Floats]:
-        """Part of the zero rates that comes from force, and its standard uncertainty."""
+        """Contribution of force to the zero rates (3,) in °/s of a dwell, and its standard uncertainty."""
         return self.gyro.force_part(rest.mean_mg / 1000)
 
     def wander(self, rest: Rest) -> float:
-        """Standard uncertainty of a zero rate by the change of time, temperature and supply."""
+        """Standard uncertainty in °/s of a zero rate due to changes since the session.
+
+        The changes are drift in time, and temperature and supply if the calibration does not include them.
+        """
         known, then = self.gyro.needs, (self.gyro.temperature_c, self.gyro.supply_v)
         warmer = 0.0 if then[0] is None else rest.temperature_c - then[0].mean
         volts = 0.0 if then[1] is None else rest.supply_v - then[1].mean
@@ -626,7 +640,7 @@ class Gyros:
 def part_of(
     session: Session, *, gyros: bool, method: str | None = None, angle_deg: float | None = None
 ) -> Accelerometers | Gyros:
-    """Half of a session's sensor to write.
+    """Return the gyros or the accelerometers of a session, as the half of the sensor to write.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Plans of a write-back: register numbers from a session's biases, without a sensor or a file.
 
-The part adds the register to its output. With o the number during the recording, b the bias by the fit and
-one LSB of the output for one LSB of the register,
+The sensor adds the register to its output. With o the number during the recording, b the bias by the fit
+and one LSB of the output for one LSB of the register,
 
     new = o − b / LSB, rounded;    bias afterwards = b + (new − o) LSB, within half an LSB of zero.
 
@@ -38,7 +38,7 @@ BIASES = tuple(f"bias_{axis}" for axis in AXES)
 
 @dataclass(frozen=True)
 class AxisPlan:
-    """The plan for one axis.
+    """The planned number for the offset register of one axis.
 
     Attributes
     ----------
@@ -69,21 +69,21 @@ class AxisPlan:
 
     @property
     def effect(self) -> float:
-        """Change of the output by the write."""
+        """Planned change of the output by the write, in `unit`."""
         return (self.new - self.now) * self.lsb
 
     @property
     def bias_now(self) -> float:
-        """Bias at the present number of the register."""
+        """Bias with the present number in the register, in `unit`."""
         return self.bias + (self.now - self.recorded) * self.lsb
 
     @property
     def bias_after(self) -> float:
-        """Remaining bias after the write."""
+        """Remaining bias after the write, in `unit`."""
         return self.bias + (self.new - self.recorded) * self.lsb
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """JSON form of the plan for one axis."""
         row, unit = BY_NAME[self.register], self.unit
         return {
             "axis": self.axis,
@@ -105,7 +105,7 @@ class AxisPlan:
 
 @dataclass(frozen=True)
 class WritePlan(JsonRecord):
-    """Plan for all axes.
+    """Plan of the numbers to write to the offset registers of all axes.
 
     Attributes
     ----------
@@ -129,27 +129,27 @@ class WritePlan(JsonRecord):
 
     @property
     def new(self) -> dict[str, int]:
-        """Planned numbers by register."""
+        """Planned numbers by the name of the register."""
         return {axis.register: axis.new for axis in self.axes}
 
     @property
     def now(self) -> dict[str, int]:
-        """Present numbers by register."""
+        """Present numbers by the name of the register."""
         return {axis.register: axis.now for axis in self.axes}
 
     @property
     def carried_out(self) -> WritePlan:
-        """Plan with the planned numbers as present numbers."""
+        """The plan after the write: the planned numbers are the present numbers."""
         return replace(self, axes=tuple(replace(axis, now=axis.new) for axis in self.axes))
 
     @property
     def changes(self) -> bool:
-        """True if a register is to be changed."""
+        """True if the plan changes at least one register."""
         return self.new != self.now
 
 
 def recorded_offsets(session: Session, names: Sequence[str] = ACCEL_OFF) -> dict[str, int]:
-    """Numbers of three offset registers during the recording of a session.
+    """Numbers that three offset registers had during the recording of a session.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def recorded_offsets(session: Session, names: Sequence[str] = ACCEL_OFF) -> dict
 
 
 def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None) -> WritePlan:
-    """Plan for a session and a fit of it.
+    """Plan the offset registers of the accelerometers by a fit of a session.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None
 def plan_gyro_offsets(
     session: Session, gyro: GyroCalibration, now: Numbers | None = None, doubts: Sequence[str] = ()
 ) -> WritePlan:
-    """Plan for the gyros of a session.
+    """Plan the offset registers of the gyros by their calibration.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def _plan(
     method: str,
     doubts: Sequence[str],
 ) -> WritePlan:
-    """Plan for the biases by register."""
+    """Make the plan from biases and their u, given by the name of the register."""
     axes = []
     for name, (bias, u) in found.items():
         row = BY_NAME[name]
@@ -251,7 +251,7 @@ def _plan(
 
 
 def _lacks(session: Session, result: FitResult) -> list[str]:
-    """Reasons why the model does not describe the session."""
+    """List the reasons why the fitted model does not describe the session."""
     lacks = []
     if result.extra_mg > 0:
         lacks.append(
@@ -267,7 +267,7 @@ def _lacks(session: Session, result: FitResult) -> list[str]:
 
 
 def _unsure(axis: AxisPlan) -> list[str]:
-    """Reason why a bias is too uncertain to be written, or empty."""
+    """Reason why the bias of an axis is too uncertain to be written, as a list; empty if it is not."""
     unit = UNITS[axis.unit]
     name = f"bias_{axis.axis}" if axis.unit == "mg" else f"gyro_bias_{axis.axis}"
     if axis.u != axis.u:
@@ -278,7 +278,7 @@ def _unsure(axis: AxisPlan) -> list[str]:
 
 
 def offsets_recorded(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floats:
-    """Offsets (3,) in mg that the part added to its outputs during the recording.
+    """Offsets (3,) in mg that the sensor added to its outputs during the recording.
 
     Parameters
     ----------
@@ -294,7 +294,7 @@ def offsets_recorded(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floa
 
 
 def offsets_in_force(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floats:
-    """Offsets (3,) that the part adds since the last write-back of a session, by its archive.
+    """Offsets (3,) that the sensor adds now, after the last write-back of a session, by its archive.
 
     If nothing was written, these are the recorded offsets. Offsets that were not saved last until the
     part's power is switched off. Registers and units as in `offsets_recorded`.
@@ -312,7 +312,7 @@ def offsets_in_force(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floa
 
 
 def bias_left_mg(session: Session, result: FitResult) -> dict[str, float]:
-    """Present biases of the sensor in mg by name (`bias_x` …): biases of the fit plus later offsets.
+    """Biases of the sensor in mg with its present offsets, by name (`bias_x` …).
 
     If the session does not have the registers, nothing was written, and the biases of the fit are returned.
 

@@ -52,18 +52,18 @@ from adis_gonio.record.write_journal import (
 
 
 class Logbook:
-    """Writes the steps of an operation to the archive; on return a step is on the disk."""
+    """Journal of a write-back: each entry is on the disk when `note` returns."""
 
     def __init__(self, archive: Archive, operation: Operation, now_s: Callable[[], float]) -> None:
         self._archive, self.operation, self._now_s = archive, operation, now_s
 
     @property
     def steps(self) -> tuple[WriteStep, ...]:
-        """Steps so far."""
+        """Steps of the write-back that are recorded so far."""
         return self.operation.steps
 
     def note(self, step: WriteStep, **facts: Any) -> None:
-        """Record a step.
+        """Write a step of the write-back to the archive.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class Logbook:
 
 
 def load(path: Path) -> Session:
-    """Session of an archive.
+    """Load the session of an archive to which its biases can be written back.
 
     Raises
     ------
@@ -101,15 +101,16 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True)
 class WriteSettings:
-    """Settings of a write-back.
+    """Options of a write-back.
 
     Attributes
     ----------
     save : bool
         Save to flash when the write is verified.
     angle_deg : float or None
-        Declared angle of the part; a stage that the program can move goes there. With None and such a stage
-        the first angle of the session is used; without a stage only the length of gravity is compared.
+        Declared angle of the sensor; a stage that the program can move goes there. With None and such a
+        stage the first angle of the session is used; without a stage only the magnitude of gravity is
+        compared.
     dwell_s, patience_s : float
         Length of the dwells before and after in s, and time to wait for rest.
     method : str or None
@@ -160,7 +161,7 @@ class WriteResult:
     autonull: AutonullFound | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """JSON form of the result."""
         null = {} if self.autonull is None else {"autonull": self.autonull.as_dict()}
         return {
             "state": self.standing.as_dict(),
@@ -218,31 +219,31 @@ class OffsetWriter:
 
     @property
     def known(self) -> tuple[Operation, ...]:
-        """Operations in the journal on the registers of this half of the sensor."""
+        """Earlier writes in the journal to the registers of this half of the sensor."""
         return operations_of(self.session, self._part.registers)
 
     @property
     def others(self) -> tuple[Operation, ...]:
-        """Operations on the registers of the other half of the sensor."""
+        """Earlier writes in the journal to the registers of the other half of the sensor."""
         return operations_of(self.session, self._part.others)
 
     def standing(self) -> HeldOffsets:
-        """State of the sensor by its registers, ENDURANCE and the journal."""
+        """Determine the state of the sensor's offsets from its registers, ENDURANCE and the journal."""
         now, endurance = self._read()
         return held_offsets(self.known, now, endurance, self.others)
 
     def plan(self) -> WritePlan:
-        """Make a plan and measure a dwell; no register is written.
+        """Plan the new numbers, and measure a dwell before the write; no register is written.
 
         Raises
         ------
         SessionError
-            The session gives no bias; the registers have unexplained numbers; the part at rest does not
+            The session gives no bias; the registers have unexplained numbers; the sensor at rest does not
             agree with the session; or there are doubts about the fit and `doubtful` is not set.
         ChipError
             The supply is out of range, or the flash is to be written and is worn out.
         FitError
-            The session cannot be fitted, or the part is not in the session's plane.
+            The session cannot be fitted, or the sensor is not in the session's plane.
         """
         now, endurance = self._read()
         plan = self._part.plan(now)
@@ -361,8 +362,8 @@ class OffsetWriter:
     def autonull(self, *, precise: bool = False) -> WriteResult:
         """Run the chip's autonull of its gyros; undo it if it disagrees with the session.
 
-        The part must be at rest. The autonull includes the effect of force in this pose, and so does the
-        zero rate of the session with which it is compared. The part saves the result to flash
+        The sensor must be at rest. The autonull includes the effect of force in this pose, and so does the
+        zero rate of the session with which it is compared. The sensor saves the result to flash
         automatically, with all registers that have a flash copy; an undo writes the flash once more.
 
         Parameters
@@ -422,7 +423,10 @@ class OffsetWriter:
         self.sensor.bus.sleep_s(self.sensor.configuration().settling_s)
 
     def _verify(self, plan: WritePlan) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Compare a dwell after the write with the dwell before it and with the session."""
+        """Compare a dwell after the write with the dwell before it and with the session.
+
+        Returns the remaining biases and their u; both are empty without a declared angle.
+        """
         if self._before is None:
             raise UsageError("make a plan first: plan() takes the dwell before")
         after = self._measure("at rest, after")
@@ -447,7 +451,7 @@ class OffsetWriter:
         return tuple(value.tolist()), tuple(u.tolist())
 
     def _save(self, journal: Logbook, numbers: dict[str, int]) -> None:
-        """Save to flash; the registers are read immediately before and after it."""
+        """Save the registers to flash; they are read immediately before and after it."""
         self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         now, endurance = self._read()
         _require(now, numbers, "changed by themselves before they were saved")
@@ -460,7 +464,7 @@ class OffsetWriter:
 
     @contextlib.contextmanager
     def _reporting_state(self) -> Iterator[None]:
-        """Add the state of the sensor to the message of an error; after a Ctrl-C tell it."""
+        """Add the state of the sensor to the message of an error, and print it after Ctrl-C."""
         try:
             yield
         except BaseException as error:
@@ -470,7 +474,7 @@ class OffsetWriter:
             raise
 
     def _restore(self, journal: Logbook, why: str) -> None:
-        """After an error or a Ctrl-C keep offsets that are in flash, else restore the old ones."""
+        """Undo the write after an error or Ctrl-C, unless the new offsets are already in flash."""
         # Two blocks: a second Ctrl-C in the first block must not prevent the restoring in the second.
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
             self._keep_what_is_saved(journal)
@@ -479,7 +483,7 @@ class OffsetWriter:
                 self._set_back(journal, why)
 
     def _keep_what_is_saved(self, journal: Logbook) -> None:
-        """Complete the journal if flash and registers have the new offsets already."""
+        """Complete the journal if flash and registers already have the new offsets."""
         if WriteStep.SAVING not in journal.steps:
             return
         self.sensor.bus.sleep_s(FLASH_UPDATE_S)
@@ -507,7 +511,7 @@ class OffsetWriter:
         return WriteResult(standing, endurance, after, tuple(self._checks), *bias, self._part.unit)
 
     def _state_text(self) -> str:
-        """Present state of the sensor, if it can be read."""
+        """Describe the present state of the sensor, if it can be read."""
         try:
             self.session = load(self.path)
             return self.standing().text
@@ -531,7 +535,10 @@ class OffsetWriter:
         return rest
 
     def _read(self) -> tuple[dict[str, int], int]:
-        """Read the offset registers and ENDURANCE twice, since a supply dip may falsify one reading."""
+        """Read the offset registers and ENDURANCE.
+
+        Both are read twice, since a dip of the supply may falsify one reading.
+        """
         names = self._part.registers
         rows = registers((*names, "ENDURANCE"))
         words = self.sensor.read_checked(rows)
@@ -539,7 +546,7 @@ class OffsetWriter:
         return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
 
     def _beside(self) -> dict[str, int]:
-        """Offsets of the other half of the sensor, which a flash update saves too."""
+        """Read the offsets of the other half of the sensor, which a flash update also saves."""
         rows = registers(self._part.others)
         words = self.sensor.read_words(rows)
         return {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
@@ -549,7 +556,7 @@ class OffsetWriter:
         return all(now[name] == number for name, number in numbers.items())
 
     def _require_explained(self, now: dict[str, int]) -> None:
-        """Refuse registers with numbers that neither the session nor its journal explains."""
+        """Raise `SessionError` if a register differs from session and journal."""
         recorded, known = recorded_offsets(self.session, self._part.registers), self.known
         standing = held_offsets(known, now, 0)
         written = set(known[-1].new) if known and standing.registers in ("old", "new", "half") else set()

@@ -56,10 +56,10 @@ RESERVED_BIT = 1 << 14
 
 
 class Capability(StrEnum):
-    """Optional function of a bus in addition to `exchange`."""
+    """Optional function of a bus, in addition to `exchange`."""
 
     STREAM = "stream"
-    """Runs a list of read frames at each data-ready edge and delivers blocks."""
+    """Runs a list of read frames at each data-ready edge and delivers the replies in blocks."""
     HARD_RESET = "hard-reset"
     """Can pull the chip's RST line."""
     EVENT_COUNTER = "event-counter"
@@ -68,7 +68,7 @@ class Capability(StrEnum):
 
 @dataclass(frozen=True)
 class SpiTiming:
-    """Timing that a bus keeps: the clock is a ceiling, stall and period are floors."""
+    """SPI timing of a bus: maximum clock, minimum stall between frames, minimum period of frames."""
 
     clock_hz: float
     stall_us: float
@@ -80,13 +80,13 @@ class SpiTiming:
 
     @property
     def frame_s(self) -> float:
-        """Time from one frame's start to the next one's, in s."""
+        """Shortest time in s from the start of a frame to the start of the next one."""
         return max(FRAME_BITS / self.clock_hz + self.stall_us * 1e-6, self.period_us * 1e-6)
 
 
 @dataclass(frozen=True)
 class FrameBlock:
-    """Scans delivered by a streaming bus.
+    """Scans that a streaming bus delivers together.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class FrameBlock:
 
 
 class SpiBus(Closing):
-    """Base class of every bus, with checks, locking and closing.
+    """Base class of all SPI buses, which adds checks, locking and closing.
 
     A subclass implements `_exchange`, `_configure` and `_close`, sets `url`, and for its capabilities sets
     `capabilities` and implements `_start_stream`, `_pull_reset` and `_count_edges`. The module's text has
@@ -114,9 +114,9 @@ class SpiBus(Closing):
     url: str = ""
     capabilities: frozenset[Capability] = frozenset()
     edge_rises: bool = False
-    """Which edge of data-ready starts a scan of a stream: the rising one, or else the falling one."""
+    """True if the rising edge of data-ready starts a scan of a stream, False for the falling edge."""
     unbroken_frames: int | None = None
-    """Most frames that follow each other without a pause; None for any number."""
+    """Largest number of frames that the bus runs without a pause; None if there is no limit."""
 
     def __init__(self, timing: SpiTiming) -> None:
         self._timing = timing
@@ -127,23 +127,23 @@ class SpiBus(Closing):
 
     @property
     def timing(self) -> SpiTiming:
-        """Timing in force."""
+        """Timing that the bus uses now."""
         return self._timing
 
     @property
     def closed(self) -> bool:
-        """True once `close` was called."""
+        """True after `close` was called."""
         return self._closed
 
     def configure(self, timing: SpiTiming) -> SpiTiming:
-        """Set the timing and return the achieved one (never faster than requested)."""
+        """Set the timing; return the timing that the bus achieves, which is never faster."""
         with self._lock:
             self._require_open()
             self._timing = self._configure(timing)
             return self._timing
 
     def exchange(self, frames: Sequence[int]) -> list[int]:
-        """Send a batch of frames, return one 16-bit reply a frame.
+        """Send a batch of frames and return one 16-bit reply for each frame.
 
         Raises
         ------
@@ -155,7 +155,7 @@ class SpiBus(Closing):
         return [int(reply) for reply in self.exchange_array(_as_words(frames))]
 
     def exchange_array(self, frames: Words) -> Words:
-        """`exchange` for (n,) uint16 arrays, for long batches."""
+        """Like `exchange`, but for an array (n,) of uint16, which is faster for many frames."""
         if frames.dtype != np.uint16 or frames.ndim != 1:
             raise UsageError("frames must be a one-dimensional array of uint16")
         reserved = np.flatnonzero(frames & RESERVED_BIT)
@@ -169,7 +169,7 @@ class SpiBus(Closing):
             return self._checked(self._exchange(frames), frames.size)
 
     def _checked(self, replies: Words, count: int) -> Words:
-        """Return the replies; raise `ProtocolError` unless they are `count` words of 16 bits."""
+        """Return the replies as uint16; raise `ProtocolError` unless they are `count` 16-bit words."""
         if isinstance(replies, np.ndarray) and replies.dtype == np.uint16 and replies.shape == (count,):
             return replies
         try:
@@ -185,7 +185,7 @@ class SpiBus(Closing):
         return there.astype(np.uint16)
 
     def close(self) -> None:
-        """Release the device. A second call does nothing."""
+        """Release the device behind the bus; a second call does nothing."""
         with self._lock:
             if not self._closed:
                 self._closed = True
@@ -194,17 +194,17 @@ class SpiBus(Closing):
     # -- time -----------------------------------------------------------------------------------
 
     def now_s(self) -> float:
-        """Monotonic time of this bus in s."""
+        """Present time in s on the monotonic clock of this bus, which may be virtual."""
         return time.monotonic()
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait on this bus's clock."""
+        """Wait for `seconds` on the clock of this bus."""
         time.sleep(seconds)
 
     # -- optional capabilities --------------------------------------------------------------------
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start `Capability.STREAM`: run the read frames once at each data-ready edge.
+        """Start a stream that runs the read frames once at each data-ready edge (`Capability.STREAM`).
 
         Raises
         ------
@@ -220,13 +220,13 @@ class SpiBus(Closing):
             return self._start_stream(frames, block_scans)
 
     def hard_reset(self) -> None:
-        """Pull the RST line (`Capability.HARD_RESET`); the caller waits for the start-up."""
+        """Reset the chip by its RST line (needs `Capability.HARD_RESET`); the caller waits for start-up."""
         with self._lock:
             self._require(Capability.HARD_RESET)
             self._pull_reset()
 
     def read_event_counter(self) -> int:
-        """Data-ready edges since the last call (`Capability.EVENT_COUNTER`).
+        """Number of data-ready edges since the last call (needs `Capability.EVENT_COUNTER`).
 
         Some counters have 16 bits, so call it at least once a minute.
         """
@@ -235,7 +235,7 @@ class SpiBus(Closing):
             return self._count_edges()
 
     def count_events(self) -> tuple[int, float]:
-        """`read_event_counter` with its time in s, for a rate.
+        """Data-ready edges since the last call, and the time of counting in s, to compute their rate.
 
         The time is on the clock of the bridge if it has one, else on the clock of the host, which does not
         know the delay of the answer: use only differences.
@@ -246,26 +246,26 @@ class SpiBus(Closing):
 
     @abstractmethod
     def _exchange(self, frames: Words) -> Words:
-        """Send at least one valid frame; called with the lock held and the bus open."""
+        """Send at least one valid frame and return the replies; called with the lock held, bus open."""
 
     @abstractmethod
     def _configure(self, timing: SpiTiming) -> SpiTiming:
-        """Apply a timing and return the one achieved."""
+        """Apply a timing to the device; return the timing that it achieves."""
 
     @abstractmethod
     def _close(self) -> None:
-        """Release the device; called once."""
+        """Release the device; `close` calls this at most once."""
 
     def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
-        """Start a stream of valid read frames; called with the lock held."""
+        """Start a stream of valid read frames and return it; called with the lock held."""
         raise NotImplementedError
 
     def _pull_reset(self) -> None:
-        """Pull RST low for a moment; called with the lock held."""
+        """Pull the RST line low for a moment; called with the lock held."""
         raise NotImplementedError
 
     def _count_edges(self) -> int:
-        """Return the data-ready edges since the last call; called with the lock held."""
+        """Number of data-ready edges since the last call; called with the lock held."""
         raise NotImplementedError
 
     def _require_open(self) -> None:
@@ -279,18 +279,18 @@ class SpiBus(Closing):
 
 
 class FrameStream(Closing):
-    """A running stream: an iterator of `FrameBlock` that stops when closed.
+    """A running stream: an iterator of `FrameBlock` that ends after `close`.
 
     While it runs the bus belongs to it: `exchange` raises `UsageError` until `close`.
     """
 
     @abstractmethod
     def __next__(self) -> FrameBlock:
-        """Next block; raises `BusError` on failure, `StopIteration` after `close`."""
+        """Return the next block; raise `BusError` on failure, or `StopIteration` after `close`."""
 
     @abstractmethod
     def close(self) -> None:
-        """Stop; may be called twice."""
+        """Stop the stream and free the bus; may be called twice."""
 
     def __iter__(self) -> Iterator[FrameBlock]:
         return self

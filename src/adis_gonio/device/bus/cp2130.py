@@ -85,7 +85,7 @@ EVENT_PIN = 4
 """GPIO.4, the only pin that can count."""
 COUNTER_MODES = (4, 5, 6, 7)
 """[M] Modes of the event counter that count: edges rising and falling, pulses negative and positive.
-The pin's duty is programmed at the factory or once by its owner (OTP), never by this package."""
+The function of the pin is programmed at the factory or once by its owner (OTP), never by this package."""
 
 PIN_BITS = (3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14)
 """[M] Bits of GPIO.0 to GPIO.10 in a word of pins. The answer about chip selects has a word of channels,
@@ -93,7 +93,7 @@ which count from bit 0, and a word of pins: the pins that are an active chip sel
 
 
 class ControlRequest(IntEnum):
-    """Control requests that this package sends; none of the OTP memory."""
+    """USB control requests that this package sends; none concerns the one-time memory (OTP)."""
 
     SET_GPIO_MODE = 0x23
     GET_CHIP_SELECT = 0x24
@@ -105,7 +105,7 @@ class ControlRequest(IntEnum):
 
 
 class GpioMode(IntEnum):
-    """Mode of a pin."""
+    """Electrical mode of a GPIO pin."""
 
     INPUT = 0
     OPEN_DRAIN = 1
@@ -120,34 +120,34 @@ _SELECTS = struct.Struct(">HH")
 
 
 def clock_code(clock_hz: float) -> int | None:
-    """Code of the fastest clock not above `clock_hz`; None if all are faster."""
+    """Code of the fastest SPI clock that is not above `clock_hz`; None if all clocks are faster."""
     return next((code for code, clock in enumerate(CLOCKS_HZ) if clock <= clock_hz), None)
 
 
 def spi_word(code: int) -> int:
-    """SPI word of a channel: mode 3, chip select push-pull, a clock."""
+    """SPI configuration byte of a channel with a clock code: mode 3, push-pull chip select."""
     return 1 << CPHA_BIT | 1 << CPOL_BIT | 1 << PUSH_PULL_BIT | code
 
 
 def spi_word_request(channel: int, word: int) -> bytes:
-    """Data of `SET_SPI_WORD`."""
+    """Data of the request `SET_SPI_WORD`: channel and configuration byte."""
     return bytes((channel, word))
 
 
 def parse_spi_words(data: bytes) -> tuple[int, ...]:
-    """SPI words of all channels, the answer to `GET_SPI_WORD`."""
+    """SPI configuration bytes of all channels, from the reply to `GET_SPI_WORD`."""
     if len(data) != CHANNELS:
         raise ProtocolError(f"CP2130: {len(data)} SPI words instead of {CHANNELS}")
     return tuple(data)
 
 
 def select_request(channel: int) -> bytes:
-    """Data of `SET_CHIP_SELECT`: this channel and no other."""
+    """Data of the request `SET_CHIP_SELECT` that enables this channel and disables all others."""
     return bytes((channel, _THIS_ONE_ONLY))
 
 
 def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
-    """Channels and pins with an active chip select, from the answer to `GET_CHIP_SELECT`."""
+    """Channels with enabled chip select, and pins that carry one, from the reply to `GET_CHIP_SELECT`."""
     if len(data) != _SELECTS.size:
         raise ProtocolError(f"CP2130: chip selects of {len(data)} bytes instead of {_SELECTS.size}")
     channels, pins = _SELECTS.unpack(data)
@@ -158,29 +158,32 @@ def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
 
 
 def delay_request(channel: int) -> bytes:
-    """Data of `SET_SPI_DELAY`: no delays and no CS toggle; the host keeps the times between frames."""
+    """Data of the request `SET_SPI_DELAY` for no delays and no CS toggle: the host times the frames."""
     return bytes((channel, 0)) + bytes(6)
 
 
 def gpio_request(pin: int, mode: GpioMode, level: int) -> bytes:
-    """Data of `SET_GPIO_MODE`."""
+    """Data of the request `SET_GPIO_MODE`: pin, mode and output level."""
     return bytes((pin, mode, level))
 
 
 def frame_command(frame: int) -> bytes:
-    """Bulk command that sends one frame and reads as much."""
+    """Bulk command that sends a 16-bit frame and receives the reply at the same time."""
     return _HEADER.pack(0, _WRITE_READ, 0, FRAME_BYTES) + frame.to_bytes(FRAME_BYTES, "big")
 
 
 def parse_frame(data: bytes) -> int:
-    """Word received during a frame."""
+    """16-bit word that the chip sent during a frame."""
     if len(data) != FRAME_BYTES:
         raise ProtocolError(f"CP2130: {len(data)} bytes came in for a frame of {FRAME_BYTES}")
     return int.from_bytes(data, "big")
 
 
 def parse_counter(data: bytes) -> tuple[int, int]:
-    """Mode and count (u16, wraps), the answer to `GET_EVENT_COUNTER`."""
+    """Mode and count of the event counter, from the reply to `GET_EVENT_COUNTER`.
+
+    The count has 16 bits and wraps.
+    """
     if len(data) != _COUNTER.size:
         raise ProtocolError(f"CP2130: an event counter of {len(data)} bytes instead of {_COUNTER.size}")
     mode, count = _COUNTER.unpack(data)
@@ -196,7 +199,7 @@ _LATE = (errno.ETIMEDOUT, 10060)
 
 
 class UsbDevice(Protocol):
-    """The used methods of a pyusb device."""
+    """The methods of a pyusb device that this module uses."""
 
     def ctrl_transfer(
         self,
@@ -208,23 +211,23 @@ class UsbDevice(Protocol):
         timeout: int,
         /,
     ) -> object:
-        """Control transfer; bytes for one to the host."""
+        """Make a control transfer; a transfer to the host returns the bytes read."""
 
     def write(self, endpoint: int, data: bytes, timeout: int, /) -> int:
-        """Bulk transfer to the device."""
+        """Send bytes to a bulk endpoint; return the number sent."""
 
     def read(self, endpoint: int, size: int, timeout: int, /) -> object:
-        """Bulk transfer to the host; an array of bytes."""
+        """Read up to `size` bytes from a bulk endpoint, as an array of bytes."""
 
     def clear_halt(self, endpoint: int, /) -> None:
-        """End a stall."""
+        """Clear the halt condition of an endpoint after a stalled transfer."""
 
     def reset(self) -> None:
-        """Reset the port."""
+        """Reset the USB port of the device."""
 
 
 class Cp2130Bus(HostBus):
-    """A bus over an open USB device.
+    """A bus over an open USB device with the CP2130.
 
     Parameters
     ----------
@@ -241,7 +244,7 @@ class Cp2130Bus(HostBus):
     url : str
         For messages.
     cs : int
-        GPIO that is chip select, which is also the channel.
+        GPIO that is chip select; the SPI channel has this number too.
     reset_gpio : int or None
         GPIO on the chip's RST, driven open-drain.
     event_counter : bool
@@ -254,7 +257,7 @@ class Cp2130Bus(HostBus):
     Raises
     ------
     UsageError
-        Two duties on a pin, or no event counter on this board.
+        A pin is to have two functions, or the board has no event counter.
     CannotOpenError
         The pin of `cs` is no chip select.
     BusError
@@ -361,7 +364,7 @@ class Cp2130Bus(HostBus):
             self._out(ControlRequest.SET_GPIO_MODE, mode)
 
     def _count_edges(self) -> int:
-        """Edges since the last call or port reset."""
+        """Number of data-ready edges since the last call or the last port reset."""
         self._settle()
         _, count = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
         # The counter is never set back, so that a read that fails loses nothing.
@@ -413,7 +416,7 @@ class Cp2130Bus(HostBus):
     # -- after a failure -----------------------------------------------------------------------------------
 
     def _fail(self, error: BusError) -> None:
-        """Note the recovery that a failure needs, and do it if the device is present."""
+        """Note the recovery that a failure needs; do it now if the device is still connected."""
         self._unsure = True
         self._must_reset |= isinstance(error, BusTimeoutError)
         if not isinstance(error, CannotOpenError):
@@ -423,7 +426,7 @@ class Cp2130Bus(HostBus):
                 self._unsure = True  # the first error counts, the next use tries again
 
     def _settle(self) -> None:
-        """Bring the device to a known state after a failure."""
+        """If an earlier transfer failed, bring the device back to a known state."""
         if not self._unsure:
             return
         if self._must_reset:
@@ -450,7 +453,7 @@ class Cp2130Bus(HostBus):
             self._call(functools.partial(self._device.clear_halt, endpoint), "ending a halt")
 
     def _drain(self) -> None:
-        """Discard the replies in the pipe."""
+        """Read and discard late replies until none comes."""
         for _ in range(_MOST_LATE):
             try:
                 self._bulk_in(PACKET, _DRAIN_MS / 1000)
@@ -470,7 +473,7 @@ _INTERFACE = 0
 
 
 def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> Cp2130Bus:
-    """Open a board (see the module's text).
+    """Open a CP2130 board by its URL (see the module's text).
 
     Parameters
     ----------
@@ -544,7 +547,7 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> C
 
 
 def find_devices(*, backend: Any = None) -> list[Device]:
-    """Boards that are connected, with the URL of each."""
+    """List the connected CP2130 boards with the URL of each."""
     usb = _load()
     return _devices(usb, _boards(usb, backend))
 
@@ -559,7 +562,7 @@ def _load() -> Any:
 
 
 def _libusb() -> Any:
-    """Libusb of libusb-package, else the system's."""
+    """Backend of pyusb: the libusb of package libusb-package, or else the libusb of the system."""
     try:
         import libusb_package
     except ImportError:
@@ -581,7 +584,7 @@ def _boards(usb: Any, backend: Any) -> list[Any]:
 
 
 def _endpoints(usb: Any, url: str, device: Any) -> tuple[int, int]:
-    """Bulk endpoints out and in by the board's descriptors.
+    """Addresses of the bulk endpoints to and from the board, from its USB descriptors.
 
     They are 0x01 and 0x82, or 0x02 and 0x81 if the board's OTP gives reading the higher priority.
     """
@@ -601,7 +604,7 @@ def _endpoints(usb: Any, url: str, device: Any) -> tuple[int, int]:
 
 
 def _serial(usb: Any, board: Any) -> str | None:
-    """Serial number, read by opening the device; None without permission."""
+    """Serial number of a board, which must be opened to read it; None without permission."""
     try:
         return str(board.serial_number or "")
     except (usb.core.USBError, ValueError, NotImplementedError):

@@ -19,12 +19,12 @@ RULES_FILE = "70-adis-gonio.rules"
 
 
 def udev_rules() -> str:
-    """The rules file as text."""
+    """Text of the udev rules file of this package."""
     return files("adis_gonio.device.bus").joinpath(RULES_FILE).read_text(encoding="utf-8")
 
 
 def udev_rule(words: str) -> str:
-    """First rule that contains all of some words, such as `hidraw 04d8`.
+    """First udev rule that contains all the given words, such as `hidraw 04d8`.
 
     Raises
     ------
@@ -41,28 +41,28 @@ SAFE_TIMING = SpiTiming(clock_hz=250e3, stall_us=75.0, period_us=160.0)
 """Slow enough for both of the chip's modes; every bus starts with it."""
 
 RESET_PULSE_S = 0.001
-"""How long RST is held low; the chip needs microseconds, a bridge's pin may take a USB frame."""
+"""Duration in s of the low pulse on RST; the chip needs microseconds, a bridge's pin may take 1 ms."""
 
 
 class Clock(Protocol):
-    """The bus's clock; tests put a virtual one in its place."""
+    """Clock of a bus; tests use a virtual one."""
 
     def now_s(self) -> float:
-        """Monotonic time in s."""
+        """Present monotonic time in s."""
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait at least so long."""
+        """Wait for at least `seconds`."""
 
 
 class WallClock:
-    """The machine's monotonic clock."""
+    """The monotonic clock of this computer."""
 
     def now_s(self) -> float:
-        """Monotonic time in s."""
+        """Present monotonic time in s."""
         return time.monotonic()
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait at least so long."""
+        """Wait for at least `seconds`."""
         time.sleep(seconds)
 
 
@@ -70,7 +70,7 @@ WALL = WallClock()
 
 
 class Pace:
-    """Time of the next frame if the host keeps stall and period.
+    """Computes when the next frame may start, if the host has to keep stall and period.
 
     The host knows the time at which it got the report of the end of a frame, which is later than the rise
     of chip select. Both limits count from this time, so that they are kept for any latency of the bridge.
@@ -81,19 +81,19 @@ class Pace:
         self._over_s = self._start_s = clock.now_s()
 
     def wait(self, timing: SpiTiming) -> None:
-        """Wait until a frame may start."""
+        """Wait until the timing allows the next frame to start."""
         due = max(self._over_s + timing.stall_us * 1e-6, self._start_s + timing.period_us * 1e-6)
         while (left := due - self._clock.now_s()) > 0:
             self._clock.sleep_s(left)
 
     def done(self, timing: SpiTiming) -> None:
-        """Note that a frame has ended by now."""
+        """Record that a frame has just ended."""
         self._over_s = self._clock.now_s()
         self._start_s = self._over_s - FRAME_BITS / timing.clock_hz
 
 
 class HostBus(SpiBus):
-    """Base class of the bridges on the host: their clock and their pace.
+    """Base class of buses in which the host times the frames: it keeps the clock and the pace.
 
     Parameters
     ----------
@@ -113,11 +113,11 @@ class HostBus(SpiBus):
         self._release = release
 
     def now_s(self) -> float:
-        """Monotonic time of this bus in s."""
+        """Present time in s on the monotonic clock of this bus."""
         return self._clock.now_s()
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait on this bus's clock."""
+        """Wait for `seconds` on the clock of this bus."""
         self._clock.sleep_s(seconds)
 
     def _close(self) -> None:
@@ -125,14 +125,14 @@ class HostBus(SpiBus):
 
 
 def require_separate_pins(url: str, cs: int, reset: int | None, event: int | None, event_name: str) -> None:
-    """Refuse a pin with two functions; None for a function that the board does not have."""
+    """Raise `UsageError` if one pin is to have two functions; None means that a function is not used."""
     pins = [pin for pin in (cs, reset, event) if pin is not None]
     if len(set(pins)) != len(pins):
         raise UsageError(f"{url}: cs, reset_gpio and the event counter ({event_name}) need pins apart")
 
 
 class UrlOptions:
-    """Options of a URL, read one by one; an unknown option is an error that lists the known ones."""
+    """Options of a bus URL, with checks; an unknown option is an error that lists the known ones."""
 
     def __init__(self, url: BusUrl, names: Sequence[str]) -> None:
         self._url = url
@@ -141,16 +141,16 @@ class UrlOptions:
                 raise UsageError(f"'{url.text}': no option '{name}'; there is {', '.join(names)}")
 
     def text(self, name: str, default: str = "") -> str:
-        """An option as text."""
+        """Return an option as text."""
         return self._url.options.get(name, default)
 
     def number(self, name: str, default: int, low: int, high: int) -> int:
-        """A whole number within limits."""
+        """Return an option as a whole number from `low` to `high`."""
         found = self.number_or_none(name, low, high)
         return default if found is None else found
 
     def number_or_none(self, name: str, low: int, high: int) -> int | None:
-        """A whole number within limits; None if not given."""
+        """Return an option as a whole number from `low` to `high`; None if the URL lacks it."""
         text = self._url.options.get(name)
         if text is None:
             return None
@@ -159,11 +159,11 @@ class UrlOptions:
         return int(text)
 
     def switch(self, name: str, *, default: bool = False) -> bool:
-        """0 or 1."""
+        """Return an option that is written 0 or 1 as a bool."""
         return bool(self.number(name, int(default), 0, 1))
 
     def one_of(self, name: str, choices: Sequence[str]) -> str:
-        """One of some words; the first is the default."""
+        """Return an option that is one of the words in `choices`; the first is the default."""
         word = self.text(name, choices[0])
         if word not in choices:
             raise UsageError(f"'{self._url.text}': {name} is one of {', '.join(choices)}")
@@ -171,7 +171,10 @@ class UrlOptions:
 
 
 def no_permission(url: str, what: str, rule: str) -> CannotOpenError:
-    """Permission is missing; the message carries the udev rule that gives it (see `udev_rule`)."""
+    """Make the error for missing permission; its message gives the udev rule that helps.
+
+    `rule` has words that identify the rule, as in `udev_rule`.
+    """
     return CannotOpenError(
         f"{url}: no permission for {what}: run 'adis-gonio devices --udev | sudo tee"
         f" /etc/udev/rules.d/70-adis-gonio.rules', then 'sudo udevadm control --reload' and plug it in"
@@ -180,29 +183,29 @@ def no_permission(url: str, what: str, rule: str) -> CannotOpenError:
 
 
 def busy(url: str, what: str) -> CannotOpenError:
-    """Another program has the device."""
+    """Make the error for a device that another program is using."""
     return CannotOpenError(f"{url}: {what} is busy: close the other program that uses it")
 
 
 def gone(url: str) -> CannotOpenError:
-    """The device was unplugged."""
+    """Make the error for a device that was unplugged."""
     return CannotOpenError(f"{url}: the device is gone: plug it in and open the bus again")
 
 
 def missing(url: str, what: str, others: Sequence[Device] = ()) -> CannotOpenError:
-    """The device is not connected; the message lists the connected devices."""
+    """Make the error for a device that is not connected; its message lists the connected devices."""
     there = f"connected: {', '.join(d.url for d in others)}" if others else "see 'adis-gonio devices'"
     return CannotOpenError(f"{url}: no {what} is connected; {there}")
 
 
 def several(url: str, devices: Sequence[Device]) -> UsageError:
-    """More than one device fits; none is chosen automatically."""
+    """Make the error for a URL that fits several devices, of which none is chosen automatically."""
     return UsageError(f"{url}: {len(devices)} devices fit; choose {' or '.join(d.url for d in devices)}")
 
 
 @contextlib.contextmanager
 def claimed(path: str, url: str) -> Iterator[None]:
-    """Lock a device file for this process during the block.
+    """Lock a device file for this process while the block runs.
 
     Nodes such as /dev/hidraw0 can be opened many times, and an answer would go to the first reader. The
     lock is advisory: it separates two programs of this package. Without locks of the file or the system it
@@ -231,5 +234,5 @@ def claimed(path: str, url: str) -> Iterator[None]:
 
 
 def readable_and_writable(path: str) -> bool:
-    """True unless the file is there and may not be used."""
+    """True if the file may be read and written, or if it does not exist."""
     return not Path(path).exists() or os.access(path, os.R_OK | os.W_OK)

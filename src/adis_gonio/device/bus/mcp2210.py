@@ -97,7 +97,7 @@ request that this chip repeats, so it marks a place in the order of answers."""
 
 
 class Command(IntEnum):
-    """Commands that this package sends; none writes to NVRAM or EEPROM."""
+    """Commands that this package sends to the MCP2210; none writes to its NVRAM or EEPROM."""
 
     CANCEL = 0x11
     EVENTS = 0x12
@@ -114,7 +114,7 @@ class Command(IntEnum):
 
 
 class AnswerStatus(IntEnum):
-    """Second byte of an answer."""
+    """Status of a command: the second byte of its answer."""
 
     DONE = 0x00
     NOT_OWNED = 0xF7
@@ -138,7 +138,7 @@ STATUS_WORDS = {
 
 
 class Engine(IntEnum):
-    """State of the transfer engine, fourth byte of a transfer's answer."""
+    """State of the SPI transfer engine: the fourth byte of the answer to a transfer."""
 
     FINISHED = 0x10
     STARTED = 0x20
@@ -146,7 +146,7 @@ class Engine(IntEnum):
 
 
 class Designation(IntEnum):
-    """Function of a pin."""
+    """Function that is assigned to a pin."""
 
     GPIO = 0
     CS = 1
@@ -159,12 +159,12 @@ _WORD = struct.Struct("<H")
 
 
 def request(command: Command, body: bytes = b"") -> bytes:
-    """A report to the device, without a report id."""
+    """HID report of 64 bytes with a command to the device, without a report id."""
     return (bytes([command]) + body).ljust(REPORT, b"\0")
 
 
 def status_of(answer: bytes, command: Command) -> int:
-    """Status byte of an answer to a command.
+    """Status byte of the answer to a command, after checks of the answer.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def status_of(answer: bytes, command: Command) -> int:
 
 
 def status_words(status: int) -> str:
-    """Meaning of a status."""
+    """Meaning of a status byte in words, for messages."""
     try:
         return STATUS_WORDS[AnswerStatus(status)]
     except (ValueError, KeyError):
@@ -187,18 +187,21 @@ def status_words(status: int) -> str:
 
 
 def mark(number: int) -> bytes:
-    """Request for an answer with a number (u8): a read of the EEPROM, discarded."""
+    """Harmless report whose answer repeats a number (u8), to find its place among late answers.
+
+    It reads a byte of the EEPROM, which is discarded.
+    """
     return request(Command.READ_EEPROM, bytes([number]))
 
 
 def is_mark(answer: bytes, number: int) -> bool:
-    """True for the answer to `mark(number)`."""
+    """True if an answer belongs to the report `mark(number)`."""
     return len(answer) == REPORT and answer[0] == Command.READ_EEPROM and answer[ECHO] == number
 
 
 @dataclass(frozen=True)
 class ChipSettings:
-    """Pins in RAM (commands 0x20, 0x21): nine designations, default outputs and directions, flags."""
+    """Settings of the nine pins in RAM (commands 0x20, 0x21): functions, outputs, directions, flags."""
 
     designations: tuple[int, ...]
     outputs: int
@@ -207,7 +210,7 @@ class ChipSettings:
 
     @classmethod
     def parse(cls, answer: bytes) -> ChipSettings:
-        """Read an answer to `GET_CHIP`."""
+        """Create the settings from an answer to `GET_CHIP`."""
         if status_of(answer, Command.GET_CHIP):
             raise ProtocolError(f"MCP2210: chip settings not read: {status_words(answer[1])}")
         designations, outputs, directions, flags = _CHIP.unpack_from(answer, 4)
@@ -216,20 +219,20 @@ class ChipSettings:
         return cls(tuple(designations), outputs, directions, flags)
 
     def with_pin(self, pin: int, kind: Designation) -> ChipSettings:
-        """Copy with another designation of one pin."""
+        """Copy of the settings with another function of one pin."""
         designations = list(self.designations)
         designations[pin] = kind
         return replace(self, designations=tuple(designations))
 
     def request(self) -> bytes:
-        """`SET_CHIP`."""
+        """Report of the command `SET_CHIP` with these settings."""
         body = _CHIP.pack(bytes(self.designations), self.outputs, self.directions, self.flags)
         return request(Command.SET_CHIP, bytes(3) + body)
 
 
 @dataclass(frozen=True)
 class SpiSettings:
-    """SPI settings in RAM (commands 0x40, 0x41); the delays are zero, because the host keeps the times."""
+    """SPI settings in RAM (commands 0x40, 0x41); all delays are zero, because the host times the frames."""
 
     bit_rate_hz: int
     idle_cs: int
@@ -240,7 +243,7 @@ class SpiSettings:
 
     @classmethod
     def for_frames(cls, clock_hz: float, cs: int) -> SpiSettings:
-        """Frames of two bytes in mode 3, CS on one GP.
+        """Settings for frames of two bytes in SPI mode 3 with chip select on pin `cs`.
 
         The chip divides 12 MHz; the rate is the fastest possible one not above `clock_hz`.
         """
@@ -250,14 +253,14 @@ class SpiSettings:
 
     @classmethod
     def parse(cls, answer: bytes) -> SpiSettings:
-        """Read an answer to `GET_SPI`."""
+        """Create the settings from an answer to `GET_SPI`."""
         if status_of(answer, Command.GET_SPI):
             raise ProtocolError(f"MCP2210: SPI settings not read: {status_words(answer[1])}")
         rate, idle, active, lead, hold, between, transaction, mode = _SPI.unpack_from(answer, 4)
         return cls(rate, idle, active, (lead, hold, between), transaction, mode)
 
     def request(self) -> bytes:
-        """`SET_SPI`."""
+        """Report of the command `SET_SPI` with these settings."""
         body = _SPI.pack(
             self.bit_rate_hz, self.idle_cs, self.active_cs, *self.times_100us, self.transaction, self.mode
         )
@@ -265,20 +268,20 @@ class SpiSettings:
 
 
 def transfer(data: bytes = b"") -> bytes:
-    """Start a transaction, or fetch the received bytes."""
+    """Report that starts an SPI transaction with `data`, or fetches the received bytes if it is empty."""
     return request(Command.TRANSFER, bytes([len(data), 0, 0]) + data)
 
 
 @dataclass(frozen=True)
 class Progress:
-    """An answer to a transfer that was accepted."""
+    """State of an SPI transaction: the engine's state and the bytes received since the last answer."""
 
     engine: Engine
     data: bytes
 
     @classmethod
     def parse(cls, answer: bytes) -> Progress:
-        """Read an answer with status DONE."""
+        """Create the state from the answer to a transfer that was accepted."""
         if status_of(answer, Command.TRANSFER):
             raise ProtocolError(f"MCP2210: transfer refused: {status_words(answer[1])}")
         count = answer[2]
@@ -294,9 +297,10 @@ class Progress:
 
     @classmethod
     def of_poll(cls, answer: bytes) -> Progress:
-        """Read the answer to a transfer without data.
+        """Create the state from the answer to a transfer without data.
 
-        The engine refuses those too while it clocks (0xF8, data sheet DS22288A, figure 3-23): not yet.
+        While the engine clocks, it refuses such a transfer with status 0xF8 (data sheet DS22288A, figure
+        3-23); this counts as `Engine.STARTED`.
         """
         if status_of(answer, Command.TRANSFER) == AnswerStatus.BUSY:
             return cls(Engine.STARTED, b"")
@@ -304,21 +308,21 @@ class Progress:
 
 
 def parse_events(answer: bytes) -> int:
-    """Count of an answer to `EVENTS`."""
+    """Count of the event counter, from the answer to `EVENTS`."""
     if status_of(answer, Command.EVENTS):
         raise ProtocolError(f"MCP2210: event counter not read: {status_words(answer[1])}")
     return int(_WORD.unpack_from(answer, 4)[0])
 
 
 def parse_pins(answer: bytes, command: Command) -> int:
-    """Nine bits of an answer to a GPIO command."""
+    """Values or directions of the nine pins, one bit each, from the answer to a GPIO command."""
     if status_of(answer, command):
         raise ProtocolError(f"MCP2210: GPIO not read: {status_words(answer[1])}")
     return int(_WORD.unpack_from(answer, 4)[0]) & (1 << PINS) - 1
 
 
 def pins_request(command: Command, bits: int) -> bytes:
-    """Set values or directions (1 is an input) of the nine pins."""
+    """Report that sets the values or directions of the nine pins, one bit each (1 is an input)."""
     return request(command, bytes(3) + _WORD.pack(bits))
 
 
@@ -326,29 +330,29 @@ WRITE_S = 2.5
 """Time for a write: longer than hidapi's own second on libusb, so that no write is pending there, and half
 of the kernel's time on hidraw. A board takes a report within 1 ms, but a busy host may be slow."""
 AT_ONCE_S = 0.5
-"""A write that fails later than this was not taken; a missing device fails at once."""
+"""A write that fails later than this was not accepted by the device; without a device it fails at once."""
 LONGEST_WRITE_S = 6.0
 """The kernel has cancelled a write by then."""
 
 
 class HidDevice(Protocol):
-    """The used methods of an open device of package hidapi."""
+    """The methods of a hidapi device that this module uses."""
 
     def write(self, data: bytes, /) -> int:
-        """Send a report with a leading report id; a negative number is a failure."""
+        """Send a report that begins with a report id; return its size, or a negative number on failure."""
 
     def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
-        """A report, or nothing in time; `OSError` once the device is gone."""
+        """Return a report, or nothing after the time-out; raise `OSError` if the device is unplugged."""
 
     def set_nonblocking(self, on: int, /) -> int:
-        """Let reads without a time-out return at once."""
+        """Make reads without a time-out return at once, also without data."""
 
     def close(self) -> None:
-        """Give the device back."""
+        """Close the device."""
 
 
 class TimedWrites:
-    """A `HidDevice` with a `write` that raises `TimeoutError` if the device takes nothing.
+    """Wraps a `HidDevice` so that `write` raises `TimeoutError` if the device takes no report.
 
     Parameters
     ----------
@@ -365,7 +369,7 @@ class TimedWrites:
         self._last: Future[int] | None = None
 
     def write(self, data: bytes, /) -> int:
-        """Send a report with a leading report id; a negative number is a failure."""
+        """Send a report that begins with a report id; return its size, or a negative number on failure."""
         if self._last is not None and not wait([self._last], self._timeout_s).done:
             raise TimeoutError("an earlier report is still pending")
         self._last = self._thread.submit(self._write, data)
@@ -379,15 +383,15 @@ class TimedWrites:
         return sent
 
     def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
-        """A report, or nothing in time; `OSError` once the device is gone."""
+        """Return a report, or nothing after the time-out; raise `OSError` if the device is unplugged."""
         return self._device.read(size, timeout_ms)
 
     def set_nonblocking(self, on: int, /) -> int:
-        """Let reads without a time-out return at once."""
+        """Make reads without a time-out return at once, also without data."""
         return self._device.set_nonblocking(on)
 
     def close(self) -> None:
-        """Close the device; waits for a write, because hidapi frees memory that the write uses."""
+        """Close the device after a running write has ended, since hidapi frees the memory that it uses."""
         self._thread.shutdown(wait=False)
         if self._last is None or wait([self._last], LONGEST_WRITE_S).done:
             self._device.close()
@@ -407,7 +411,7 @@ _MOST_LATE = 64
 
 
 class Mcp2210Bus(HostBus):
-    """A bus over an open HID device.
+    """A bus over an open HID device with the MCP2210.
 
     Parameters
     ----------
@@ -431,7 +435,7 @@ class Mcp2210Bus(HostBus):
     Raises
     ------
     UsageError
-        A pin has two duties.
+        A pin is to have two functions.
     BusError
         The device does not take its settings.
     """
@@ -518,7 +522,10 @@ class Mcp2210Bus(HostBus):
         return int.from_bytes(data, "big")
 
     def _start(self, data: bytes) -> None:
-        """Begin a transaction; a refused one has clocked nothing and is tried once more."""
+        """Start an SPI transaction with these bytes; try once more if the device refuses it.
+
+        A refused transaction has clocked nothing.
+        """
         for left in range(_TRIES - 1, -1, -1):
             answer = self._ask(Command.TRANSFER, transfer(data))
             status = status_of(answer, Command.TRANSFER)
@@ -548,7 +555,7 @@ class Mcp2210Bus(HostBus):
             self.sleep_s(RESET_PULSE_S)
 
     def _count_edges(self) -> int:
-        """Edges on GP6 since the last call."""
+        """Number of data-ready edges on pin GP6 since the last call."""
         self._settle()
         return parse_events(self._ask(Command.EVENTS))
 
@@ -575,7 +582,7 @@ class Mcp2210Bus(HostBus):
             raise ProtocolError(f"{self.url}: {status_words(status)}")
 
     def _ask(self, command: Command, report: bytes | None = None) -> bytes:
-        """Send a report and return its own answer."""
+        """Send a command and return its answer; after an error the device counts as unsettled."""
         try:
             return self._converse(command, report if report is not None else request(command))
         except BaseException:
@@ -588,7 +595,7 @@ class Mcp2210Bus(HostBus):
         return answer
 
     def _await(self, report: bytes, is_mine: Callable[[bytes], bool]) -> bytes:
-        """Send a report and return the first answer that is its own."""
+        """Send a report and return the first answer for which `is_mine` is true."""
         while self._read(0):
             pass  # discard late answers
         self._write(report)
@@ -623,13 +630,16 @@ class Mcp2210Bus(HostBus):
     # -- after a failure -------------------------------------------------------------------------------
 
     def _settle(self) -> None:
-        """Bring the device to a known state after a failure."""
+        """If an earlier command failed, bring the device back to a known state."""
         if self._unsure:
             self._cancel()
             self._unsure = False
 
     def _settle_quietly(self) -> None:
-        """Like `_settle`, after an error: the first error counts, the next use tries again."""
+        """Like `_settle`, but without raising, so that an earlier error is the one reported.
+
+        If it fails, the next use of the bus tries again.
+        """
         try:
             self._settle()
         except BusError:
@@ -650,7 +660,7 @@ _BACKENDS = ("hidraw", "libusb")
 
 
 def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp2210Bus:
-    """Open a board (see the module's text).
+    """Open an MCP2210 board by its URL (see the module's text).
 
     Parameters
     ----------
@@ -708,12 +718,12 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
 
 
 def find_devices(*, hid: Any = None) -> list[Device]:
-    """Boards that are connected, with the URL of each."""
+    """List the connected MCP2210 boards with the URL of each."""
     return _devices(_boards(hid or _load(_BACKENDS[0])))
 
 
 def _load(backend: str) -> Any:
-    """Hidapi's module: on Linux it has two, one a backend."""
+    """Import the hidapi module for a backend; on Linux the package has two, for hidraw and libusb."""
     names = ["hidraw", "hid"] if sys.platform == "linux" and backend == "hidraw" else ["hid"]
     for name in names:
         with contextlib.suppress(ImportError):
@@ -760,7 +770,7 @@ def _serial(board: dict[str, Any]) -> str:
 
 
 def _node(path: str) -> str:
-    """Device file behind a path of hidapi: itself, or for libusb the node of the port it names."""
+    """Device file of a hidapi path: the path itself, or for libusb the node of its USB port."""
     if path.startswith("/"):
         return path
     from pathlib import Path

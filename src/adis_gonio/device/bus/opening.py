@@ -19,7 +19,7 @@ SOURCE_GROUP = "adis_gonio.source"
 
 @dataclass(frozen=True)
 class BusUrl:
-    """A bus URL, taken apart.
+    """A bus URL split into scheme, place and options.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ Opener = Callable[[BusUrl], SpiBus]
 
 
 def bus_schemes() -> tuple[str, ...]:
-    """Schemes that installed packages offer (entry points of group `adis_gonio.bus`)."""
+    """URL schemes of the installed packages, from their entry points of group `adis_gonio.bus`."""
     return tuple(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)}))
 
 
@@ -107,7 +107,7 @@ DEVICE_GROUP = "adis_gonio.devices"
 
 @dataclass(frozen=True)
 class Device(JsonRecord):
-    """A device that could be opened: its URL and its description, each one printable line."""
+    """A device that can be opened: its URL and a description, each as one printable line."""
 
     url: str
     description: str
@@ -118,7 +118,7 @@ class Device(JsonRecord):
 
 
 def find_devices() -> list[Device]:
-    """Devices of every installed bus (entry points of group `adis_gonio.devices`), one row each.
+    """List the devices of all installed buses (entry points of group `adis_gonio.devices`).
 
     A bus without its library is listed with the extra that it needs, and a finder that fails with the name
     of its function, so that a mistake in one package does not hide the devices of the others.
@@ -147,7 +147,7 @@ def _found(point: EntryPoint) -> list[Device]:
 
 
 def _blamed(point: EntryPoint, error: Exception) -> str:
-    """Function that failed, its package and its error, in one line."""
+    """One line that names the failed function, its package and its error."""
     package = f" of package '{point.dist.name}'" if point.dist is not None else ""
     what = " ".join(str(error).split())
     return f"{point.value}{package} failed: {type(error).__name__}{': ' if what else ''}{what}"

@@ -66,7 +66,7 @@ def _ioc(direction: int, kind: int, number: int, size: int) -> int:
 
 
 class Transfer(ctypes.Structure):
-    """struct spi_ioc_transfer."""
+    """Linux struct spi_ioc_transfer: one transfer of a message."""
 
     _fields_ = (
         ("tx_buf", ctypes.c_uint64),
@@ -98,7 +98,7 @@ and belong to the kernel: since 5.4 it sets SPI_CS_HIGH if CS is a GPIO of any p
 
 
 def message(count: int) -> int:
-    """SPI_IOC_MESSAGE(count)."""
+    """Number of the ioctl SPI_IOC_MESSAGE for `count` transfers."""
     return _ioc(_WRITE, _SPI, 0, count * TRANSFER_SIZE)
 
 
@@ -112,7 +112,7 @@ class _LineAttribute(ctypes.Structure):
 
 
 class LineRequest(ctypes.Structure):
-    """struct gpio_v2_line_request with its configuration unrolled."""
+    """Linux struct gpio_v2_line_request, with the fields of its configuration included."""
 
     _fields_ = (
         ("offsets", ctypes.c_uint32 * 64),
@@ -129,7 +129,7 @@ class LineRequest(ctypes.Structure):
 
 
 class LineValues(ctypes.Structure):
-    """struct gpio_v2_line_values."""
+    """Linux struct gpio_v2_line_values."""
 
     _fields_ = (("bits", ctypes.c_uint64), ("mask", ctypes.c_uint64))
 
@@ -141,7 +141,7 @@ ATTRIBUTE_VALUES = 2
 
 
 def open_drain_line(offset: int) -> LineRequest:
-    """Request for one line as an open-drain output that is not pulled."""
+    """Request to the kernel for one GPIO line as an open-drain output, at first released."""
     request = LineRequest()
     request.offsets[0] = offset
     request.consumer = b"adis-gonio reset"
@@ -154,23 +154,23 @@ def open_drain_line(offset: int) -> LineRequest:
 
 
 class Kernel(Protocol):
-    """The used system calls; tests replace them."""
+    """The system calls that this module uses; tests replace them."""
 
     def open(self, path: str) -> int:
-        """File descriptor of a device file, for reading and writing; `OSError`."""
+        """Open a device file for reading and writing; return its descriptor or raise `OSError`."""
 
     def ioctl(self, fd: int, request: int, argument: Any) -> int:
-        """Call with a ctypes object that the kernel reads and writes; `OSError`."""
+        """Call ioctl with a ctypes object that the kernel reads and writes; raise `OSError` on failure."""
 
     def lock(self, fd: int) -> None:
-        """Advisory lock; `BlockingIOError` if another program has it."""
+        """Take an advisory lock; raise `BlockingIOError` if another program has it."""
 
     def close(self, fd: int) -> None:
-        """Close a descriptor."""
+        """Close a file descriptor."""
 
 
 class LinuxKernel:
-    """System calls of Linux.
+    """The system calls of Linux that this module uses.
 
     Raises
     ------
@@ -184,20 +184,20 @@ class LinuxKernel:
         self._fcntl = fcntl
 
     def open(self, path: str) -> int:
-        """File descriptor of a device file."""
+        """Open a device file for reading and writing; return its descriptor."""
         return os.open(path, os.O_RDWR | os.O_CLOEXEC)
 
     def ioctl(self, fd: int, request: int, argument: Any) -> int:
-        """ioctl(2)."""
+        """Call ioctl(2) with a ctypes object that the kernel reads and writes."""
         result: int = self._fcntl.ioctl(fd, request, argument, True)
         return result
 
     def lock(self, fd: int) -> None:
-        """flock(2), exclusive and without waiting."""
+        """Lock the file by flock(2), exclusively and without waiting."""
         self._fcntl.flock(fd, self._fcntl.LOCK_EX | self._fcntl.LOCK_NB)
 
     def close(self, fd: int) -> None:
-        """close(2)."""
+        """Close a file descriptor by close(2)."""
         os.close(fd)
 
 
@@ -212,7 +212,7 @@ _GONE = (errno.ENODEV, errno.ESHUTDOWN, errno.ENXIO)
 
 
 class SpidevBus(HostBus):
-    """A bus over an open spidev file.
+    """A bus over an open spidev file of the Linux kernel.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ class SpidevBus(HostBus):
     CannotOpenError
         The controller cannot do mode 3.
     BusError
-        The file is no spidev, or the mode reads back otherwise.
+        The file is no spidev, or another mode is read back.
     """
 
     def __init__(
@@ -269,7 +269,7 @@ class SpidevBus(HostBus):
         return SpiTiming(float(int(self._clock_for(timing))), timing.stall_us, timing.period_us)
 
     def _clock_for(self, timing: SpiTiming) -> float:
-        """Clock that fills the period if frames are one message, else the requested clock."""
+        """Clock in Hz at which frames in one message keep the period; else the requested clock."""
         if timing.stall_us > self._cs_high_us:
             return timing.clock_hz
         left_us = timing.period_us - self._cs_high_us
@@ -277,7 +277,7 @@ class SpidevBus(HostBus):
         return min(timing.clock_hz, filling) if filling >= SLOWEST_HZ else timing.clock_hz
 
     def _fills(self, timing: SpiTiming) -> bool:
-        """True if the kernel alone keeps stall and period within a message."""
+        """True if frames in one kernel message keep stall and period without waits by the host."""
         frame_us = FRAME_BITS / timing.clock_hz * 1e6 + self._cs_high_us
         return self._cs_high_us >= timing.stall_us and frame_us >= timing.period_us
 
@@ -300,7 +300,7 @@ class SpidevBus(HostBus):
         return replies
 
     def _message(self, frames: Words) -> Words:
-        """Send one ioctl, in which every frame is a transfer with its own chip-select period."""
+        """Send frames by one ioctl, each with its own chip-select period; return the replies."""
         count = len(frames)
         sent = frames.astype(">u2")
         received = np.zeros(count, ">u2")
@@ -344,7 +344,7 @@ class SpidevBus(HostBus):
             raise ProtocolError(f"{self.url}: the SPI controller is in mode {got:#x}, not 3")
 
     def _mode(self) -> int:
-        """Mode and its flags in the kernel."""
+        """Read the SPI mode and its flags from the kernel."""
         mode = ctypes.c_uint32()
         self._call(self._fd, RD_MODE32, mode)
         return mode.value
@@ -372,7 +372,7 @@ _LINE = re.compile(r"(?:(gpiochip\d+):)?(\d+)")
 def open_from_url(
     url: BusUrl, *, system: Kernel | None = None, clock: Clock = WALL, folder: str = "/dev"
 ) -> SpidevBus:
-    """Open a device file (see the module's text).
+    """Open a spidev device file by its URL (see the module's text).
 
     Parameters
     ----------
@@ -432,7 +432,7 @@ def open_from_url(
 
 
 def find_devices(*, folder: str = "/dev") -> list[Device]:
-    """SPI device files of this machine."""
+    """List the SPI device files (spidev) of this computer."""
     devices = []
     for path in sorted(Path(folder).glob("spidev*")):
         denied = "" if readable_and_writable(str(path)) else ", no permission (adis-gonio devices --udev)"

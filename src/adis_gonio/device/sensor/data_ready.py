@@ -59,14 +59,14 @@ MASK = _ROW.field("data_ready").mask | _POLARITY | _ROW.field("line").mask
 
 
 def edges_arrive(bus: SpiBus, period_s: float) -> bool:
-    """True if the bridge counts one data-ready edge for each update, or cannot count; False for no edges.
+    """True if one data-ready edge comes for each update, or if the bus cannot count; False without edges.
 
     Takes 0.1 s or 2.5 updates of `period_s`, whichever is longer.
 
     Raises
     ------
     ChipError
-        Edges come, but not at the rate of the updates: they are not the chip's.
+        Edges come, but not at the rate of the chip's updates, so another device makes them.
     """
     if Capability.EVENT_COUNTER not in bus.capabilities:
         return True
@@ -84,7 +84,7 @@ def edges_arrive(bus: SpiBus, period_s: float) -> bool:
 
 
 def edge_at_update(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
-    """True if no update falls into scans of these registers that start at the data-ready edge.
+    """True if no update of the sensor happens during scans that start at the data-ready edge.
 
     Takes 0.1 s or 4 updates, whichever is longer.
     """
@@ -102,7 +102,7 @@ def edge_at_update(bus: SpiBus, table: Sequence[Register], period_s: float) -> b
 
 
 def wrong_edge_error(bus: SpiBus) -> ChipError:
-    """Error for edges with updates during their scans."""
+    """Make the error for data-ready edges that do not mark updates: updates fall into their scans."""
     return ChipError(
         f"{bus.url}: the sensor's updates fall into scans that start at the data-ready edges (bit ND of a"
         " register read twice): the edges are not the updates', or MSC_CTRL[1] selects the wrong end of the"
@@ -111,7 +111,7 @@ def wrong_edge_error(bus: SpiBus) -> ChipError:
 
 
 class DataReadyLoan:
-    """Data-ready on DIO1, which the bridges are wired to, until the old setting is restored.
+    """Enables data-ready on DIO1, the line wired to the bridges, until the old setting is restored.
 
     The polarity is chosen so that the edge used by the bus comes at the update. Only the low byte
     of MSC_CTRL is written, and only its three bits of data-ready change.
@@ -137,7 +137,7 @@ class DataReadyLoan:
     VerifyError
         A value read back differs.
     ChipError
-        Edges arrive, but they are not the chip's updates. MSC_CTRL is set back.
+        Edges arrive, but not at the chip's updates. MSC_CTRL is restored.
     """
 
     def __init__(
@@ -160,13 +160,16 @@ class DataReadyLoan:
             raise
 
     def give_back(self) -> None:
-        """Restore the bits, unless another program has changed them; may be called twice."""
+        """Restore the data-ready bits, unless another program has changed them; may be called twice."""
         if self._ours != self._before and self._sensor.read(_ROW) & MASK == self._ours:
             self._set(self._before)
         self._ours = self._before
 
     def _find_edge(self, table: Sequence[Register], period_s: float) -> None:
-        """Use the declared edge if it is at the update, else the other edge."""
+        """Select the end of the pulse at which updates happen: the declared one, or else the other.
+
+        Raises `ChipError` if neither end fits.
+        """
         if Capability.STREAM not in self._sensor.bus.capabilities:
             return  # nothing starts at an edge
         for _ in range(2):

@@ -29,7 +29,7 @@ _IN_CACHE = 32_768
 
 
 def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]:
-    """Numbers of registers: flags and unused bits masked off, signs extended.
+    """Decode words to integers: flags and unused bits removed, sign extended.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]
 
 @lru_cache(maxsize=64)
 def _masks_and_signs(layout: tuple[tuple[int, bool], ...]) -> tuple[Words, Words]:
-    """Rows of masks and sign bits for as many scans as are handled at a time.
+    """Data masks and sign bits for the words of as many scans as are decoded at a time.
 
     (word & mask ^ sign) - sign masks the flags off and extends the sign; sign is 0 for unsigned registers.
     """
@@ -74,12 +74,12 @@ def _masks_and_signs(layout: tuple[tuple[int, bool], ...]) -> tuple[Words, Words
 def scales(
     table: Sequence[Register], part: Variant, gyro_range_dps: int | None
 ) -> tuple[Floats, Floats, tuple[str, ...]]:
-    """LSB (k,), value at zero (k,) and unit of each register.
+    """For each of k registers: value of an LSB (k,), value at number zero (k,), and unit.
 
     Raises
     ------
     ChipError
-        A gyro is asked for while the range is unknown (None).
+        A gyro is among the registers, but the gyro range is unknown (None).
     """
     lsb, zero, units = [], [], []
     for row in table:
@@ -97,7 +97,7 @@ def scales(
 
 @dataclass(frozen=True)
 class ScanBlock:
-    """Scans of the same registers, one after another.
+    """Successive scans of the same registers, with their times.
 
     Attributes
     ----------
@@ -131,30 +131,30 @@ class ScanBlock:
 
     @property
     def table(self) -> tuple[Register, ...]:
-        """Rows of the register table, one a column."""
+        """Descriptions of the registers, one for each column."""
         return registers(self.registers)
 
     def numbers(self) -> NDArray[np.int32]:
-        """Numbers (n, k), flags and unused bits masked off."""
+        """Decoded register contents (n, k) as signed integers, without flags and unused bits."""
         return decode_numbers(self.table, self.words)
 
     def values(self) -> Floats:
-        """Values (n, k) in the units of `units` (mg, °/s, °C, V)."""
+        """Measured values (n, k) in the units of `units` (mg, °/s, °C, V)."""
         lsb, zero, _ = scales(self.table, variant(self.variant), self.gyro_range_dps)
         values: Floats = zero + lsb * self.numbers()
         return values
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of each column."""
+        """Unit of the values in each column."""
         return scales(self.table, variant(self.variant), self.gyro_range_dps)[2]
 
     def column(self, name: str) -> Floats:
-        """Values (n,) of one register."""
+        """Measured values (n,) of one register in its unit."""
         return self.select((name,)).values()[:, 0]
 
     def select(self, names: Sequence[str]) -> ScanBlock:
-        """Copy with some of the registers only."""
+        """Copy of the block with only the named registers."""
         try:
             columns = [self.registers.index(name) for name in names]
         except ValueError:
@@ -163,7 +163,7 @@ class ScanBlock:
         return replace(self, registers=tuple(names), words=self.words[:, columns])
 
     def first(self, count: int) -> ScanBlock:
-        """The first scans of the block, with the part of `lost` that `missed` assigns to them."""
+        """Copy of the first `count` scans, with the share of `lost` that belongs to them."""
         missed = None if self.missed is None else self.missed[:count]
         return replace(
             self,
@@ -185,31 +185,31 @@ class ScanBlock:
 
     @property
     def temperature_c(self) -> Floats:
-        """Mean (n,) of the scanned die temperatures in °C."""
+        """Mean (n,) in °C of the die temperatures that were scanned."""
         names = tuple(name for name in TEMP_OUT if name in self.registers)
         mean: Floats = self.select(names or TEMP_OUT).values().mean(axis=1)
         return mean
 
     @property
     def supply_v(self) -> Floats:
-        """Supply (n,) in V."""
+        """Supply voltage (n,) in V."""
         return self.column("SUPPLY_OUT")
 
     @property
     def fresh(self) -> NDArray[np.bool_]:
-        """True (n, k) for words with ND: data that had not been read before."""
+        """For each word (n, k): True if its flag ND marks data that had not been read before."""
         return (self.words & ND).astype(bool)
 
     @property
     def alarm(self) -> NDArray[np.bool_]:
-        """True (n,) for scans with EA: STATUS has an error or alarm."""
+        """For each scan (n,): True if a flag EA reports an error or alarm in STATUS."""
         outputs = [k for k, row in enumerate(self.table) if row.flags]
         flags: NDArray[np.bool_] = np.any((self.words[:, outputs] & EA).astype(bool), axis=1)
         return flags
 
 
 def join(blocks: Sequence[ScanBlock]) -> ScanBlock:
-    """Join successive blocks of the same registers."""
+    """Join successive blocks of equal registers to one block."""
     first = blocks[0]
     missed = [block.missed for block in blocks if block.missed is not None]
     return replace(

@@ -5,7 +5,7 @@ Rules that it keeps
     unless `leave_registers` is set.
     * Every write is read back, and a flash update is proved by the endurance counter.
     * The bus's clock follows SMPL_PRD, and is slow if the mode is not known.
-    * After a reset, restore, self-test or flash update nothing is sent until the part has recovered.
+    * After a reset, restore, self-test or flash update nothing is sent until the sensor has recovered.
     * Silence, a wrong variant and faults in STATUS are errors, not data.
 
 Registers are put back and verified, also after an error or an interruption.
@@ -80,24 +80,24 @@ DEFAULT_SCAN = (*ACCEL_OUT, *GYRO_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 """Registers of a scan by default: accelerometers, gyros, one temperature, supply."""
 
 START_UP_S = 0.3
-"""Silence after power-on and reset; 150 ms typical (DS, B), a reset's recovery is not given."""
+"""Wait in s after power-on and reset; 150 ms typical (DS, B), the recovery of a reset is not given."""
 FLASH_UPDATE_S = 0.15
-"""Silence after a flush to flash; about 100 ms (DS, A)."""
+"""Wait in s after starting a flash update; it takes about 100 ms (DS, A)."""
 SELF_TEST_S = 0.06
-"""Silence after starting the self-test; 35 ms (DS, A)."""
+"""Wait in s after starting the self-test; it takes 35 ms (DS, A)."""
 PRECISION_AUTONULL_S = 35.0
-"""Wait for the precision autonull; about 30 s (DS, B)."""
+"""Wait in s for the precision autonull; it takes about 30 s (DS, B)."""
 WAKE_S = 0.005
-"""Recovery from sleep; 3 ms (DS, B)."""
+"""Wait in s for the recovery from sleep; it takes 3 ms (DS, B)."""
 FLASH_LIFE = 10_000
-"""Flash writes that the part is made for (DS, A)."""
+"""Number of flash writes for which the chip is made (DS, A)."""
 ENDURANCE_WRAP = 32_768
 
 MOST_READINGS = 4
-"""Readings of a register, of which two successive ones must agree."""
+"""Largest number of readings of a register; two successive readings must agree."""
 
 _STUCK_WORDS = frozenset({0x0000, 0xFFFF})
-"""Replies of a line that is stuck at one level."""
+"""Replies if the data line is stuck: all zeros or all ones."""
 
 PLAUSIBLE = 0.15
 """Tolerance of |a| at rest relative to 1 g for a variant: it allows ±2 % of scale and a bias of tens of mg;
@@ -108,7 +108,7 @@ MANUAL_SCANS = 64
 
 @dataclass(frozen=True)
 class Quantity:
-    """A register's number with its meaning."""
+    """Content of a register, as an integer and as a value with unit."""
 
     register: Register
     number: int
@@ -148,7 +148,7 @@ def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> 
 
 
 class Adis16354(Closing):
-    """An ADIS16354 (or ADIS16350/16355) on a bus.
+    """Driver of an ADIS16354 (or ADIS16350/16355) on a bus.
 
     Parameters
     ----------
@@ -191,29 +191,29 @@ class Adis16354(Closing):
     # -- registers --------------------------------------------------------------------------------
 
     def read_words(self, names: Sequence[str | Register]) -> list[int]:
-        """Words as read, including flags; k registers in k + 1 frames."""
+        """Read registers as raw 16-bit words with their flags; k registers take k + 1 frames."""
         frames = np.append(read_frames(registers(names)), np.uint16(IDLE))
         return [int(word) for word in self.bus.exchange_array(frames)[1:]]
 
     def read(self, name: str | Register) -> int:
-        """Number in a register: flags and unused bits masked off, sign extended."""
+        """Read a register as an integer: flags and unused bits removed, sign extended."""
         row = register(name)
         return row.number(self.read_words([row])[0])
 
     def read_all(self) -> dict[str, int]:
-        """Numbers of all readable registers in order of address. Reading STATUS clears it."""
+        """Read all readable registers as integers, by name in order of address; this clears STATUS."""
         rows = [row for row in REGISTERS if row.readable]
         return {row.name: row.number(word) for row, word in zip(rows, self.read_words(rows), strict=True)}
 
     def quantity(self, name: str | Register) -> Quantity:
-        """Number of a register with value and unit."""
+        """Read a register as an integer and as a value with unit."""
         row = register(name)
         number = self.read(row)
         lsb, zero, units = scales([row], self.variant, self._gyro_range)
         return Quantity(row, number, float(zero[0] + lsb[0] * number), units[0])
 
     def write(self, name: str | Register, number: int) -> None:
-        """Write a register and read it back.
+        """Write an integer to a register and read it back.
 
         Parameters
         ----------
@@ -225,7 +225,7 @@ class Adis16354(Closing):
         UsageError
             The register is read-only, is COMMAND (use the methods), or cannot hold the number.
         VerifyError
-            What was read back differs.
+            The register reads back another value.
         """
         row = register(name)
         if not row.readable:
@@ -243,7 +243,7 @@ class Adis16354(Closing):
             self._follow()
 
     def write_fields(self, name: str | Register, **fields: int) -> None:
-        """Change fields of a register and leave its other bits as they are."""
+        """Change the given bit fields of a register; its other bits are unchanged."""
         row = register(name)
         word = self.read(row) & row.write_mask
         for field_name, value in fields.items():
@@ -258,7 +258,7 @@ class Adis16354(Closing):
     # -- configuration ----------------------------------------------------------------------------
 
     def configuration(self) -> Configuration:
-        """Read how the sensor measures now.
+        """Read the sample rate, filter, range and compensations that the sensor uses now.
 
         Raises
         ------
@@ -300,7 +300,7 @@ class Adis16354(Closing):
         )
 
     def endurance(self) -> int:
-        """Return ENDURANCE, the count of flash updates (0 to 32767). Errors as `read_checked`."""
+        """Read ENDURANCE, the count of flash updates (0 to 32767). Errors as `read_checked`."""
         return BY_NAME["ENDURANCE"].number(self.read_checked(["ENDURANCE"])[0])
 
     def configure(
@@ -314,7 +314,7 @@ class Adis16354(Closing):
         linear_g: bool | None = None,
         origin: bool | None = None,
     ) -> Configuration:
-        """Change the given settings only, and wait until the filter has settled.
+        """Change the given settings of the chip and wait until the filter has settled.
 
         Parameters
         ----------
@@ -330,9 +330,9 @@ class Adis16354(Closing):
         Raises
         ------
         UsageError
-            A value that the part does not have, or both rate and `smpl_prd`.
+            A value that the sensor does not support, or both rate and `smpl_prd`.
         VerifyError
-            What was read back differs.
+            A register reads back another value.
         """
         if sample_rate_hz is not None:
             if smpl_prd is not None:
@@ -363,7 +363,7 @@ class Adis16354(Closing):
         leave_registers: bool = False,
         data_ready: bool | None = None,
     ) -> ScanStream:
-        """Successive new scans by the best method of the bus (see `sensor.scanning`).
+        """Return an iterator of new scans, by the best method of the bus (see `sensor.scanning`).
 
         If the bus can, it streams at each data-ready edge; else scans are polled, and missed updates are
         counted by the event counter of the bus, or by time without one.
@@ -426,7 +426,7 @@ class Adis16354(Closing):
         return stream
 
     def lend_data_ready(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> DataReadyLoan | None:
-        """Enable data-ready for streams of these registers until the loan is given back.
+        """Enable data-ready for streams of these registers; the returned loan restores the old setting.
 
         Returns None if the bus cannot use it. Errors as `DataReadyLoan`.
         """
@@ -442,7 +442,7 @@ class Adis16354(Closing):
         *,
         data_ready: bool | None = None,
     ) -> ScanBlock:
-        """`count` fresh scans in one block; writes no register. `data_ready` as in `stream`."""
+        """Read `count` scans of new data, writing no register; `data_ready` as in `stream`."""
         if count < 1:
             raise UsageError(f"count is {count}: take 1 or more")
         blocks: list[ScanBlock] = []
@@ -457,14 +457,14 @@ class Adis16354(Closing):
         return join(blocks).first(count)
 
     def scan(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> dict[str, float]:
-        """One fresh scan as values by register name, in mg, °/s, °C and V."""
+        """Read one scan of new data, as values by register name in mg, °/s, °C and V."""
         block = self.read_scans(1, names)
         return dict(zip(block.registers, (float(value) for value in block.values()[0]), strict=True))
 
     # -- health -----------------------------------------------------------------------------------
 
     def status(self) -> Status:
-        """Read STATUS, which clears it; a condition that persists returns with the next update."""
+        """Read STATUS, which clears it; the bit of a lasting condition is set again at the next update."""
         return Status(self.read("STATUS"))
 
     def self_test(self) -> SelfTest:
@@ -487,9 +487,9 @@ class Adis16354(Closing):
         return SelfTest(self.status())
 
     def manual_self_test(self) -> ManualSelfTest:
-        """Apply the self-test's stimulus with each sign, and measure the change of the outputs.
+        """Apply the self-test stimulus with each sign; return the changes of the outputs.
 
-        The part must be at rest. MSC_CTRL is always restored at the end.
+        The sensor must be at rest. MSC_CTRL is always restored at the end.
 
         Raises
         ------
@@ -517,7 +517,7 @@ class Adis16354(Closing):
     # -- offsets and flash --------------------------------------------------------------------------
 
     def offsets(self) -> Offsets:
-        """The six offset registers in units."""
+        """Read the six offset registers, converted to mg and °/s."""
         rows = registers([*GYRO_OFF, *ACCEL_OFF])
         numbers = [row.number(word) for row, word in zip(rows, self.read_words(rows), strict=True)]
         lsb, _, _ = scales(rows, self.variant, self._gyro_range)
@@ -527,7 +527,7 @@ class Adis16354(Closing):
     def write_offsets(
         self, *, accel_mg: Sequence[float] | None = None, gyro_dps: Sequence[float] | None = None
     ) -> Offsets:
-        """Write offsets (x, y, z), which the part adds to its outputs; volatile until `save_to_flash`.
+        """Write offsets (x, y, z) that the chip adds to its outputs; volatile until `save_to_flash`.
 
         Returns the new offsets: the requested values, rounded to an LSB.
 
@@ -559,7 +559,7 @@ class Adis16354(Closing):
         return self.offsets()
 
     def save_to_flash(self, *, force: bool = False) -> int:
-        """Save the registers that have a flash copy; return ENDURANCE afterwards.
+        """Save all registers that have a flash copy; return the count of flash updates afterwards.
 
         Raises
         ------
@@ -574,7 +574,9 @@ class Adis16354(Closing):
         return self._flash_command("flash_update", FLASH_UPDATE_S, "the flash update")
 
     def autonull(self, *, force: bool = False) -> Offsets:
-        """Null the gyros by their present output; the part must not turn. Ends in a flash update.
+        """Let the chip cancel its present gyro outputs while it is at rest; return the new offsets.
+
+        It ends in a flash update.
 
         The duration is not given by the maker; the wait covers the filter and the flash update.
         """
@@ -584,13 +586,18 @@ class Adis16354(Closing):
         return self.offsets()
 
     def precision_autonull(self, *, force: bool = False) -> Offsets:
-        """Null the gyros over about 30 s without motion. Ends in a flash update; only a reset stops it."""
+        """Let the chip measure and cancel its gyro biases for 30 s at rest; return the new offsets.
+
+        It ends in a flash update; only a reset stops it.
+        """
         self._require_flash_life(force)
         self._flash_command("precision_autonull", PRECISION_AUTONULL_S, "the precision autonull")
         return self.offsets()
 
     def restore_factory(self, *, force: bool = False) -> Offsets:
-        """Set the six offsets to zero; this ends in a flash update.
+        """Set the six offset registers to zero by the factory restore; return them as read back.
+
+        The restore ends in a flash update.
 
         Raises
         ------
@@ -605,7 +612,7 @@ class Adis16354(Closing):
         return left
 
     def reset(self) -> None:
-        """Software reset: volatile settings are lost, the flash copies return."""
+        """Reset the chip by a command: unsaved settings are lost and the flash copies return."""
         self._command("reset")
         self.bus.configure(NORMAL)
         self.bus.sleep_s(START_UP_S)
@@ -614,7 +621,7 @@ class Adis16354(Closing):
     # -- alarms, output, sleep ----------------------------------------------------------------------
 
     def set_alarm(self, number: int, alarm: Alarm) -> None:
-        """Set alarm 1 or 2; it shows in STATUS and in EA (DS tables of ALM_*, B).
+        """Set alarm 1 or 2; when it triggers, STATUS and the flag EA show it (DS tables of ALM_*, B).
 
         Raises
         ------
@@ -658,7 +665,7 @@ class Adis16354(Closing):
         self.write_fields("ALM_CTRL", **{f"source{number}": 0, f"rate{number}": 0})
 
     def write_dac(self, volts: float) -> None:
-        """Set the auxiliary output, 0 to 2.5 V."""
+        """Set the voltage of the auxiliary output, 0 to 2.5 V."""
         row = BY_NAME["AUX_DAC"]
         lsb, _, _ = scales([row], self.variant, self._gyro_range)
         if not 0 <= volts <= 2.5:
@@ -667,7 +674,7 @@ class Adis16354(Closing):
         self._command("latch_dac")
 
     def sleep(self, seconds: float) -> None:
-        """Put the part to sleep for 0.5 to 127.5 s; any frame wakes it, so send none meanwhile."""
+        """Put the chip to sleep for 0.5 to 127.5 s; any frame wakes it, so send none meanwhile."""
         halves = round(seconds * 2)
         if not 1 <= halves <= 255:
             raise UsageError(f"the part sleeps 0.5 to 127.5 s, not {seconds:g}")
@@ -675,7 +682,7 @@ class Adis16354(Closing):
         self.bus.exchange_array(write_frames(BY_NAME["SLP_CNT"], halves))
 
     def wake(self) -> None:
-        """Wake the part with a pulse of chip select and wait for its recovery."""
+        """Wake the chip by a pulse of chip select and wait until it has recovered."""
         self.bus.exchange_array(np.array([IDLE], np.uint16))
         self.bus.sleep_s(WAKE_S)
 
@@ -714,7 +721,7 @@ class Adis16354(Closing):
             )
 
     def _follow(self) -> None:
-        """Let the bus's clock and the gyros' scale follow the registers."""
+        """Read the configuration and adapt the SPI timing and the gyro scale to it."""
         now = self.configuration()
         self._gyro_range = now.gyro_range_dps
         self.bus.configure(timing_for(now.smpl_prd))
@@ -761,7 +768,7 @@ _TRIES = 4
 
 
 class Undo:
-    """Records registers; `put_back` restores changed ones and verifies them.
+    """Remembers register contents; `put_back` restores the changed ones and verifies them.
 
     Parameters
     ----------
@@ -791,7 +798,7 @@ class Undo:
         self.left: tuple[str, ...] = ()
 
     def put_back(self) -> None:
-        """Restore every changed register; `left` names the registers that failed.
+        """Restore all changed registers; afterwards `left` names those that could not be restored.
 
         Raises
         ------
@@ -813,7 +820,7 @@ class Undo:
             raise KeyboardInterrupt
 
     def _restore(self) -> list[Register]:
-        """Try once; return rows that still differ."""
+        """Write back the changed registers once; return the registers that still differ."""
         bus = self._sensor.bus
         bus.configure(NORMAL)  # keeps the limits of both modes
         now = self._read()

@@ -24,7 +24,7 @@ Confidence = Literal["A", "B", "C", "D"]
 
 
 class Access(StrEnum):
-    """Allowed access to a register."""
+    """Access that a register allows: read, write, or both."""
 
     READ = "r"
     READ_WRITE = "rw"
@@ -32,7 +32,7 @@ class Access(StrEnum):
 
 
 class Kind(StrEnum):
-    """Meaning of a register's number; the variant gives the size of its LSB."""
+    """Meaning of a register's content; the variant gives the LSB that belongs to it."""
 
     ACCEL = "accel"
     GYRO = "gyro"
@@ -48,7 +48,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Field:
-    """A bit field of a control register."""
+    """A bit field of a control register: name, highest and lowest bit, meaning."""
 
     name: str
     high: int
@@ -57,17 +57,17 @@ class Field:
 
     @property
     def mask(self) -> int:
-        """Mask of the field in its register."""
+        """Bit mask of the field within its register."""
         return ((1 << (self.high - self.low + 1)) - 1) << self.low
 
     def of(self, word: int) -> int:
-        """Value of the field in a register's word."""
+        """Extract the value of the field from the content of its register."""
         return (word & self.mask) >> self.low
 
 
 @dataclass(frozen=True)
 class Register:
-    """A row of the table.
+    """A register of the chip: address, data format, access and meaning.
 
     Attributes
     ----------
@@ -102,26 +102,26 @@ class Register:
 
     @property
     def data_mask(self) -> int:
-        """Mask of the number in the word that is read."""
+        """Bit mask of the data bits in a word read from the register."""
         return (1 << self.bits) - 1
 
     @property
     def readable(self) -> bool:
-        """True if reading gives data."""
+        """True if the register may be read."""
         return self.access is not Access.WRITE
 
     @property
     def writable(self) -> bool:
-        """True if a write is allowed."""
+        """True if the register may be written."""
         return self.access is not Access.READ
 
     def number(self, word: int) -> int:
-        """Number in a 16-bit word as read: flags and unused bits masked off, sign extended."""
+        """Decode a word read from the register: flags and unused bits removed, sign extended."""
         data = word & self.data_mask
         return data - (1 << self.bits) if self.signed and data >> (self.bits - 1) else data
 
     def word(self, number: int) -> int:
-        """Word to write for a number; `UsageError` if it does not fit."""
+        """Encode an integer as the word to write; `UsageError` if it does not fit."""
         low, high = self.range
         if not low <= number <= high:
             raise UsageError(f"{self.name} takes {low} to {high}, not {number}")
@@ -129,13 +129,13 @@ class Register:
 
     @property
     def range(self) -> tuple[int, int]:
-        """Smallest and largest number of the register."""
+        """Smallest and largest integer that the register can contain."""
         if self.signed:
             return -(1 << (self.bits - 1)), (1 << (self.bits - 1)) - 1
         return 0, self.data_mask
 
     def field(self, name: str) -> Field:
-        """Bit field by name."""
+        """Return the bit field with this name; `KeyError` if there is none."""
         for entry in self.fields:
             if entry.name == name:
                 return entry
@@ -354,7 +354,7 @@ READING_BITS: dict[str, int] = {
 
 
 def changed_settings(then: Mapping[str, int], now: Mapping[str, int]) -> dict[str, tuple[int, int]]:
-    """Return the changed registers of `READING_BITS`: number then and number now.
+    """Registers of `READING_BITS` that differ between two readings, each with old and new content.
 
     A register that is missing on one side is not compared.
     """
@@ -372,7 +372,7 @@ WRITE = 1 << 15
 
 
 def register(name: str | Register) -> Register:
-    """Row by name, in either case (`SENS/AVG` too); `UsageError` names the nearest if unknown."""
+    """Return the register with this name, in any case (also `SENS/AVG`); `UsageError` suggests a name."""
     if isinstance(name, Register):
         return name
     key = name.strip().upper().replace("/", "_")
@@ -387,12 +387,12 @@ def register(name: str | Register) -> Register:
 
 
 def registers(names: Iterable[str | Register]) -> tuple[Register, ...]:
-    """Rows by name."""
+    """Return the registers with these names."""
     return tuple(register(name) for name in names)
 
 
 IDLE = 0x0000
-"""Read of ENDURANCE, harmless. Never idle with ones: 0xFFFF looks like a write to COMMAND."""
+"""Idle frame: a harmless read of ENDURANCE. Never idle with ones: 0xFFFF looks like a write to COMMAND."""
 
 FAST = SpiTiming(clock_hz=1_000_000, stall_us=9.0, period_us=40.0)
 """Fast mode, SMPL_PRD <= 0x09: up to 2 MHz, frame period at least 40 µs, stall at least 9 µs (DS, A)."""
@@ -407,24 +407,24 @@ FAST_UP_TO = 0x09
 
 
 def timing_for(smpl_prd: int) -> SpiTiming:
-    """Timing that a value of SMPL_PRD asks for; the whole byte counts, not only N."""
+    """SPI timing that the chip needs at a value of SMPL_PRD; the whole byte counts, not only N."""
     return FAST if (smpl_prd & 0xFF) <= FAST_UP_TO else NORMAL
 
 
 def read_frame(register: Register) -> int:
-    """Frame that reads a register."""
+    """16-bit frame that reads this register."""
     if not register.readable:
         raise UsageError(f"{register.name} cannot be read")
     return (register.address & 0x3F) << 8
 
 
 def read_frames(registers: Sequence[Register]) -> Words:
-    """Frames (k,) uint16 that read registers; one more frame is needed to fetch the last reply."""
+    """Frames (k,) uint16 that read k registers; each reply comes one frame later than its request."""
     return np.array([read_frame(register) for register in registers], np.uint16)
 
 
 def write_frames(register: Register, word: int, *, byte_mask: int = 0xFFFF) -> Words:
-    """Frames that write a register: low byte, then high byte.
+    """Frames (k,) uint16 that write a register: low byte first, then high byte.
 
     Bytes in which the register has no writable bit are left out, and so are bytes outside `byte_mask`
     (0x00FF low, 0xFF00 high).

@@ -55,7 +55,7 @@ LEAST_PASSES = 4
 
 JUDGED_SCANS = 32
 FRESH_SHARE = 0.75
-"""Number of latest scans at data-ready edges, and the minimum share of them with new data."""
+"""Number of latest scans that are judged, and minimum share of them that must have new data."""
 
 COUNTER_SLACK = 2.0
 """Tolerance between edges and scans: some updates come between a scan and the reading of the counter."""
@@ -63,7 +63,7 @@ COUNTER_SLACK = 2.0
 
 @dataclass(frozen=True)
 class ScanLayout:
-    """Registers of a scan, their decoding, and the action at the end of the stream.
+    """Registers of a scan, the data that decode them, and the action at the end of the stream.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class ScanLayout:
 
 
 class ScanStream(Closing):
-    """An iterator of `ScanBlock` that stops cleanly when closed; use it as a context manager.
+    """Iterator of `ScanBlock` that restores the chip's settings when closed; a context manager.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class ScanStream(Closing):
 
     @property
     def caveat(self) -> str:
-        """Warning about the rows; empty without one."""
+        """Warning about the scans delivered so far, as text; empty if there is none."""
         return ""
 
     def __init__(self, layout: ScanLayout) -> None:
@@ -110,13 +110,13 @@ class ScanStream(Closing):
         return self
 
     def __next__(self) -> ScanBlock:
-        """Next block of fresh scans; raises `BusError` or `SilentChipError`."""
+        """Return the next block of new scans; raise `BusError` or `SilentChipError` on failure."""
         if self._closed:
             raise StopIteration
         return self._next()
 
     def close(self) -> None:
-        """Stop and restore the changed settings; may be called twice.
+        """Stop the stream and restore the settings that it changed; may be called twice.
 
         Raises
         ------
@@ -139,7 +139,7 @@ class ScanStream(Closing):
     def _next(self) -> ScanBlock: ...
 
     def _stop(self) -> None:
-        """End the activity on the bus."""
+        """Stop the activity of the stream on the bus."""
 
     def _block(
         self, words: Words, time_s: Floats, lost: int, missed: NDArray[np.int64] | None = None
@@ -149,7 +149,7 @@ class ScanStream(Closing):
 
 
 class StreamedScans(ScanStream):
-    """Scans that the bus runs at each data-ready edge."""
+    """Stream of scans that the bridge makes at each data-ready edge, without the host."""
 
     how = "the bridge reads each sample at its data-ready edge"
 
@@ -182,7 +182,10 @@ class StreamedScans(ScanStream):
         return replace(self._block(block.words[new], block.time_s[new], block.lost), dropped=dropped)
 
     def _refuse_stuck_line(self, words: Words) -> None:
-        """Raise `SilentChipError` if the latest scans are all ones, which look like new data."""
+        """Raise `SilentChipError` if the latest scans are all ones, as from a stuck data line.
+
+        All ones look like new data.
+        """
         if self._flags.sum() < STUCK_REGISTERS:
             return
         ones = (words[:, self._flags] == STUCK_HIGH).all(axis=1)
@@ -201,7 +204,7 @@ class StreamedScans(ScanStream):
 
 
 class PolledScans(ScanStream):
-    """Scans found by polling and ND; see the module's text."""
+    """Stream of scans made by reading all the time and keeping new data (ND); see the module's text."""
 
     def __init__(
         self,
@@ -255,7 +258,7 @@ class PolledScans(ScanStream):
 
     @property
     def caveat(self) -> str:
-        """Warning that a row may mix words of two updates, after passes that were too slow."""
+        """Warning that a row may mix words of two updates, if polling was too slow; else empty."""
         if not self._may_mix:
             return ""
         return (
@@ -264,7 +267,7 @@ class PolledScans(ScanStream):
         )
 
     def _heed_counter(self) -> None:
-        """Correct the count of missed updates by the counted edges in the next block."""
+        """Correct the number of missed updates by the edge counter; it takes effect in the next block."""
         if self._edges is None or self._last_s is None:
             return
         begin_s = self._bus.now_s()
@@ -281,7 +284,7 @@ class PolledScans(ScanStream):
             self._missed += ahead - self._ahead
 
     def _poll(self) -> tuple[Words, Floats]:
-        """Words and their times, both (passes, k)."""
+        """Read the registers several times; return the words and their times in s, both (passes, k)."""
         # The reply to the last frame of a pass comes with the first of the next, so passes need no idle
         # frame between them, only one at the very end.
         scan_s = max(self._period_s, self._pass_s)
@@ -315,7 +318,10 @@ class PolledScans(ScanStream):
         return replies[1:].reshape(shape), times[:-1].reshape(shape)
 
     def _match(self, words: Words, times: Floats) -> ScanBlock:
-        """Rows of one update: the latest new words before a silence of as many reads as columns."""
+        """Assemble new words into scans of one update each; a long gap without new data ends a scan.
+
+        A gap is more reads than there are columns.
+        """
         held = len(self._open[0])
         words, times = np.concatenate([self._open[0], words]), np.concatenate([self._open[1], times])
         news = (words & ND).astype(bool)[:, self._flags]
@@ -343,7 +349,7 @@ class PolledScans(ScanStream):
         return self._counted(words[passes, columns], times[passes, columns][:, 0])
 
     def _counted(self, words: Words, time_s: Floats) -> ScanBlock:
-        """Block with the number of missed updates from the gaps in time."""
+        """Block of the scans, with the number of missed updates computed from the gaps in time."""
         if not len(time_s):
             return self._block(words, time_s, 0)
         before = time_s[0] - self._period_s if self._last_s is None else self._last_s

@@ -17,18 +17,18 @@ from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE
 
 
 def filter_weights(m: int) -> Floats:
-    """Weights of the filter: two cascaded boxcars of 2^M taps (DS, A)."""
+    """Weights of the chip's filter: two cascaded moving averages over 2^M samples (DS, A)."""
     box = np.full(1 << min(m, 6), 1.0 / (1 << min(m, 6)))
     return np.convolve(box, box)
 
 
 def white_noise_gain(m: int) -> float:
-    """Gain for white noise, rms: 1, 0.612, 0.415 … (DS, A)."""
+    """Factor by which the filter reduces the rms of white noise: 1, 0.612, 0.415 … (DS, A)."""
     return float(np.sqrt(np.sum(filter_weights(m) ** 2)))
 
 
 def filter_response(m: int, frequency: Floats) -> Floats:
-    """|H|² of the filter at frequencies in cycles a sample."""
+    """Power response |H|² of the filter at frequencies in cycles a sample."""
     taps = 1 << m
     with np.errstate(invalid="ignore", divide="ignore"):
         box = np.sin(np.pi * frequency * taps) / (taps * np.sin(np.pi * frequency))
@@ -36,7 +36,9 @@ def filter_response(m: int, frequency: Floats) -> Floats:
 
 
 def rounding_covariance(m: int, sigma: float) -> Floats:
-    """Autocovariance (lags,) of the rounding of filtered noise, in LSB²; zero beyond.
+    """Autocovariance (lags,) of the error by rounding filtered noise to whole LSB, in LSB².
+
+    It is zero beyond these lags.
 
     A slow signal is rounded the same way for several samples: the error is not white. With ρ the signal's
     correlation and σ its rms in LSB the error's is Σ exp(−4π²n²σ²(1 − ρ)) / (2π²n²) (Widrow and Kollár,
@@ -57,7 +59,7 @@ def rounding_covariance(m: int, sigma: float) -> Floats:
 
 
 def rounding_spectrum(m: int, sigma: float, frequency: Floats) -> Floats:
-    """Level (n,) in a periodogram of the rounding of filtered noise, in LSB².
+    """Power (n,) in a periodogram from the error by rounding filtered noise to whole LSB, in LSB².
 
     Parameters
     ----------
@@ -84,13 +86,13 @@ _RANGE_OF_CODE = {code: dps for dps, code in RANGE_CODE.items()}
 
 
 def sample_period_s(smpl_prd: int) -> float:
-    """Period of the internal update in s: base * (N + 1) (DS, A)."""
+    """Time in s between internal updates: time base times (N + 1) (DS, A)."""
     base = SLOW_BASE_S if smpl_prd & 0x80 else FAST_BASE_S
     return base * ((smpl_prd & 0x7F) + 1)
 
 
 def smpl_prd_for(sample_rate_hz: float) -> int:
-    """SMPL_PRD with the rate nearest to the requested one.
+    """Value of SMPL_PRD that gives the sample rate nearest to the requested one.
 
     Raises
     ------
@@ -105,12 +107,12 @@ def smpl_prd_for(sample_rate_hz: float) -> int:
 
 
 def filter_settling_samples(filter_m: int) -> int:
-    """Samples until two boxcars of 2^M taps have settled: 2 * 2^M - 1 (DS, A)."""
+    """Number of samples until the filter of size M has settled: 2 * 2^M - 1 (DS, A)."""
     return int(2 * 2**filter_m - 1)
 
 
 def low_pass_3db_hz(filter_m: int, sample_rate_hz: float) -> float:
-    """Frequency in Hz at which the filter has halved the power (the table's column -3 dB; DS, A).
+    """Frequency in Hz at which the filter halves the power (−3 dB column of the data sheet's table; DS, A).
 
     Two boxcars of N = 2^M taps pass (sin(N x) / (N sin x))² of an amplitude, with x = π f / rate. Without
     them (M = 0) only the analog pole remains.
@@ -130,7 +132,7 @@ def low_pass_3db_hz(filter_m: int, sample_rate_hz: float) -> float:
 
 @dataclass(frozen=True)
 class Configuration:
-    """Configuration of the sensor from its registers.
+    """Configuration of the chip, decoded from its registers.
 
     Attributes
     ----------
@@ -139,11 +141,12 @@ class Configuration:
     filter_m : int
         M of the Bartlett filter: two boxcars of 2^M taps.
     gyro_range_dps : int or None
-        300, 150 or 75 °/s; None if SENS_AVG has an undefined code.
+        Full scale of the gyros: 300, 150 or 75 °/s; None if SENS_AVG has an undefined code.
     data_ready : bool
         Data-ready pulses on a DIO line.
     linear_g, origin : bool
-        MSC_CTRL[7], MSC_CTRL[6].
+        True if the chip compensates the gyros for acceleration (MSC_CTRL[7]), and the positions of the
+        accelerometers (MSC_CTRL[6]).
     """
 
     smpl_prd: int
@@ -155,7 +158,7 @@ class Configuration:
 
     @classmethod
     def from_words(cls, smpl_prd: int, sens_avg: int, msc_ctrl: int) -> Configuration:
-        """Read the three registers' numbers."""
+        """Decode the configuration from the contents of the three registers."""
         sens, misc = BY_NAME["SENS_AVG"], BY_NAME["MSC_CTRL"]
         return cls(
             smpl_prd & 0xFF,
@@ -168,26 +171,26 @@ class Configuration:
 
     @property
     def sample_period_s(self) -> float:
-        """Period of the internal update in s."""
+        """Time in s between internal updates."""
         return sample_period_s(self.smpl_prd)
 
     @property
     def sample_rate_hz(self) -> float:
-        """Internal updates a second."""
+        """Number of internal updates a second."""
         return 1.0 / self.sample_period_s
 
     @property
     def settling_s(self) -> float:
-        """Settling time of the filter in s."""
+        """Time in s until the filter's output has settled after a change."""
         return filter_settling_samples(self.filter_m) * self.sample_period_s
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """The configuration in JSON form."""
         return asdict(self) | {"sample_rate_hz": self.sample_rate_hz}
 
 
 def compensations(configuration: Mapping[str, Any]) -> tuple[str, ...]:
-    """Compensations that the chip applies to its readings, in words.
+    """Compensations that the chip applies to its readings, as text.
 
     Parameters
     ----------
@@ -202,7 +205,7 @@ def compensations(configuration: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def sens_avg_word(gyro_range_dps: int, filter_m: int) -> int:
-    """Word of SENS_AVG.
+    """Content of SENS_AVG for a gyro range and a filter size M.
 
     Raises
     ------
@@ -223,7 +226,7 @@ def sens_avg_word(gyro_range_dps: int, filter_m: int) -> int:
 
 @dataclass(frozen=True)
 class Offsets(JsonRecord):
-    """The six offset registers in units; each is added to its output.
+    """The six offset registers in °/s and mg; the chip adds each to the output of its axis.
 
     The LSB of the accelerometers' offsets on the ADIS16354 has confidence C: check it once on hardware.
     """
@@ -234,18 +237,18 @@ class Offsets(JsonRecord):
 
 @dataclass(frozen=True)
 class Status:
-    """STATUS as it was read (which cleared it)."""
+    """Content of STATUS at the time of reading, which cleared it."""
 
     word: int
 
     @property
     def flags(self) -> Mapping[str, bool]:
-        """Every bit by its name in the register table."""
+        """All bits of STATUS by their names in the register table."""
         return {field.name: bool(field.of(self.word)) for field in BY_NAME["STATUS"].fields}
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """Present faults and alarms, in words."""
+        """Faults and alarms that are set, one line of text each."""
         return tuple(field.meaning for field in BY_NAME["STATUS"].fields if field.of(self.word))
 
     def __str__(self) -> str:
@@ -254,18 +257,18 @@ class Status:
 
 @dataclass(frozen=True)
 class SelfTest:
-    """Outcome of the internal self-test: STATUS[5] and [15:10]."""
+    """Result of the internal self-test, from the STATUS bits 5 and 15:10."""
 
     status: Status
 
     @property
     def passed(self) -> bool:
-        """True if neither the error bit nor a sensor's bit is set."""
+        """True if STATUS shows no failure: neither the error bit nor the bit of a sensor axis."""
         return not self.failures
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Failures, in words."""
+        """Failed axes, one line of text each."""
         return tuple(
             field.meaning
             for field in BY_NAME["STATUS"].fields
@@ -275,7 +278,7 @@ class SelfTest:
 
 @dataclass(frozen=True)
 class ManualSelfTest:
-    """Result of the manual self-test: change of the mean output under the stimulus of each sign.
+    """Result of the manual self-test: change of each mean output under a stimulus of either sign.
 
     The gyros answer to both signs, the accelerometers to the positive sign only (DS p. 19, B). The size is
     not specified, so only presence and direction are judged.
@@ -297,12 +300,12 @@ class ManualSelfTest:
 
     @property
     def passed(self) -> bool:
-        """True if every sensor answers as in the data sheet."""
+        """True if each axis answers the stimulus as the data sheet states."""
         return not self.failures
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Missing or wrong answers, in words."""
+        """Axes with a missing or wrong answer to the stimulus, one line of text each."""
         found = []
         for k, axis in enumerate("XYZ"):
             most = 4 * self.accel_noise_mg[k]
@@ -321,7 +324,7 @@ class ManualSelfTest:
         return tuple(found)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
+        """The result in JSON form."""
         return asdict(self) | {"passed": self.passed, "failures": list(self.failures)}
 
 
@@ -343,7 +346,7 @@ ALARM_SOURCES: dict[str, int] = {
 
 @dataclass(frozen=True)
 class Alarm:
-    """One of the two alarms, in units of its source.
+    """Setting of one of the two alarms, in the units of the register that it watches.
 
     Attributes
     ----------

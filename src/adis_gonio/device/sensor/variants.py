@@ -20,12 +20,13 @@ LEAST_M: dict[int, int] = {300: 0, 150: 2, 75: 4}
 
 @dataclass(frozen=True)
 class Performance:
-    """Figures for the simulator; all D for the ADIS16354: estimates, not from the maker.
+    """Typical errors of a sensor, for the simulator; for the ADIS16354 all are estimates (D).
 
     Attributes
     ----------
     noise_mg, bias_instability_mg, initial_bias_mg : float
-        rms without filter, Allan floor, standard deviation of the bias, in mg.
+        Noise of an unfiltered sample (rms), floor of the Allan deviation, and standard deviation of the
+        bias, in mg.
     noise_density_pole_hz : float
         Pole of the analog front end in Hz.
     scale_error_typical : float
@@ -35,11 +36,11 @@ class Performance:
     bias_tempco_mg_per_c, scale_tempco_ppm_per_c : float
         Temperature coefficients.
     gyro_noise_dps : float
-        rms in °/s.
+        Noise of an unfiltered gyro sample (rms) in °/s.
     gyro_g_sensitivity_dps_per_g, gyro_supply_sensitivity_dps_per_v : float
         Sensitivity of a gyro to acceleration and supply.
     gyro_instability_dps : float
-        Allan floor in °/s.
+        Floor of the gyros' Allan deviation in °/s.
     """
 
     noise_mg: float
@@ -57,13 +58,13 @@ class Performance:
 
     @property
     def skew_u_rad(self) -> float:
-        """Standard uncertainty in rad of an unmeasured angle between axes: uniform distribution."""
+        """Standard uncertainty in rad of an unmeasured skew, uniform within ± the non-orthogonality."""
         return math.radians(self.non_orthogonality_deg) / math.sqrt(3)
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A part of the family."""
+    """A sensor type of the family, with its scales and typical errors."""
 
     name: str
     accel_mg_per_lsb: float
@@ -74,11 +75,11 @@ class Variant:
 
     @property
     def one_g_lsb(self) -> float:
-        """LSB of an accelerometer per standard g."""
+        """Accelerometer reading in LSB at standard gravity."""
         return 1000.0 / self.accel_mg_per_lsb
 
     def lsb(self, kind: Kind, gyro_range_dps: int = 300) -> tuple[float, float, str]:
-        """Size of an LSB, value at zero and unit of a kind of register.
+        """For a kind of register: size of an LSB, value at number zero, and unit.
 
         The value in the unit is `zero + lsb * number`.
         """
@@ -119,7 +120,7 @@ VARIANTS: dict[str, Variant] = {
 
 
 def variant(name: str | Variant) -> Variant:
-    """Row by name (`adis16354`, also `16354`); `UsageError` lists the known ones."""
+    """Return the variant with this name (`adis16354`, also `16354`); `UsageError` lists the known ones."""
     if isinstance(name, Variant):
         return name
     key = name.strip().lower()

@@ -37,7 +37,7 @@ _MOST_ROWS = 40
 def _indexed(
     places: Sequence[Path], index_path: Path | None, *, trace: bool
 ) -> Iterator[tuple[Store, Scan]]:
-    """Open the index, add all sessions in the folders, and report problems of its file."""
+    """Open the index file, add all sessions in the folders, and report problems of the file."""
     from adis_gonio.fleet.fleet_run import scan
     from adis_gonio.fleet.store import Store
 
@@ -51,7 +51,7 @@ def _indexed(
 
 
 def _records_of(store: Store, serial: str) -> list[SessionRecord]:
-    """Records of a sensor in the order of time; else `UsageError` with similar serial numbers."""
+    """Records of a sensor, sorted by time; `UsageError` with similar serial numbers if there are none."""
     from adis_gonio.fleet.sensor_history import alike, known_serial
 
     known = store.serials()
@@ -318,7 +318,7 @@ def fleet_command(
 
 @contextmanager
 def _journal(path: Path | None) -> Iterator[Store]:
-    """Open the store of the results; after Ctrl-C, report the number of results in it."""
+    """Open the store in which results are kept as they come; after Ctrl-C, report their number."""
     from adis_gonio.fleet.store import IN_MEMORY, Store
 
     with Store(path or IN_MEMORY, strict=True) as store:

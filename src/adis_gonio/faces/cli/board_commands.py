@@ -83,7 +83,10 @@ def bringup_command(
 
 
 def _check_report_files(output: Path | None) -> tuple[Path, ...]:
-    """Paths of the page and of the JSON document, which have the same stem; none without an output."""
+    """Paths of the HTML page and the JSON document, which have one stem; empty without an output.
+
+    An error is raised if they cannot be written.
+    """
     if output is None:
         return ()
     if output.suffix.lower() not in ("", ".html", ".json"):
@@ -230,7 +233,7 @@ def _undo(writer: OffsetWriter, *, yes: bool) -> dict[str, Any]:
 
 
 def _ask_to_write(writer: OffsetWriter, plan: WritePlan) -> str:
-    """Ask the operator; return `write`, `back` or `leave`."""
+    """Ask the operator if the plan is to be carried out; return `write`, `back` or `leave`."""
     if writer.standing().registers == "half":
         question = "An earlier write was not finished: finish it (f), set it back (b), or leave it (Enter)"
         return {"f": "write", "b": "back"}.get(_prompt(question)[:1], "leave")
@@ -241,7 +244,7 @@ def _ask_to_write(writer: OffsetWriter, plan: WritePlan) -> str:
 
 
 def at_a_terminal() -> bool:
-    """True if standard input is a terminal, so that somebody can answer a question."""
+    """True if standard input is a terminal, so that somebody can answer questions."""
     return sys.stdin.isatty()
 
 
@@ -257,7 +260,7 @@ def _prompt(question: str) -> str:
 
 
 def _print_plan(plan: WritePlan) -> None:
-    """Show a plan with one row for each axis."""
+    """Show a plan for offset registers with one row for each axis."""
     from adis_gonio.bench.writeback.offset_plan import UNITS
 
     head = ("register", "now", "new", "moves the output", "bias now", "u", "bias after")

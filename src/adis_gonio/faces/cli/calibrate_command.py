@@ -177,7 +177,7 @@ def calibrate_command(
 
 
 def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> None:
-    """Show the fit of a session of positions, its gyro gains, and its trace if one was asked for."""
+    """Show the fit of a session, the scale factors of its gyros, and its trace if requested."""
     from adis_gonio.faces.cli.fit_commands import print_answer, print_gains
     from adis_gonio.faces.cli.trace_commands import print_loop, print_trace
     from adis_gonio.fitting import fit
@@ -207,7 +207,7 @@ def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bo
 
 
 def _status(session: Session, *, complete: bool) -> int:
-    """Return the exit status, and report the dwells that were kept although a guard doubted them."""
+    """Return the exit status, and report dwells that the operator kept although a guard objected."""
     doubts = session.facts["doubts"]
     for doubt in doubts:
         sure = "cannot" if doubt["attempt"] is not None else "may not"
@@ -223,7 +223,10 @@ def _status(session: Session, *, complete: bool) -> int:
 
 
 def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
-    """The advisor's last trace if it covered all dwells, else a new one; None if none is possible."""
+    """Return the advisor's last trace if it covered all dwells, else trace again.
+
+    Returns None if no trace is possible.
+    """
     from adis_gonio.tracing.trace import trace
 
     if advisor.result is not None and advisor.dwells == len(session.dwells):
@@ -237,7 +240,7 @@ def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
 
 
 def _is_complete(path: Path) -> bool:
-    """True if all positions are done and the plan has no extended form to offer."""
+    """True if all positions are done and the plan has no longer form to offer."""
     from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import extension
 
@@ -247,7 +250,7 @@ def _is_complete(path: Path) -> bool:
 
 
 def _given_flags(*names: str) -> dict[str, bool]:
-    """For each parameter, by its flag: True if it was given on the command line."""
+    """Map the flag of each parameter (such as `--plan`) to True if it was on the command line."""
     context = click.get_current_context()
     flags = {option.name: option.opts[-1] for option in context.command.params}
     default = click.core.ParameterSource.DEFAULT
@@ -269,7 +272,7 @@ def _runner(
     turns: int | None,
     **options: Any,
 ) -> SessionRunner:
-    """Return the runner of a new or resumed session."""
+    """Make the runner of a new or resumed session from the options of the command."""
     from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
@@ -326,7 +329,7 @@ def _gravity_and_fixture(
     height: float,
     **_: Any,
 ) -> tuple[float, float | None]:
-    """Local gravity in m/s² and standard uncertainty of a stage angle in degrees.
+    """Local gravity in m/s² and the standard uncertainty of a stage angle in degrees.
 
     A simulated bench states both if they are not given, as the operator of a real bench knows them.
     """
@@ -346,7 +349,10 @@ def _gravity_and_fixture(
 
 
 def _metadata(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
-    """Operator, serial number and stage: as given, else asked for if somebody sits at a terminal."""
+    """Operator, serial number and stage from the options.
+
+    Missing ones are asked for if somebody sits at a terminal.
+    """
     written = {}
     for name, what in _METADATA.items():
         given = options[name]
@@ -359,7 +365,7 @@ def _metadata(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
 def _choose_plan(
     name: str | None, positions: int | None, check: int, duration_s: float | None, turns: int | None
 ) -> tuple[Plan, float | None]:
-    """Return the plan by its options, and the longest recording of a free turn."""
+    """Return the plan that the options name, and the longest recording in s of a free turn."""
     from adis_gonio.bench import gyro_turns, recorder
     from adis_gonio.plan import find_plan
     from adis_gonio.record.plans import DEFAULT_PLAN

@@ -11,7 +11,7 @@ import click
 
 
 class Home(NamedTuple):
-    """Module of a command in this package, which defines `NAME_command`, and its sentence in the help."""
+    """Module of a command (it defines `NAME_command`) and the command's sentence in the help."""
 
     module: str
     help: str
@@ -32,7 +32,7 @@ class LazyGroup(click.Group):
         self._homes = {name: home for group in groups.values() for name, home in group.items()}
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in the order of the table."""
+        """List the names of the commands in the order of their definition."""
         return list(self._homes)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -46,7 +46,7 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command; the error for an unknown name suggests the nearest one."""
+        """Find a command by its name; the error for an unknown name suggests the most similar one."""
         if args and args[0] not in self._homes and not args[0].startswith("-"):
             near = difflib.get_close_matches(args[0], self._homes, n=1)
             hint = f"did you mean '{near[0]}'?" if near else "see adis-gonio --help"
@@ -54,7 +54,7 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write each group with its heading, without importing the commands."""
+        """Write the help of the group: each heading with its commands, without importing them."""
         width = max(map(len, self._homes))
         for heading, group in self._groups.items():
             with formatter.section(heading):
@@ -76,7 +76,7 @@ class SectionedCommand(click.Command):
         self.sections = sections
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the sections."""
+        """Write the options of a command into its help, in sections."""
         options = [param for param in self.get_params(ctx) if isinstance(param, click.Option)]
         rows = {option.opts[0]: option.get_help_record(ctx) for option in options}
         records = {flag: record for flag, record in rows.items() if record is not None}

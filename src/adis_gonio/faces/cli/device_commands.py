@@ -193,7 +193,7 @@ def registers_command(
 
 
 def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
-    """Number for a register from `0x…`, a decimal, or a quantity with its unit."""
+    """Parse the number for a register: `0x…`, a decimal number, or a quantity with its unit."""
     match = _VALUE.fullmatch(text.strip())
     if not match:
         raise UsageError(f"{row.name}={text}: write a number, 0x…, or a quantity such as -57.3mg")
@@ -214,7 +214,7 @@ def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
 def _show_registers(
     rows: list[tuple[Register, Any]], wanted: Mapping[str, OffsetWord], *, fields: bool, as_json: bool
 ) -> None:
-    """Show registers with their quantities; the quantity is None if a register was not read."""
+    """Show registers with their numbers and quantities; a quantity of None was not read."""
     if as_json:
         documents = []
         for row, quantity in rows:

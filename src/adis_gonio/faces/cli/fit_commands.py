@@ -178,7 +178,7 @@ def _parameter_table(answer: Answer, truth: Mapping[str, float] | None) -> Table
 
 
 def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
-    """Show the scores of the methods, and with `everything` each method in full."""
+    """Show the scores of the methods; with `everything`, show each method in full."""
     from adis_gonio.fitting.answer import method_tables
 
     head, rows = answer.score_rows()
@@ -196,7 +196,7 @@ def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
 
 
 def print_gains(session: Session) -> None:
-    """Print the gyro gains from the moves between dwells, if the session gives any."""
+    """Show the scale factors of the gyros, by the moves between dwells, if the session gives any."""
     from adis_gonio.fitting.gyros.gyro_fit import gains_of
 
     gains = gains_of(session)

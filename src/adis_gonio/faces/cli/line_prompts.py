@@ -52,13 +52,13 @@ _WHOLE_TURN_MEANING = {"r": "turn again", "v": "keep it, and turn the next one t
 
 
 def on_terminal() -> bool:
-    """True if standard input is a terminal, where somebody types the lines."""
+    """True if standard input is a terminal, at which somebody types."""
     asks = getattr(sys.stdin, "isatty", None)
     return asks is not None and asks()
 
 
 class Lines:
-    """Standard input line by line."""
+    """Reads standard input line by line, if wanted without waiting."""
 
     def __init__(self) -> None:
         self._kept = b""
@@ -92,7 +92,7 @@ class Lines:
 
 @dataclass
 class _Question:
-    """An open question: its line, the action of each key, and the action at the end of the input."""
+    """An open question: its text, the action of each key, and the action if the input ends."""
 
     text: str
     keys: Actions
@@ -101,7 +101,7 @@ class _Question:
 
 
 class PlainBench:
-    """Plain prompts and progress for a session."""
+    """Runs a session with prompts and progress as plain lines on a terminal."""
 
     def __init__(self, runner: SessionRunner, *, auto: bool) -> None:
         self._runner = runner
@@ -130,7 +130,7 @@ class PlainBench:
 
     @contextmanager
     def _interruptible(self) -> Iterator[None]:
-        """Let the first Ctrl-C end the session in order, so that nothing recorded is lost."""
+        """Context in which the first Ctrl-C ends the session in order, so that no data are lost."""
 
         def interrupt(number: int, frame: Any) -> None:
             self._runner.stop()
@@ -144,7 +144,7 @@ class PlainBench:
             signal.signal(signal.SIGINT, before)
 
     def _handle(self, event: events.Event) -> bool:
-        """Show one event, or ask its question; return True if the session is complete."""
+        """Show an event, or ask its question; return True if the session is complete."""
         match event:
             case events.Watching() if self._question is not None:
                 self._listen(wait=False)
@@ -168,7 +168,7 @@ class PlainBench:
     # -- questions --------------------------------------------------------------------------------
 
     def _ask(self, event: events.Event) -> None:
-        """Ask the operator, if the event is a question."""
+        """Ask the operator a question, if the event is one."""
         match event:
             case events.PositionAsked() if not self._auto:
                 self._ask_position(event)
@@ -255,7 +255,10 @@ class PlainBench:
         notes: bool = False,
         wait: bool = False,
     ) -> None:
-        """Open a question; if the sensor's time stops for the operator, wait until it is answered."""
+        """Open a question.
+
+        If `wait` is set or the sensor's clock is simulated, the answer is waited for.
+        """
         self._progress.update(self._task, visible=False)
         self._progress.stop()
         self._question = _Question(text, keys, at_end, notes)
@@ -267,7 +270,7 @@ class PlainBench:
         print(f"{text}: ", end="", file=sys.stderr, flush=True)  # noqa: T201
 
     def _listen(self, *, wait: bool) -> None:
-        """Take a line, if there is one, as the answer to the open question."""
+        """Read a line and use it as the answer to the open question; do nothing if there is no line."""
         question, self._asking = self._question, wait
         if question is None:
             return
@@ -317,7 +320,7 @@ class PlainBench:
     # -- lines that stay --------------------------------------------------------------------------
 
     def _report(self, event: events.Event) -> None:
-        """Print lines that stay."""
+        """Print the lines about an event that stay on the screen."""
         match event:
             case events.Started():
                 self._plan = event.plan
@@ -344,7 +347,7 @@ class PlainBench:
         self._screen.print(text, style=style or None)
 
     def _say_wrapped(self, text: str, style: str = "") -> None:
-        """Print a text of several lines, indented by two."""
+        """Print a text, wrapped to the screen and indented by two columns."""
         width = min(self._screen.width, WIDTH)
         self._screen.print(Padding(Text(text, style=style), (0, 0, 0, 2)), width=width)
 
@@ -361,7 +364,7 @@ class PlainBench:
         )
 
     def _hide(self) -> None:
-        """Remove the bar now instead of at its next refresh."""
+        """Remove the progress bar now instead of at its next refresh."""
         self._progress.update(self._task, visible=False)
         self._progress.refresh()
 
@@ -373,7 +376,7 @@ def _explain(keys: Actions, meaning: dict[str, str]) -> str:
 def _progress_of(
     event: events.Watching | events.DwellProgress | events.Waiting | events.TurnProgress,
 ) -> tuple[str, str, float | None, float | None]:
-    """Activity, note, elapsed time and length in s for the line that moves."""
+    """Content of the progress line: activity, note, elapsed time and length in s."""
     if isinstance(event, events.Watching):
         note = f"spread {max(event.spread_mg):.2f} mg"
         if event.limit_mg is not None:
@@ -391,7 +394,7 @@ def _progress_of(
 
 
 def _measured(event: events.Event) -> StyledLines:
-    """Lines about a measurement; none for another event."""
+    """Lines about a measured result; empty for an event without one."""
     match event:
         case events.NoiseMeasured():
             noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
@@ -424,7 +427,7 @@ def _measured(event: events.Event) -> StyledLines:
 
 
 def _reported(event: events.Event) -> StyledLines:
-    """Lines about the course of the session; none for another event."""
+    """Lines about the course of the session; empty for other events."""
     match event:
         case events.Started():
             what = "resumed" if event.resumed else "begun"
@@ -443,7 +446,10 @@ def _reported(event: events.Event) -> StyledLines:
 
 
 def configuration_lines(event: events.Configured) -> list[str]:
-    """Rate, filter and changed registers of the sensor, the chip's compensations, and why it is polled."""
+    """Lines about the configuration of the sensor.
+
+    They state rate, filter, changed registers, the chip's compensations, and why it is polled.
+    """
     rate = event.configuration["sample_rate_hz"]
     filter_m = event.configuration.get("filter_m")
     filtered = "" if filter_m is None else f", filter 2 × {2**filter_m} taps"
@@ -458,7 +464,7 @@ def configuration_lines(event: events.Configured) -> list[str]:
 
 
 def _advised(event: events.Advised) -> StyledLines:
-    """State of the model, and why the closed loop ended."""
+    """Lines about the state of the model, and the reason if no further positions are proposed."""
     lines = [(line, "") for line in loop_lines(event.summary)]
     if not event.positions:
         closed = event.summary.get("adequate") and event.summary.get("tested")
@@ -468,14 +474,14 @@ def _advised(event: events.Advised) -> StyledLines:
 
 
 class Face(Protocol):
-    """Runs a session and asks its operator."""
+    """Interface of front ends, which run a session and ask its operator."""
 
     def run(self) -> bool:
         """Run the session; return True if it is complete."""
 
 
 def choose_face(runner: SessionRunner, prompts: Face, *, plain: bool, resume_by: str) -> Face:
-    """Return the screen if it is wanted and possible, else the plain prompts.
+    """Return the full-screen front end if it is wanted and possible, else the plain prompts.
 
     A message explains why a terminal gets plain prompts although the screen was wanted.
 

@@ -134,7 +134,10 @@ def _open_stream(
     variant: str,
     no_check: bool,
 ) -> tuple[str, float, Callable[[int], SampleStream]]:
-    """Open a source; return its part, its rate in Hz, and the function that streams blocks of n scans."""
+    """Open a sensor; return its variant, its rate in Hz, and a function that starts the stream.
+
+    The function takes the number of scans in a block.
+    """
     asked: dict[str, object] = {
         "--registers": names,
         "--leave-registers": leave_registers,
@@ -167,7 +170,7 @@ def _open_stream(
 
 
 class ShownStream:
-    """Shows and records a stream, and counts its scans.
+    """Shows the scans of a stream, records them if wanted, and counts them.
 
     Parameters
     ----------
@@ -187,7 +190,7 @@ class ShownStream:
         self._scans = self._lost = self._dropped = self._alarms = 0
 
     def run(self, stream: SampleStream, seconds: float | None) -> None:
-        """Take blocks until the time is over, the stream ends, or Ctrl-C."""
+        """Read blocks and show them until the time is over, the stream ends, or Ctrl-C."""
         begin: float | None = None
         end = False
         with Interrupt() as interrupt:
@@ -236,14 +239,14 @@ class ShownStream:
         click.echo(self._columns.line(self._waiting, since_s))
 
     def print_totals(self) -> None:
-        """Print the numbers of scans and of lost scans, and the file."""
+        """Print the number of scans, the number of lost scans, and the recorded file."""
         where = f", recorded in {self._recorder.path}" if self._recorder is not None else ""
         more = f", {self._dropped} left out without new data (ND)" if self._dropped else ""
         more += f", {self._alarms} with an error or alarm in STATUS (EA)" if self._alarms else ""
         click.echo(f"{counted(self._scans, 'scan')}, {self._lost} lost{more}{where}", err=True)
 
     def print_document(self) -> None:
-        """Print every scan as one JSON document."""
+        """Print all scans as one JSON document."""
         blocks = self._waiting
         alarms = [block.alarm for block in blocks if block.alarm is not None]
         document = {
@@ -267,7 +270,7 @@ _MEANS = 9
 
 @dataclass(frozen=True)
 class Columns:
-    """Layout of the lines of a stream.
+    """Layout of the table that shows a stream, one line for each interval.
 
     Attributes
     ----------
@@ -292,7 +295,7 @@ class Columns:
 
     @classmethod
     def fitting(cls, names: Sequence[str], units: Sequence[str], width: int | None) -> Columns:
-        """Return the layout for a width in columns (None: unlimited).
+        """Choose the layout of the table for a width in characters (None: unlimited).
 
         A narrow screen first loses the standard deviations, then the last values.
         """
@@ -315,7 +318,7 @@ class Columns:
         return cls(heads, min(room, len(short)), cell, _MEANS_TIME, spread=False, note=note)
 
     def line(self, blocks: Sequence[Block], since_s: float) -> str:
-        """One line for blocks that are not empty, with the time of their last scan."""
+        """Format the scans of some blocks as one line, with the time of the last scan."""
         values = np.concatenate([block.values() for block in blocks])
         time_s = float(blocks[-1].time_s[-1]) - since_s
         cells = [
@@ -400,7 +403,7 @@ def angle_command(
 
 
 def _show_angles(angles: Iterator[LiveAngle], line: _AngleLine, last_s: float) -> bool:
-    """Show readings until the time is over or the samples end; return False after Ctrl-C."""
+    """Show angles until the time is over or the samples end; return False after Ctrl-C."""
     with Interrupt() as interrupt:
         for reading in interrupt.steps(angles):
             line.show(reading)
@@ -410,7 +413,7 @@ def _show_angles(angles: Iterator[LiveAngle], line: _AngleLine, last_s: float) -
 
 
 class _AngleLine:
-    """One line that changes in place on a terminal, otherwise a new line for each reading."""
+    """Output of angles: a line that changes in place on a terminal, else one line per angle."""
 
     def __init__(self, *, as_json: bool) -> None:
         self._as_json = as_json
@@ -437,7 +440,7 @@ class _AngleLine:
 
 
 def format_angle(reading: LiveAngle, width: int | None = None) -> str:
-    """One line for a reading; the last parts are left out if the line would exceed `width`."""
+    """Format an angle as one line; details at its end are left out if it would exceed `width`."""
     smoothed = reading.smoothed
     by_gravity = reading.angle_deg if reading.corrected_deg is None else reading.corrected_deg
     main, u_deg = by_gravity, reading.u_deg

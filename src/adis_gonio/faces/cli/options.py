@@ -37,7 +37,7 @@ _SHARED_SECTIONS = {
 def command(
     name: str, first: str = "", sections: Mapping[str, str] | None = None
 ) -> Callable[[Callable[..., Any]], click.Command]:
-    """Return the decorator of a command.
+    """Return a decorator that makes a function a command with options in sections.
 
     Parameters
     ----------
@@ -54,7 +54,10 @@ def command(
 
 
 def parse_gravity(text: str) -> float:
-    """Local gravity in m/s²; a value that no place on Earth has needs its unit, such as `1.62mps2`."""
+    """Parse local gravity in m/s².
+
+    A value that no place on Earth has needs its unit, such as `1.62mps2`.
+    """
     bare = str(text).strip().lower()
     number = bare.removesuffix("mps2").removesuffix("m/s²").removesuffix("m/s^2")
     value = _number(number)
@@ -69,7 +72,7 @@ def parse_gravity(text: str) -> float:
 
 
 def parse_fixture(text: str) -> float:
-    """Standard uncertainty of a declared angle in degrees; `free` is infinite."""
+    """Parse the standard uncertainty of a declared angle in degrees; `free` means infinite."""
     if str(text).strip().lower() == "free":
         return math.inf
     sigma = _number(str(text))
@@ -79,7 +82,7 @@ def parse_fixture(text: str) -> float:
 
 
 def parse_unit(text: str) -> str:
-    """One of `ACCEL_UNITS`; `m/s²` and `m/s^2` are accepted for `mps2`."""
+    """Parse one of `ACCEL_UNITS`; `m/s²` and `m/s^2` also mean `mps2`."""
     name = {"m/s²": "mps2", "m/s^2": "mps2"}.get(str(text).strip().lower(), str(text))
     if name not in ACCEL_UNITS:
         raise click.BadParameter(f"'{text}' is no unit: give {', '.join(ACCEL_UNITS)}")
@@ -87,7 +90,7 @@ def parse_unit(text: str) -> str:
 
 
 def _parse_columns(text: str) -> dict[str, str]:
-    """Column of the format → column of the file, from `name=column,…`."""
+    """Parse `name=column,…`: map each column of the format to a column of the file."""
     columns: dict[str, str] = {}
     for pair in text.split(","):
         mine, equals, theirs = (part.strip() for part in pair.partition("="))
@@ -103,7 +106,10 @@ _ANGLE = re.compile(r"(\d+)(?:-(\d+))?\s*(\+?=)\s*(\S+)")
 
 
 def _parse_angles(text: str) -> tuple[AngleChange, ...]:
-    """Changes from `position=degrees,…`; `first-last+=degrees` adds, `first-last=reverse` turns back."""
+    """Parse changes of declared angles from `position=degrees,…`.
+
+    `first-last+=degrees` adds to several positions; `first-last=reverse` turns them the other way.
+    """
     from adis_gonio.record.loading import REVERSE, AngleChange
 
     changes = []
@@ -136,22 +142,22 @@ def file(*names: str, help: str, **more: Any) -> Option[Any]:
 
 
 def output(help: str, **more: Any) -> Option[Any]:
-    """Return `-o`, the file to write."""
+    """Return the option `-o` for the file to write."""
     return file("--output", "-o", help=help, **more)
 
 
 def flag(*names: str, help: str) -> Option[Any]:
-    """Return an option without a value."""
+    """Return an option that takes no value."""
     return click.option(*names, is_flag=True, help=help)
 
 
 def with_default(*names: str, default: Any, help: str, **more: Any) -> Option[Any]:
-    """Return an option with its default in the help."""
+    """Return an option that shows its default in the help."""
     return click.option(*names, default=default, show_default=True, help=help, **more)
 
 
 def dwell(default_s: float = 10.0) -> Option[Any]:
-    """Return `--dwell`."""
+    """Return the option `--dwell` for the length of a dwell."""
     help = "Length of a dwell."
     return with_default("--dwell", "dwell_s", type=float, default=default_s, metavar="SECONDS", help=help)
 
@@ -159,24 +165,24 @@ def dwell(default_s: float = 10.0) -> Option[Any]:
 def fixture(
     name: str = "fixture_deg", metavar: str = "DEGREES", help: str = "", **more: Any
 ) -> Option[Any]:
-    """Return `--fixture`."""
+    """Return the option `--fixture` for the uncertainty of a stage angle."""
     help = help or "Standard uncertainty of a stage angle in degrees."
     return click.option("--fixture", name, type=parse_fixture, metavar=metavar, help=help, **more)
 
 
 def gravity(help: str = "Local gravity in m/s² (default 9.80665).", **more: Any) -> Option[Any]:
-    """Return `--gravity`."""
+    """Return the option `--gravity` for local gravity."""
     return click.option("--gravity", "gravity_mps2", type=parse_gravity, metavar="M/S²", help=help, **more)
 
 
 def part(default: str = "accelerometer", help: str = "Part of the sensor to use.") -> Option[Any]:
-    """Return `--sensor-part`."""
+    """Return the option `--sensor-part`, which selects accelerometer or gyro."""
     parts = click.Choice(sorted(("accelerometer", "gyro"), key=lambda part: part != default))
     return with_default("--sensor-part", "part", type=parts, default=default, help=help)
 
 
 def time_limit(help: str) -> Option[Any]:
-    """Return `--time-limit`."""
+    """Return the option `--time-limit` in seconds."""
     return click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help=help)
 
 
@@ -234,7 +240,7 @@ _OVERRIDES = (
 
 
 def index(function: F) -> F:
-    """Add `--index` and `--trace`."""
+    """Decorate a command with the options `--index` and `--trace`."""
     index = file(
         "--index",
         "index_path",
@@ -247,7 +253,10 @@ def index(function: F) -> F:
 
 
 def overrides(function: F) -> F:
-    """Add the corrections of a file; the command gets them as one argument, `overrides`."""
+    """Decorate a command with the options that correct a file.
+
+    The command gets their values as one argument, `overrides`.
+    """
 
     @wraps(function)
     def with_overrides(**arguments: Any) -> Any:
@@ -264,7 +273,7 @@ def overrides(function: F) -> F:
 
 
 def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
-    """Return the settings of a session by `--rate` and by their own names."""
+    """Make the settings of a session; `rate_hz` is the value of `--rate`."""
     from adis_gonio.device.sensor.settings import smpl_prd_for
     from adis_gonio.record.settings import Settings
 
@@ -272,7 +281,7 @@ def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
 
 
 def load(path: Path, overrides: Overrides) -> Session:
-    """Load a session, with progress on standard error if it takes long."""
+    """Load a session from a file; progress is shown on standard error if it takes long."""
     from adis_gonio.faces.cli.show import report_progress
     from adis_gonio.record.loading import load_session
 

@@ -206,7 +206,7 @@ def template_command(
 
 
 def _list_option(name: str, rows: Callable[[], list[tuple[str, str]]], help: str) -> option.Option[Any]:
-    """Return an option that prints a list instead of running the command."""
+    """Return an option that prints a list and ends instead of running the command."""
 
     def print_list(context: click.Context, option: click.Parameter, wanted: bool) -> None:
         if wanted:
@@ -327,7 +327,7 @@ def simulate_command(*, output: Path, **options: Any) -> None:
 
 
 def _simulate_twin(path: Path, output: Path, seed: int) -> None:
-    """Write the digital twin of a session as a CSV."""
+    """Simulate the digital twin of a session and write it as a samples CSV."""
     from adis_gonio.base.budget import current
     from adis_gonio.handover.digital_twin import simulate_like
     from adis_gonio.record.loading import explain_refusal, load_session

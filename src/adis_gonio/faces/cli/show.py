@@ -27,7 +27,9 @@ WIDTH = 100
 
 
 def console(*, stderr: bool = False, most: int = 0) -> Console:
-    """Console without automatic colours and markup; 200 columns for a program, so that no row is folded.
+    """Return a rich console without automatic colours and markup.
+
+    Output to a program is 200 columns wide, so that no row is folded.
 
     Parameters
     ----------
@@ -58,7 +60,7 @@ def table_of(
     number: Mapping[str, Any] | None = None,
     text: Mapping[str, Any] | None = None,
 ) -> Table:
-    """Return a table without lines.
+    """Return a rich table without lines, with text aligned left and numbers aligned right.
 
     Parameters
     ----------
@@ -101,7 +103,10 @@ def print_table(
 
 
 def check_page(output: Path | None) -> None:
-    """Raise an error if a page is wanted and cannot be written; an existing page is replaced later."""
+    """Raise an error if an HTML page is wanted and cannot be written.
+
+    An existing page is replaced only when the new one is written.
+    """
     if output is None:
         return
     from adis_gonio.base.output import check_output
@@ -112,7 +117,7 @@ def check_page(output: Path | None) -> None:
 
 
 def write_page(output: Path, text: str) -> None:
-    """Write a page and report its size on standard error."""
+    """Write an HTML page and report its size on standard error."""
     from adis_gonio.base.output import replacing, write_utf8
 
     with replacing(output) as temporary:
@@ -121,24 +126,24 @@ def write_page(output: Path, text: str) -> None:
 
 
 def json_text(document: Any, *, ascii_only: bool = False) -> str:
-    """JSON text of a document; numbers that are not finite become null."""
+    """Format a document as JSON; numbers that are not finite become null."""
     return json.dumps(finite(document), ensure_ascii=ascii_only, indent=2, allow_nan=False)
 
 
 def print_json(document: Any) -> None:
-    """Write one JSON document to standard output, in pure ASCII unless its encoding is a UTF."""
+    """Write a JSON document to standard output, in pure ASCII unless its encoding is a UTF."""
     unicode = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
     click.echo(json_text(document, ascii_only=not unicode))
 
 
 def report_times_s() -> Iterator[float]:
-    """Times of the lines in a log, in s from the beginning, at growing intervals."""
+    """Times in s since the beginning at which progress is logged, at growing intervals."""
     yield from (1.0, 10.0, 30.0, 60.0, 120.0)
     yield from (300.0 * k for k in count(1))
 
 
 class Work:
-    """Progress of a piece of work.
+    """Describes the progress of a long computation.
 
     Parameters
     ----------
@@ -156,12 +161,12 @@ class Work:
         self._begun = time.monotonic()
 
     def tell(self, stage: str) -> None:
-        """Begin a stage."""
+        """Begin the next stage of the work, with this description."""
         self._stage, self._share = stage, None
         self._show()
 
     def share(self, done: float) -> None:
-        """Set the finished share of the stage, 0 to 1."""
+        """Set the finished share of the present stage, 0 to 1."""
         self._share = min(max(done, 0.0), 1.0)
         self._show()
 
@@ -175,7 +180,7 @@ class Work:
         return time.monotonic() - self._begun
 
     def __str__(self) -> str:
-        """Description, stage and share, without the time."""
+        """Description of the work, its stage and the finished share, without the time."""
         share = "" if self._share is None else f"{100 * self._share:.0f} %"
         stage = ", ".join(part for part in (self._stage, share) if part)
         return f"{self.what}: {stage}" if stage else self.what
@@ -183,7 +188,7 @@ class Work:
 
 @contextmanager
 def report_progress(what: str) -> Iterator[None]:
-    """Report the progress of a block on standard error.
+    """Context that reports the progress of the computation inside it on standard error.
 
     A terminal gets one line that changes, a log gets lines at growing intervals; work of less than a second
     leaves no line in a log.

@@ -37,7 +37,7 @@ ASCII_FORMS = {
 
 
 def ascii_form(letter: str) -> str:
-    """ASCII text for a letter: from the table, else its base letter, else a question mark."""
+    """Return ASCII text in place of a letter: from the table, else its base letter, else `?`."""
     if letter in ASCII_FORMS:
         return ASCII_FORMS[letter]
     plain = unicodedata.normalize("NFKD", letter).encode("ascii", "ignore").decode("ascii")
@@ -86,7 +86,10 @@ def _replace_letters(error: UnicodeError) -> tuple[str | bytes, int]:
 
 
 class _Encoder(codecs.IncrementalEncoder):
-    """ASCII under another name."""
+    """Encoder for the codec `_ASCII`, which is plain ASCII with a name that click does not know.
+
+    For output in the codec `ascii`, click would switch to UTF-8.
+    """
 
     def encode(self, text: str, final: bool = False) -> bytes:
         return text.encode("ascii", self.errors)
@@ -127,7 +130,7 @@ class Interrupt:
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
-        """Allow Ctrl-C to interrupt this step; an interrupted step leaves nothing behind.
+        """Context in which Ctrl-C may interrupt a step; the step must leave no partial result behind.
 
         Raises
         ------

@@ -65,7 +65,7 @@ def trace_command(
 
 
 def print_trace(session: Session, result: TraceResult) -> None:
-    """Show a trace on the terminal."""
+    """Show the result of a trace on the terminal."""
     from adis_gonio.tracing import trace_summary as summary
 
     screen = console(most=WIDTH)
@@ -96,7 +96,7 @@ def _print_heading(screen: Console, text: str) -> None:
 
 
 def _print_list(screen: Console, heading: str, items: Sequence[str], numbered: bool = False) -> None:
-    """Print a list with hanging indent, or nothing if it is empty."""
+    """Print a list under a heading, with hanging indent; nothing is printed for an empty list."""
     from rich.table import Table
 
     if not items:
@@ -173,7 +173,7 @@ _ERRORS = {
 
 
 def loop_lines(summary: Mapping[str, Any]) -> list[str]:
-    """State of the model during the closed loop, in at most two lines.
+    """Describe the model after a round of further positions, in at most two lines.
 
     Parameters
     ----------
@@ -192,7 +192,12 @@ def loop_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def print_loop(session: Session, result: TraceResult) -> None:
-    """Show the changes by the further positions, and why the loop ended; nothing if it had no round."""
+    """Show the results before and after the proposed further positions, and why no more were proposed.
+
+    Nothing is printed if the advisor was never asked.
+
+    Nothing is printed if no position was ever proposed.
+    """
     from rich.table import Table
     from rich.text import Text
 
@@ -239,7 +244,7 @@ def _join(names: list[str]) -> str:
 
 
 def _confounded_groups(summary: Mapping[str, Any]) -> str:
-    """The first groups of effects that cannot be distinguished, one per line."""
+    """The first groups of effects that the session cannot distinguish, one per line."""
     from adis_gonio.model.effects import catalogue
 
     known = catalogue()
@@ -275,7 +280,7 @@ def report_command(*, session: Path, output: Path, time_limit: float | None, ove
 
 
 def _report_page(session: Session, time_limit: float | None) -> str:
-    """Build the page from the fits by every method, the trace and the twin."""
+    """Build the HTML report of a session from all fits, the trace and the digital twin."""
     from adis_gonio.base.budget import current, with_progress
     from adis_gonio.fitting import applicable_methods, fit
     from adis_gonio.handover.calibration_report import build_page, views
@@ -304,7 +309,7 @@ def _report_page(session: Session, time_limit: float | None) -> str:
 
 
 def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:
-    """Section of the digital twin, or none if the session supports no twin."""
+    """Section of the report on the digital twin, as a list; empty if no twin is possible."""
     from adis_gonio.handover.twin_comparison import twin_section
     from adis_gonio.page.document import Section
 

@@ -1,7 +1,7 @@
 """The sensor as an IIO device: its channels, their attributes, the XML, and scans as bytes.
 
 Units as in Linux' IIO ABI: m/s², rad/s, milli-degree Celsius, millivolt; value = (raw + offset) *
-scale. Axes and signs are the part's own: level with Z up, Z reads -9.8 m/s². Nothing here accesses a
+scale. Axes and signs are the sensor's own: level with Z up, Z reads -9.8 m/s². Nothing here accesses a
 sensor; `SensorState` contains the values of the attributes.
 """
 
@@ -64,7 +64,7 @@ FILTERS = range(7)
 
 @dataclass(frozen=True)
 class SensorState:
-    """Values of the attributes, except the readings.
+    """The configuration and offsets of the sensor, from which attributes are computed.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class SensorState:
 
 @dataclass(frozen=True)
 class Channel:
-    """A channel of the device: an output register, or the time of a scan.
+    """An IIO channel of the served device: an output register, or the time of a scan.
 
     Attributes
     ----------
@@ -94,31 +94,31 @@ class Channel:
 
     @property
     def id(self) -> str:
-        """Name in requests."""
+        """Name of the channel in requests, such as `accel_x`."""
         return "timestamp" if self.register is None else _IDS[self.register.name]
 
     @property
     def label(self) -> str:
-        """Suffix of the file name in the kernel."""
+        """Suffix of the channel's name in file names of the kernel; often empty."""
         return _LABELS.get(self.register.name, "") if self.register else ""
 
     @property
     def format(self) -> str:
-        """IIO format of a sample; the sign is already extended to 16 bits."""
+        """Format of a sample as IIO describes it; the sign is already extended to 16 bits."""
         if self.register is None:
             return "le:S64/64>>0"
         return f"le:{'s' if self.register.signed else 'u'}{self.register.bits}/16>>0"
 
     @property
     def dtype(self) -> str:
-        """Numpy type of a sample."""
+        """Numpy type of a sample, such as `<i2`."""
         if self.register is None:
             return "<i8"
         return "<i2" if self.register.signed else "<u2"
 
     @property
     def attributes(self) -> tuple[str, ...]:
-        """Names of the attributes."""
+        """Names of the channel's attributes."""
         if self.register is None:
             return ()
         names = ["raw", "scale"]
@@ -130,7 +130,10 @@ class Channel:
         return tuple(names)
 
     def filename(self, attribute: str) -> str:
-        """File name of an attribute in the kernel; all axes of a kind share the filter."""
+        """Name of the file in which the kernel would have an attribute.
+
+        All axes of a kind share the attributes of the filter.
+        """
         stem = self.id + (f"_{self.label}" if self.label else "")
         if attribute.startswith("filter"):
             stem = self.id.partition("_")[0]
@@ -144,7 +147,7 @@ WRITABLE = ("calibbias", "filter_low_pass_3db_frequency", "sampling_frequency")
 
 
 class ServedDevice:
-    """Channels, attributes and XML of a sensor.
+    """The sensor as an IIO device: its channels, its attributes, and its description as XML.
 
     Parameters
     ----------
@@ -176,7 +179,7 @@ class ServedDevice:
 
     @property
     def mask_digits(self) -> int:
-        """Length of a mask: 8 digits for each 32 channels."""
+        """Number of digits of a mask of channels: 8 for each 32 channels."""
         return 8 * math.ceil(len(self.channels) / 32)
 
     def knows(self, device: str) -> bool:
@@ -193,12 +196,12 @@ class ServedDevice:
     # -- values of attributes ---------------------------------------------------------------------
 
     def scale_and_offset(self, row: Register, state: SensorState) -> tuple[float, float]:
-        """Scale in IIO's unit per LSB, and the offset that is added to the raw number before scaling."""
+        """Scale in IIO's unit per LSB, and the offset added to the raw number before scaling."""
         lsb, zero, _ = scales([row], self.part, state.configuration.gyro_range_dps or 300)
         return float(lsb[0]) * _SI[row.kind], float(zero[0] / lsb[0])
 
     def channel_value(self, channel: Channel, name: str, state: SensorState) -> str:
-        """Text of an attribute other than `raw`; `Refused` if there is none."""
+        """Value of a channel's attribute as text, except `raw`; `Refused` if there is none."""
         row = channel.register
         if row is None or name not in channel.attributes:
             raise Refused(Errno.ENOENT, f"{channel.id} has no attribute {name}")
@@ -218,7 +221,7 @@ class ServedDevice:
                 raise Refused(Errno.ENOENT, f"{name} is a reading")
 
     def device_value(self, name: str, state: SensorState) -> str:
-        """Text of an attribute of the device; `Refused` if there is none."""
+        """Value of an attribute of the device as text; `Refused` if there is none."""
         match name:
             case "sampling_frequency":
                 return _text(state.configuration.sample_rate_hz)
@@ -232,7 +235,7 @@ class ServedDevice:
     # -- the context ------------------------------------------------------------------------------
 
     def xml(self, state: SensorState) -> str:
-        """The context in libiio's format."""
+        """Describe the device as XML in the format of libiio."""
         lines = [
             '<?xml version="1.0" encoding="utf-8"?>',
             _DTD,
@@ -257,7 +260,7 @@ class ServedDevice:
 
 
 def filter_for(frequency_hz: float, state: SensorState) -> int:
-    """M of the filter with the nearest -3 dB frequency on a logarithmic scale.
+    """Setting M of the filter with the nearest −3 dB frequency, on a logarithmic scale.
 
     Raises
     ------
@@ -279,7 +282,7 @@ def _text(value: float) -> str:
 
 @dataclass(frozen=True)
 class ScanFormat:
-    """Channels and layout of a client's scans, in the device's order.
+    """The channels that a client has enabled, and the layout of its scans.
 
     As in the kernel and libiio, each sample is aligned to its own size, and the size of a scan is a
     multiple of its largest sample.
@@ -295,7 +298,10 @@ class ScanFormat:
 
     @classmethod
     def of_mask(cls, device: ServedDevice, mask: str) -> ScanFormat:
-        """Return the format for a mask; `Refused` for a wrong length, no channel or an unknown channel."""
+        """Make the format for a mask of channels.
+
+        `Refused` is raised for a wrong length, no channel or an unknown channel.
+        """
         if len(mask) != device.mask_digits:
             raise Refused(Errno.EINVAL, f"a mask has {device.mask_digits} digits here")
         bits = int(mask, 16)
@@ -305,7 +311,7 @@ class ScanFormat:
 
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
-        """Numpy type of one scan."""
+        """Numpy type of one scan, with a field for each channel."""
         offsets, at, largest = [], 0, 1
         for channel in self.channels:
             size = np.dtype(channel.dtype).itemsize
@@ -322,7 +328,7 @@ class ScanFormat:
         )
 
     def pack(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> NDArray[np.void]:
-        """Pack numbers (n, channels of the device without the time) and times (n,) into scans (n,)."""
+        """Pack numbers (n, channels of the device) and times (n,) into scans (n,)."""
         scans = np.zeros(len(numbers), self.dtype)
         for channel in self.channels:
             scans[channel.id] = time_ns if channel.register is None else numbers[:, channel.index]

@@ -45,7 +45,7 @@ SEND_BUFFER = 1 << 15
 
 @dataclass(frozen=True)
 class AttributePort:
-    """Reads and writes the attributes of the served device, without disturbing the stream if possible.
+    """Reads and writes attributes of the served device, if possible without interrupting the stream.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class AttributePort:
     debug: Callable[[], Mapping[str, int]]
 
     def names(self, target: Target) -> tuple[str, ...]:
-        """Names of a target's attributes; `Refused` if there is no such target."""
+        """Names of the attributes of a device or channel; `Refused` if there is no such target."""
         if not self.device.knows(target.device):
             raise Refused(Errno.ENODEV, f"no device {target.device}")
         match target.kind:
@@ -128,7 +128,7 @@ class AttributePort:
 
 
 def _number(value: bytes) -> float:
-    """Number in an attribute's text, which libiio sends with its terminating zero."""
+    """Parse the text of an attribute, which libiio sends with a terminating zero, as a number."""
     text = value.split(b"\0", 1)[0].strip()
     try:
         number = math.nan if b"_" in text else float(text)
@@ -185,11 +185,14 @@ class ClientSession:
 
     @property
     def lost(self) -> int:
-        """Scans that were lost because this client was too slow."""
+        """Number of scans that were lost because this client read too slowly."""
         return self._lost_before + (self._buffer.queue.lost if self._buffer else 0)
 
     async def run(self) -> None:
-        """Serve until the client leaves, sends EXIT, or sends a fatal malformed request."""
+        """Answer requests until the client leaves, sends EXIT, or sends a malformed request.
+
+        Only malformed requests that make the next request unreadable end the connection.
+        """
         tasks = [asyncio.create_task(self._listen()), asyncio.create_task(self._answer_all())]
         try:
             await tasks[1]
@@ -209,7 +212,7 @@ class ClientSession:
                 self._writer.transport.abort()
 
     async def _listen(self) -> None:
-        """Put requests into the queue until the connection ends."""
+        """Read requests into the queue until the connection ends."""
         parser = Parser()
         with contextlib.suppress(ConnectionError, TimeoutError):
             while data := await self._reader.read(_READ):
@@ -232,7 +235,7 @@ class ClientSession:
                 return
 
     async def _answer(self, request: Request) -> bytes:
-        """Answer a request; an exception `Refused` is an answer too."""
+        """Carry out a request and return the answer; `Refused` is raised to answer with an error."""
         match request:
             case iiod_protocol.Version():
                 return iiod_protocol.version(*VERSION)
@@ -319,7 +322,7 @@ class ClientSession:
             self._buffer = None
 
     async def _send_scans(self, buffer: Buffer, size: int) -> bytes:
-        """Send scans in pieces as they come; return the end of the answer."""
+        """Send `size` bytes of scans in pieces as they come; return the bytes that end the answer."""
         scan_size = buffer.format.dtype.itemsize
         wanted, first = size // scan_size, True
         while wanted:
@@ -337,7 +340,7 @@ class ClientSession:
         return iiod_protocol.integer(0) if size % scan_size or not size else b""
 
     async def _news(self, buffer: Buffer) -> None:
-        """Wait for scans; `Refused` if none will come."""
+        """Wait for new scans in the buffer; `Refused` if none will come."""
         if self._hub.failure is not None:
             raise Refused(Errno.EIO, str(self._hub.failure))
         if self._gone:
@@ -351,7 +354,7 @@ class ClientSession:
 
 @dataclass(frozen=True)
 class ServeSettings:
-    """Settings of a server.
+    """Options of the IIO server.
 
     Attributes
     ----------
@@ -424,7 +427,7 @@ class IioServer:
         asyncio.run(self._serve())
 
     def stop(self) -> None:
-        """End `run`; may be called from any thread."""
+        """End the method `run`; may be called from any thread."""
         self._call(self._end.set)
 
     async def _serve(self) -> None:
@@ -513,13 +516,13 @@ class IioServer:
 
 
 def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Report an error, unless it is a broken connection, which has simply ended."""
+    """Report an unhandled error of the event loop, unless it is only a broken connection."""
     if not isinstance(context.get("exception"), ConnectionError):
         loop.default_exception_handler(context)
 
 
 def _prepare(writer: asyncio.StreamWriter) -> None:
-    """Detect a vanished client, and limit the data that pile up for a client that does not read."""
+    """Configure a connection: detect a vanished client, and limit the unread data kept for it."""
     endpoint = writer.get_extra_info("socket")
     endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)

@@ -35,7 +35,7 @@ VALUE_LIMIT = 4096
 
 
 class Errno(IntEnum):
-    """Error numbers of Linux in the answers."""
+    """Error numbers of Linux that are used in answers."""
 
     EPERM = 1
     ENOENT = 2
@@ -69,7 +69,7 @@ Kind = Literal["device", "debug", "buffer", "input", "output"]
 
 @dataclass(frozen=True)
 class Target:
-    """The owner of an attribute: a device, or the channel with this id."""
+    """The owner of an attribute: a device, or one of its channels."""
 
     device: str
     kind: Kind = "device"
@@ -78,39 +78,42 @@ class Target:
 
 @dataclass(frozen=True)
 class Request:
-    """Base of all requests."""
+    """Base class of all requests of a client."""
 
 
 @dataclass(frozen=True)
 class Exit(Request):
-    """End the connection."""
+    """Request to end the connection."""
 
 
 @dataclass(frozen=True)
 class Help(Request):
-    """List the commands."""
+    """Request for a list of the commands."""
 
 
 @dataclass(frozen=True)
 class Version(Request):
-    """Return the version of the server."""
+    """Request for the version of the server."""
 
 
 @dataclass(frozen=True)
 class Print(Request):
-    """Return the context as XML."""
+    """Request for the description of all devices as XML."""
 
 
 @dataclass(frozen=True)
 class Timeout(Request):
-    """Set the longest time for an answer; 0 for no limit."""
+    """Request to set the longest time for an answer; 0 for no limit."""
 
     milliseconds: int
 
 
 @dataclass(frozen=True)
 class Open(Request):
-    """Open a buffer; `mask` is hexadecimal, 8 digits a word, the last word is for channels 0 to 31."""
+    """Request to open a buffer for the channels in `mask`.
+
+    The mask is hexadecimal with 8 digits per 32 channels; the last 8 digits are for channels 0 to 31.
+    """
 
     device: str
     samples: int
@@ -120,14 +123,14 @@ class Open(Request):
 
 @dataclass(frozen=True)
 class Close(Request):
-    """Close the buffer."""
+    """Request to close the buffer."""
 
     device: str
 
 
 @dataclass(frozen=True)
 class ReadAttribute(Request):
-    """Read an attribute; an empty name reads all attributes of the target."""
+    """Request to read an attribute; an empty name reads all attributes of the target."""
 
     target: Target
     name: str
@@ -135,7 +138,7 @@ class ReadAttribute(Request):
 
 @dataclass(frozen=True)
 class WriteAttribute(Request):
-    """Write an attribute."""
+    """Request to write an attribute."""
 
     target: Target
     name: str
@@ -144,7 +147,7 @@ class WriteAttribute(Request):
 
 @dataclass(frozen=True)
 class ReadBuffer(Request):
-    """Read `size` bytes of scans."""
+    """Request for `size` bytes of scans from the buffer."""
 
     device: str
     size: int
@@ -152,7 +155,7 @@ class ReadBuffer(Request):
 
 @dataclass(frozen=True)
 class WriteBuffer(Request):
-    """Announce `size` bytes of scans to put out."""
+    """Request to put out `size` bytes of scans; the server refuses it, since a sensor has no outputs."""
 
     device: str
     size: int
@@ -160,14 +163,14 @@ class WriteBuffer(Request):
 
 @dataclass(frozen=True)
 class GetTrigger(Request):
-    """Return the trigger of a device."""
+    """Request for the name of a device's trigger."""
 
     device: str
 
 
 @dataclass(frozen=True)
 class SetTrigger(Request):
-    """Set the trigger of a device; None unsets it."""
+    """Request to set the trigger of a device; None unsets it."""
 
     device: str
     trigger: str | None
@@ -175,7 +178,7 @@ class SetTrigger(Request):
 
 @dataclass(frozen=True)
 class SetBuffers(Request):
-    """Set the number of kernel buffers; this server has none."""
+    """Request to set the number of kernel buffers; it has no effect on this server."""
 
     device: str
     count: int
@@ -183,7 +186,7 @@ class SetBuffers(Request):
 
 @dataclass(frozen=True)
 class Malformed(Request):
-    """Bytes that are no request of this protocol.
+    """Bytes of a client that are no request of this protocol.
 
     Attributes
     ----------
@@ -199,7 +202,7 @@ class Malformed(Request):
 
 
 class Parser:
-    """Converts bytes to requests; never raises, and buffers at most one line or one value."""
+    """Converts received bytes to requests; never raises, and keeps at most one line or one value."""
 
     def __init__(self) -> None:
         self._held = bytearray()
@@ -208,7 +211,7 @@ class Parser:
         self._dead = False
 
     def feed(self, data: bytes) -> list[Request]:
-        """Return the requests that these bytes complete, in order.
+        """Return the requests that these bytes complete, in the order of arrival.
 
         After a fatal `Malformed` all further bytes are ignored.
         """
@@ -226,7 +229,7 @@ class Parser:
         return requests
 
     def _next(self) -> Request | None:
-        """Next request, or None if bytes are missing."""
+        """Return the next complete request; None if more bytes are needed."""
         if self._value_of is not None:
             return self._value()
         end = self._held.find(b"\n")
@@ -253,20 +256,20 @@ class Parser:
 
 @dataclass(frozen=True)
 class _Announced(Request):
-    """A write request; its value follows the line."""
+    """A write request that is incomplete: its value follows the line."""
 
     of: WriteAttribute
     size: int
 
 
 _NOTHING = Request()
-"""An empty line, which has no answer."""
+"""Result for an empty line, which has no answer."""
 
 _KINDS: dict[str, Kind] = {"DEBUG": "debug", "BUFFER": "buffer", "INPUT": "input", "OUTPUT": "output"}
 
 
 def parse_line(line: bytes) -> Request:
-    """Parse one line without its line feed."""
+    """Parse one line of the protocol, given without its line feed, as a request."""
     try:
         words = line.decode("ascii").split()
     except UnicodeDecodeError:
@@ -325,7 +328,7 @@ def _announce(device: str, words: Sequence[str], size: int) -> Request:
 
 
 def _attribute(device: str, words: Sequence[str]) -> tuple[Target, str]:
-    """Owner and name of an attribute; the name may be missing."""
+    """Target and name of an attribute from the words of a request; the name may be missing."""
     kind: Kind = _KINDS.get(words[0].upper(), "device") if words else "device"
     rest = list(words[1:] if kind != "device" else words)
     channel = ""
@@ -354,22 +357,25 @@ def _hexadecimal(text: str) -> str:
 
 
 def integer(value: int) -> bytes:
-    """Format a number; a negative one is an error."""
+    """Format a number as an answer; clients take a negative number as an error."""
     return f"{value}\n".encode()
 
 
 def error(errno: Errno) -> bytes:
-    """Format a refusal."""
+    """Format an error number as an answer."""
     return integer(-errno)
 
 
 def counted(content: bytes) -> bytes:
-    """Format the value of an attribute or the XML: length, content, line feed."""
+    """Format the value of an attribute or the XML as an answer: length, content, line feed."""
     return integer(len(content)) + content + b"\n"
 
 
 def all_values(values: Sequence[bytes]) -> bytes:
-    """Format several values in one answer: each a length (big-endian, 32 bits), padded to 4 bytes."""
+    """Format several values as one answer.
+
+    Each value has its length before it (big-endian, 32 bits) and is padded to 4 bytes.
+    """
     parts = []
     for value in values:
         parts.append(len(value).to_bytes(4, "big") + value + b"\0" * (-len(value) % 4))
@@ -377,7 +383,7 @@ def all_values(values: Sequence[bytes]) -> bytes:
 
 
 def version(major: int, minor: int, tag: str) -> bytes:
-    """Format a version; the tag has exactly seven characters, like a short commit name."""
+    """Format a version as an answer; the tag has exactly seven characters, like a short commit name."""
     return f"{major}.{minor}.{tag:7.7}\n".encode()
 
 

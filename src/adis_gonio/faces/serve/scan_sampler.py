@@ -55,7 +55,7 @@ class FreshScans:
 
 
 class Sampler:
-    """Owns the sensor while it is served.
+    """Thread that alone uses the sensor while it is served: streams scans and runs jobs.
 
     Parameters
     ----------
@@ -96,23 +96,23 @@ class Sampler:
         self.state = state_of(sensor)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread that owns the sensor."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End the stream, which restores the register that it changed, and the thread."""
+        """End the stream, which restores the register that it changed, and end the thread."""
         self._stopping = True
         self._wake.set()
         self._thread.join()
 
     def want(self, wanted: bool) -> None:
-        """Set whether a client listens."""
+        """Start or end streaming: `wanted` is True if at least one client needs scans."""
         if wanted != self._wanted:
             self._wanted = wanted
             self._wake.set()
 
     def submit(self, job: Callable[[Adis16354], T], *, changes: bool = False) -> Future[T]:
-        """Let the thread run a job with the sensor, between two scans.
+        """Queue a job that uses the sensor; the thread runs it between two scans.
 
         Parameters
         ----------
@@ -202,7 +202,7 @@ class Sampler:
 
 
 def state_of(sensor: Adis16354) -> SensorState:
-    """Read the values of the attributes."""
+    """Read configuration and offsets of the sensor, from which attributes are computed."""
     rows = registers([*ACCEL_OFF, *GYRO_OFF])
     words = sensor.read_words(rows)
     offsets = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
@@ -233,7 +233,7 @@ class ScanQueue:
         return self._held
 
     def put(self, scans: NDArray[np.void]) -> int:
-        """Append scans; return the number of dropped ones."""
+        """Append scans; return the number of old scans that were dropped for them."""
         self._blocks.append(scans)
         self._held += len(scans)
         dropped = max(0, self._held - self._capacity)
@@ -242,11 +242,11 @@ class ScanQueue:
         return dropped
 
     def take(self, most: int) -> bytes:
-        """Remove and return the oldest scans, up to `most`, as bytes."""
+        """Remove the oldest scans, at most `most`, and return them as bytes."""
         return b"".join(part.tobytes() for part in self._remove(min(most, self._held)))
 
     def _remove(self, count: int) -> list[NDArray[np.void]]:
-        """Remove the oldest scans and return their blocks."""
+        """Remove the oldest `count` scans and return them as a list of arrays."""
         parts = []
         self._held -= count
         while count:
@@ -270,7 +270,7 @@ MOST_QUEUED = 1 << 18
 
 @dataclass(eq=False)
 class Buffer:
-    """An open buffer of a client.
+    """An open buffer of a client: the format of its scans, and their queue.
 
     Attributes
     ----------
@@ -311,7 +311,7 @@ class Hub:
         self._lost_by_clients = 0
 
     def open(self, scan_format: ScanFormat, samples: int, rate_hz: float) -> Buffer:
-        """Open a buffer, which gets all scans from now on."""
+        """Open a buffer for a client; it gets all scans from now on."""
         capacity = min(MOST_QUEUED, max(CLIENT_BLOCKS * samples, round(self._queue_s * rate_hz), 16))
         buffer = Buffer(scan_format, ScanQueue(capacity))
         self._buffers.add(buffer)
@@ -319,13 +319,13 @@ class Hub:
         return buffer
 
     def close(self, buffer: Buffer) -> None:
-        """Close a buffer; after the last one the sensor stops to stream."""
+        """Close a buffer; when the last one is closed, the sensor ends streaming."""
         self._buffers.discard(buffer)
         if not self._buffers:
             self._want(False)
 
     def publish(self, scans: FreshScans) -> None:
-        """Append scans to every buffer, in its own format."""
+        """Append new scans to the queue of every buffer, in the format of the buffer."""
         self._lost_by_sensor += scans.lost
         for buffer in self._buffers:
             packed = buffer.format.pack(scans.numbers, scans.time_ns)
@@ -333,13 +333,13 @@ class Hub:
             buffer.news.set()
 
     def fail(self, error: Exception) -> None:
-        """Wake all waiting clients after a failure."""
+        """Note that the sensor has failed, and wake all waiting clients."""
         self.failure = error
         for buffer in self._buffers:
             buffer.news.set()
 
     def counts(self) -> Mapping[str, int]:
-        """Values of the debug attributes."""
+        """Values of the debug attributes: number of clients, and of scans lost by sensor and clients."""
         return {
             "clients": self.clients,
             "scans_lost_by_sensor": self._lost_by_sensor,

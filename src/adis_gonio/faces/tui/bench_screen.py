@@ -49,7 +49,7 @@ _STYLES = {
 
 
 class BenchApp(App[None]):
-    """The application that shows a session.
+    """The textual application that shows a session and passes on the operator's answers.
 
     Parameters
     ----------
@@ -151,14 +151,14 @@ class BenchApp(App[None]):
             self._ended.set()
 
     def wait(self) -> None:
-        """Wait for the end of the runner, after the end of the screen."""
+        """Wait until the runner has ended, after the screen has closed."""
         if self._worker.is_alive():
             self._worker.join()
 
     # -- showing ------------------------------------------------------------------------------------
 
     def compose(self) -> ComposeResult:
-        """Build the widgets."""
+        """Create the widgets of the screen."""
         yield Static(id="title")
         yield Static(id="small")
         with Horizontal(id="body"):
@@ -171,13 +171,13 @@ class BenchApp(App[None]):
         yield Static(id="keys")
 
     def on_mount(self) -> None:
-        """Start the session."""
+        """Start the session when the screen is ready."""
         self._heed_signals()
         self._worker.start()
         self.set_interval(TICK_S, self.tick)
 
     def _heed_signals(self) -> None:
-        """Let a signal end the session as Ctrl-C does, so that the terminal is restored."""
+        """Let signals end the session as Ctrl-C does, so that the terminal is restored."""
         loop = asyncio.get_running_loop()
         for name in ("SIGTERM", "SIGINT", "SIGHUP"):
             with contextlib.suppress(AttributeError, NotImplementedError, RuntimeError, ValueError):
@@ -188,7 +188,7 @@ class BenchApp(App[None]):
         self._stop()
 
     def on_resize(self, event: ui.Resize) -> None:
-        """Choose the layout for the new size."""
+        """Choose the layout of the screen for its new size."""
         width, height = event.size
         base = self.screen_stack[0]
         base.set_class(width < LEAST_SIZE[0] or height < LEAST_SIZE[1], "small")
@@ -196,7 +196,7 @@ class BenchApp(App[None]):
         self.call_after_refresh(self.show)
 
     def terminal_size(self) -> Size:
-        """Current size of the terminal itself, independent of signals and of COLUMNS and LINES."""
+        """Ask the terminal for its size, independent of signals and of COLUMNS and LINES."""
         if self.is_headless or sys.__stderr__ is None:
             return self.size
         try:
@@ -205,7 +205,7 @@ class BenchApp(App[None]):
             return self.size
 
     def tick(self) -> None:
-        """Take the runner's new events, and show the state."""
+        """Process the runner's new events, and update the screen."""
         if (size := self.terminal_size()) != self.size:
             self.post_message(ui.Resize(size, size))
         ended = self._ended.is_set()  # read before the queue is emptied, because no event follows the end
@@ -223,7 +223,7 @@ class BenchApp(App[None]):
         self._ask()
 
     def show(self) -> None:
-        """Show the state."""
+        """Update all widgets by the state of the session."""
         if not self.is_running:
             return
         base, state = self.screen_stack[0], self.state
@@ -288,7 +288,7 @@ class BenchApp(App[None]):
             self.push_screen(dialog, self._give)
 
     def _give(self, answer: str | None) -> None:
-        """Pass an answer to the runner; a message reports an answer that comes too late."""
+        """Pass an answer to the runner; an answer that comes too late gives a message."""
         self._open_question = None
         if not answer or answer == "stay":
             return
@@ -308,7 +308,7 @@ class BenchApp(App[None]):
     # -- keys ---------------------------------------------------------------------------------------
 
     def action_answer_position(self, answer: str) -> None:
-        """Answer the question for a position, or report why that is not possible."""
+        """Answer the question about a position, or report why that is not possible."""
         question = self.state.question
         impossible = ""
         if not isinstance(question, events.PositionAsked):
@@ -324,7 +324,7 @@ class BenchApp(App[None]):
         self.show()
 
     def action_pause(self) -> None:
-        """Pause, or go on."""
+        """Pause the session, or continue it after a pause."""
         if self.state.paused:
             self._runner.unpause()
         else:
@@ -333,7 +333,7 @@ class BenchApp(App[None]):
         self.show()
 
     def action_note(self) -> None:
-        """Ask for a note."""
+        """Open the dialog for a note."""
 
         def keep(text: str | None) -> None:
             if text:
@@ -342,18 +342,18 @@ class BenchApp(App[None]):
         self._open(dialogs.NoteDialog(), keep)
 
     def action_explain(self) -> None:
-        """Show the help."""
+        """Show the help on keys and signs."""
         self._open(dialogs.HelpDialog("Keys and signs", screen_text.help_text(self.state)), lambda _: None)
 
     def action_draw(self) -> None:
-        """Show how to hold the part."""
+        """Show a drawing of the way to hold the sensor."""
         if self.state.plan is not None:
             self._drawn = True
             text = "\n".join(drawing(self.state.plan))
             self._open(dialogs.HelpDialog("How the part is held", text), lambda _: None)
 
     def action_ask_to_quit(self) -> None:
-        """Ask whether to end the session."""
+        """Ask if the session is to end."""
         self._open(dialogs.quit_dialog(self._resume_by), self._give_end)
 
     def _open(self, screen: Screen[Any], then: Callable[..., None]) -> None:
@@ -365,7 +365,7 @@ class BenchApp(App[None]):
             self._stop()
 
     def action_stop_now(self) -> None:
-        """End the session in order; the second time, leave at once."""
+        """End the session in order; if called a second time, leave at once."""
         if self._stopping:
             self.abandoned = True
             self.exit()
@@ -379,7 +379,7 @@ class BenchApp(App[None]):
         self.show()
 
     def _handle_exception(self, error: Exception) -> None:
-        """End the screen without a traceback; `ScreenFace` reports the error."""
+        """Close the screen without a traceback; `ScreenFace` reports the error afterwards."""
         self.crash = self.crash or error
         self._runner.stop()
         super()._handle_exception(error)
@@ -395,7 +395,7 @@ def _still_style(state: BenchState) -> str:
 
 
 def _messages(state: BenchState) -> Text:
-    """Messages, the newest first, so that the oldest ones are cut off."""
+    """Text of all messages, the newest first, so that the oldest ones are cut off."""
     text = Text()
     for message in reversed(state.messages):
         text.append(f"{message.text}\n", style="yellow" if message.level == "warned" else "")
@@ -411,7 +411,7 @@ def _keys(state: BenchState) -> Text:
 
 
 class ScreenFace:
-    """Runs a session on the screen.
+    """Front end that runs a session on the full-screen display.
 
     Parameters
     ----------
@@ -464,7 +464,7 @@ class ScreenFace:
 
 
 def remember(state: BenchState) -> None:
-    """Mark the positions that earlier runs of a session have done, skipped or found faulty."""
+    """Mark the positions of a resumed session that earlier runs have done, skipped or found faulty."""
     with ArchiveView(state.path) as view:
         done = [attempt.place for attempt in view.dwells()]
         faulty = [attempt.place for attempt in view.faulty()]

@@ -22,7 +22,7 @@ Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered 
 
 
 class Mark(Enum):
-    """State of a position, with a sign and a word, so that it can be read without colours."""
+    """State of a position in the list, with a sign and a word, readable without colours."""
 
     OPEN = "·", "to do"
     NOW = "▶", "now"
@@ -33,12 +33,12 @@ class Mark(Enum):
 
     @property
     def sign(self) -> str:
-        """One character."""
+        """Sign of the state, one character."""
         return self.value[0]
 
     @property
     def word(self) -> str:
-        """One word of at most seven letters."""
+        """Word for the state, at most seven letters."""
         return self.value[1]
 
 
@@ -60,7 +60,7 @@ class Span:
 
 
 class BenchState:
-    """Takes events in order; its attributes describe the session now.
+    """State of a session for display, collected from its events.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class BenchState:
         Live angle, counted along the stage's turn since `here` (if the turn was not watched, see
         `lost_way`, within half a turn of the target), and the angle asked for.
     tolerance_deg : float or None
-        Distance from the target within which the part has arrived, estimated from the dwells so far; None
+        Distance from the target within which the sensor has arrived, estimated from the dwells so far; None
         during a dwell and before the first.
     spread_mg, limit_mg : float or None
         Spread and limit of stillness, of the axis with the largest ratio of both.
@@ -111,7 +111,7 @@ class BenchState:
     zero_known : bool
         True once a dwell has determined the stage's zero.
     here : Position or None
-        Position of the last dwell; None after an interrupted dwell, because the part may have moved.
+        Position of the last dwell; None after an interrupted dwell, because the sensor may have moved.
     reversed : bool
         True if the session counts turns the other way.
     messages : list of Message
@@ -156,59 +156,59 @@ class BenchState:
 
     @property
     def on_table(self) -> bool:
-        """True in a session of whole turns on a table."""
+        """True in a session of whole turns on a table, which the gyros follow."""
         return self.plan is not None and self.plan.name == GYRO_TURNS
 
     @property
     def position(self) -> Position | None:
-        """Position that is asked for or measured."""
+        """Position that the operator is asked for, or that is being measured."""
         return None if self.plan is None or self.place is None else self.plan.positions[self.place]
 
     @property
     def more_deg(self) -> float | None:
-        """Remaining turn to the target, positive in the stage's direction; None if unknown."""
+        """Remaining turn to the target in degrees, positive in the stage's direction; None if unknown."""
         if self.angle_deg is None or self.target_deg is None:
             return None
         return self.target_deg - self.angle_deg
 
     @property
     def lost_way(self) -> bool:
-        """True if the part may have turned unwatched since `here`, for example in a pause."""
+        """True if the sensor may have turned since the last dwell without being followed."""
         here = self.here
         return here is not None and here.angle_deg is not None and self._turned_deg is None
 
     @property
     def passes(self) -> bool:
-        """True if the part is at the angle asked for and has to approach it from the other side."""
+        """True if the sensor is at the requested angle but has to approach it from the other side."""
         asked, here = self.position, self.here
         if asked is None or here is None or not isinstance(self.question, events.PositionAsked):
             return False
         return asked.angle_deg == here.angle_deg and asked.approach != here.approach
 
     def mark(self, place: int) -> Mark:
-        """State of a position."""
+        """State of a position in the list."""
         return Mark.NOW if place == self.place else self.marks.get(place, Mark.OPEN)
 
     def remember(self, done: Collection[int], skipped: Collection[int], faulty: Collection[int]) -> None:
-        """Mark the places that earlier runs have settled."""
+        """Mark the positions that earlier runs have done, skipped or found faulty."""
         self.zero_known = bool(done)
         self.marks |= dict.fromkeys(done, Mark.DONE)
         self.marks |= dict.fromkeys(skipped, Mark.SKIPPED)
         self.marks |= dict.fromkeys(faulty, Mark.FAULTY)
 
     def answered(self) -> None:
-        """Close the question after its answer; the next event sets the new state."""
+        """Close the question after an answer; the next event sets the new state."""
         if isinstance(self.question, events.PositionAsked):
             self.doing = "going on"
         self.question = None
 
     def say(self, text: str, level: Literal["said", "warned"] = "said") -> None:
-        """Add a message."""
+        """Add a message to the list of messages."""
         self.messages = [*self.messages, Message(text, level)][-MOST_MESSAGES:]
 
     @singledispatchmethod
     def take(self, event: events.Event) -> None:
-        """Take the next event; events without a method below change nothing."""
+        """Update the state by the next event; events without a method below change nothing."""
 
     @take.register
     def _(self, event: events.Started) -> None:
@@ -290,7 +290,10 @@ class BenchState:
         self.spread_mg, self.limit_mg = max(pairs, key=lambda pair: pair[0] / pair[1])
 
     def _along(self, angle_deg: float | None) -> float | None:
-        """Angle counted along the turn since the last dwell; unchanged if the turn was not watched."""
+        """Convert an angle within ±180° to the angle counted along the turn since the last dwell.
+
+        It is returned unchanged if the turn was not followed.
+        """
         if angle_deg is None or self._turned_deg is None:
             return angle_deg
         self._turned_deg += wrap_degrees(angle_deg - self._turned_deg)

@@ -58,19 +58,19 @@ Result = TypeVar("Result")
 
 
 class _Finishing(ModalScreen[Result]):
-    """A dialog that closes only once, even if keys follow quickly."""
+    """Base of dialogs that close only once, even if keys follow quickly."""
 
     _has_result = False
 
     def finish(self, result: Result | None = None) -> None:
-        """Close with a result; later calls do nothing."""
+        """Close the dialog with a result; later calls do nothing."""
         if not self._has_result:
             self._has_result = True
             self.dismiss(result)
 
 
 class Dialog(_Finishing[str]):
-    """A question with its answers; Enter gives the selected one.
+    """Dialog that asks a question and offers answers; Enter gives the selected answer.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class Dialog(_Finishing[str]):
         self._at = answers.index(default) if default in answers else 0
 
     def compose(self) -> ComposeResult:
-        """Build the box with its texts."""
+        """Create the box of the dialog with its texts."""
         with Vertical(id="box"):
             yield Static(Text(self._heading, style="bold"), id="heading")
             yield Static(Text(self._text), id="text")
@@ -118,7 +118,7 @@ class Dialog(_Finishing[str]):
             yield Static(Text("Enter takes ▶, ↑ ↓ move it, a letter answers at once", style="dim"))
 
     def on_mount(self) -> None:
-        """Show the answers."""
+        """Show the answers when the dialog is ready."""
         self._show()
 
     def _show(self) -> None:
@@ -133,16 +133,16 @@ class Dialog(_Finishing[str]):
         self.query_one("#choices", Static).update(text)
 
     def action_move(self, step: int) -> None:
-        """Select the next or the previous answer."""
+        """Select the next answer (step 1) or the previous one (step −1)."""
         self._at = (self._at + step) % len(self._choices)
         self._show()
 
     def action_choose(self) -> None:
-        """Give the selected answer."""
+        """Close the dialog with the selected answer."""
         self.finish(self._choices[self._at].answer)
 
     def on_key(self, event: Key) -> None:
-        """Give the answer with this letter."""
+        """Close the dialog with the answer that has this letter."""
         for choice in self._choices:
             if event.character == choice.key:
                 event.stop()
@@ -151,7 +151,7 @@ class Dialog(_Finishing[str]):
 
 
 class NoteDialog(_Finishing[str]):
-    """A dialog for a note; the result is empty if the operator cancels."""
+    """Dialog in which the operator types a note; the result is empty after a cancel."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape", "give_up", show=False),
@@ -159,23 +159,23 @@ class NoteDialog(_Finishing[str]):
     ]
 
     def compose(self) -> ComposeResult:
-        """Build the box with its input line."""
+        """Create the box of the dialog with its input line."""
         with Vertical(id="box"):
             yield Static(Text("Note", style="bold"), id="heading")
             yield Input(placeholder="saved in the session with its time and position", id="note")
             yield Static(Text("Enter keeps it, Esc gives it up", style="dim"))
 
     def action_give_up(self) -> None:
-        """Keep nothing."""
+        """Close the dialog without a note."""
         self.finish("")
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Keep the line."""
+        """Close the dialog with the typed line as the note."""
         self.finish(event.value)
 
 
 class HelpDialog(_Finishing[None]):
-    """A text to read: keys and signs, or how to hold the part; any key closes it."""
+    """Dialog with a text to read, such as the keys; any key closes it."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True)
@@ -186,20 +186,20 @@ class HelpDialog(_Finishing[None]):
         self._heading, self._text = heading, text
 
     def compose(self) -> ComposeResult:
-        """Build the box with its text."""
+        """Create the box of the dialog with its text."""
         with Vertical(id="box"):
             yield Static(Text(self._heading, style="bold"), id="heading")
             yield Static(Text(self._text), id="text")
             yield Static(Text("any key closes this", style="dim"))
 
     def on_key(self, event: Key) -> None:
-        """Close."""
+        """Close the dialog at any key."""
         event.stop()
         self.finish()
 
 
 def guard_dialog(event: events.GuardRaised) -> Dialog:
-    """Dialog of a guard, with its measured numbers."""
+    """Make the dialog for the question of a guard, with its measured numbers."""
     known = CHOICES | (ON_TABLE if event.position.turned_deg is not None else {})
     choices = [known[name] for name in event.answers if name != "stop"] + [CHOICES["stop"]]
     heading = f"{event.position}: {event.kind.replace('_', ' ')}"
@@ -208,7 +208,7 @@ def guard_dialog(event: events.GuardRaised) -> Dialog:
 
 
 def repetition_dialog(event: events.RepetitionOffered) -> Dialog:
-    """Dialog that asks whether to repeat dwells with a fault."""
+    """Make the dialog that asks if dwells with a fault are to be repeated."""
     where = ", ".join(str(position) for position in event.positions)
     text = f"An error or alarm occurred at {where}. Repeat these dwells? Otherwise they are kept."
     answers = [CHOICES["accept"], CHOICES["decline"], CHOICES["stop"]]
@@ -216,7 +216,7 @@ def repetition_dialog(event: events.RepetitionOffered) -> Dialog:
 
 
 def extension_dialog(event: events.ExtensionOffered, positions: int) -> Dialog:
-    """Dialog that asks whether to go on with further positions."""
+    """Make the dialog that asks if the session is to continue with further positions."""
     more = event.plan.positions[positions:]
     where = ", ".join(str(position) for position in more)
     reasons = [event.blindness.message] if event.blindness is not None else list(event.reasons)
@@ -226,6 +226,6 @@ def extension_dialog(event: events.ExtensionOffered, positions: int) -> Dialog:
 
 
 def quit_dialog(resume_by: str) -> Dialog:
-    """Dialog that asks whether to end the session."""
+    """Make the dialog that asks if the session is to end."""
     text = f"The recorded data stay. Go on later with\n  {resume_by}"
     return Dialog("Quit the session?", text, [STAY, QUIT], "stay")

@@ -70,7 +70,7 @@ _DIGITS = {
 
 
 def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
-    """Rows of blocks that show an angle to a hundredth, or a dash for None.
+    """Draw an angle with two decimals in large digits, as rows of block characters; a dash for None.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
 
 
 def title(state: BenchState) -> str:
-    """First line: plan, positions done, remaining time, sensor and file."""
+    """First line of the screen: plan, number of positions done, remaining time, sensor and file."""
     if state.plan is None:
         return "adis-gonio"
     total = len(state.plan)
@@ -96,7 +96,7 @@ def title(state: BenchState) -> str:
 
 
 def _place_name(position: Position, *, on_table: bool) -> str:
-    """Short name of a position in a list, with its side of approach and its use."""
+    """Short name of a position in the list, with its side of approach and its use."""
     if on_table:
         if position.turned_deg is None:
             return face(position)
@@ -113,7 +113,10 @@ def _place_name(position: Position, *, on_table: bool) -> str:
 
 
 def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
-    """Lines of the plan with the name of their mark; at most `height`, around the current position."""
+    """Rows of the list of positions, each with the name of its mark.
+
+    At most `height` rows are returned, around the current position.
+    """
     if state.plan is None:
         return []
     rows = []
@@ -133,7 +136,7 @@ def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
 
 
 def task(state: BenchState) -> str:
-    """The operator's task, in one sentence or two."""
+    """Tell the operator the next task, in one or two sentences."""
     if state.paused:
         return "PAUSED. Nothing is measured; p goes on."
     question = state.question
@@ -165,7 +168,7 @@ def _table_task(position: Position) -> str:
 
 
 def target(state: BenchState) -> str:
-    """The angle asked for, and the remaining turn."""
+    """Line with the requested angle and the remaining turn."""
     if state.on_table:
         return _table_target(state)
     if state.target_deg is None:
@@ -201,7 +204,10 @@ def _table_target(state: BenchState) -> str:
 
 
 def stillness(state: BenchState, width: int) -> str:
-    """State, spread, limit and a bar; during a turn on a table the rate against the range instead."""
+    """Line that shows if the sensor is still: spread, limit and a bar.
+
+    During a turn on a table it shows the rate against the range instead.
+    """
     if state.whole is not None:
         beyond = "TOO FAST  " if too_fast(state) else ""
         now = format_fixed(state.whole.rate_dps, 0, sign=True)
@@ -223,7 +229,7 @@ def too_fast(state: BenchState) -> bool:
 
 
 def waiting(state: BenchState, silence_s: float = 0.0) -> str:
-    """The event for which the session waits.
+    """Line that names the event for which the session waits.
 
     Parameters
     ----------
@@ -243,7 +249,7 @@ def waiting(state: BenchState, silence_s: float = 0.0) -> str:
 
 
 def progress(state: BenchState, width: int) -> str:
-    """Elapsed time and length of a dwell or wait, with a bar."""
+    """Line with elapsed time and length of a dwell or wait, and a bar."""
     if state.span is None:
         return ""
     span = state.span
@@ -252,7 +258,7 @@ def progress(state: BenchState, width: int) -> str:
 
 
 def _bar(share: float, width: int) -> str:
-    """A bar of at most 20 characters; full from 1 on."""
+    """Bar of at most 20 characters for a share of 0 to 1; larger shares are drawn full."""
     width = min(20, width)
     if width < 4:
         return ""
@@ -261,7 +267,7 @@ def _bar(share: float, width: int) -> str:
 
 
 def facts(state: BenchState) -> list[tuple[str, str]]:
-    """Rows of name and value below the angle."""
+    """Rows of name and value that are shown below the angle."""
     if not state.on_table:
         return [("last turn", _turn(state.turn)), ("result", _running(state.running))]
     faces = []
@@ -297,7 +303,7 @@ def _whole_turn(turn: events.TurnDone | None) -> str:
 
 
 def _running(running: events.Running | None) -> str:
-    """Parameters from the dwells so far."""
+    """Text of the parameters by the dwells so far."""
     if running is None:
         return "– (after the second position)"
     known = {symbol: running.parameters.get(name) for name, symbol in _SYMBOLS.items()}
@@ -313,7 +319,7 @@ def _running(running: events.Running | None) -> str:
 
 
 def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[str]:
-    """Lines about temperature, link and URL.
+    """Lines about temperature, lost scans, data rate and URL.
 
     Parameters
     ----------
@@ -334,7 +340,7 @@ def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[
 
 
 def format_measured(name: str, value: float) -> tuple[str, str]:
-    """Name and value, as text, of a number with its unit at the end of the name, such as `gyro_deg`."""
+    """Name and value with unit as text, for a number named with its unit, such as `gyro_deg`."""
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in _UNITS:
         return name.replace("_", " "), use_minus(f"{value:.4g}")
@@ -342,7 +348,7 @@ def format_measured(name: str, value: float) -> tuple[str, str]:
 
 
 def keys(state: BenchState) -> list[tuple[str, str]]:
-    """Keys that act now, with their meaning."""
+    """Keys that have an effect now, each with its meaning."""
     asked = state.question if isinstance(state.question, events.PositionAsked) else None
     answers = [] if asked is None else [("Enter", "take", True), ("t", "retake", asked.can_repeat)]
     answers += [] if asked is None else [("s", "skip", True), ("u", "undo", asked.can_undo)]
@@ -352,5 +358,5 @@ def keys(state: BenchState) -> list[tuple[str, str]]:
 
 
 def help_text(state: BenchState) -> str:
-    """Keys, signs and the origin of the angle."""
+    """Help on keys and signs, and on the origin of the displayed angle."""
     return HELP.replace(_BY_GRAVITY, _BY_GYROS) if state.on_table else HELP

@@ -1,4 +1,4 @@
-"""Noise of a part at rest: random walks, bias instability, quantization, with u, and the Allan plot."""
+"""Noise of a sensor at rest: random walks, bias instability, quantization, with u, and the Allan plot."""
 
 from adis_gonio.fitting.allan.allan_fit import fit_allan
 from adis_gonio.fitting.allan.allan_result import AllanResult, AxisNoise, NoiseParameter

@@ -1,4 +1,4 @@
-"""From a session to the noise of its gyros or accelerometers: `fit_allan` on the records at rest."""
+"""Estimate the noise of a session's gyros or accelerometers from its records at rest: `fit_allan`."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ from adis_gonio.fitting.gyros.turn_integration import dps_per_unit
 from adis_gonio.model.records import Dwell, Session
 
 LEAST = 128
-"""Fewest samples of a record with information on its noise."""
+"""Smallest number of samples of a record that is used."""
 _GAP = 2.5
-"""Sample periods between two samples that end a record."""
+"""Number of sample periods between two samples above which a record ends."""
 _EVEN = 1.5
 _MANY_LOST = 1e-3
 _SHORT = 4
-"""Largest ratio of the longest record to a record that counts."""
+"""Largest ratio of the length of the longest record to the length of a record that is used."""
 _FAST = 100_000
 """Samples from which a record is cut to a length with a fast transform (less than 2 % is lost)."""
 
 
 @dataclass(frozen=True)
 class Rests:
-    """Equally spaced records at rest of three gyros or accelerometers.
+    """Equally spaced samples of three gyros or accelerometers at rest, in records without gaps.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Rests:
     filter_m : int or None
         The chip's filter; None if the file does not state it.
     records : tuple of (n, axes) float
-        Samples in `unit`, each record about its first sample.
+        Samples in `unit`, with the first sample of each record subtracted.
     positions : tuple of int
         Dwell of each record.
     step : (axes,) float
@@ -85,17 +85,17 @@ class Rests:
 
     @property
     def axes(self) -> int:
-        """Axes of a sample."""
+        """Number of axes of each sample."""
         return int(self.records[0].shape[1])
 
     @property
     def longest_s(self) -> float:
-        """Time of the longest record."""
+        """Duration of the longest record in s."""
         return self.period_s * max(len(record) for record in self.records)
 
 
 def rests_of(session: Session, part: Part) -> Rests:
-    """Records at rest of a session: its dwells, or the still parts of a continuous recording.
+    """Records of a session at rest: its dwells, or the still parts of a continuous recording.
 
     Raises
     ------
@@ -157,7 +157,10 @@ def rests_of(session: Session, part: Part) -> Rests:
 def _records(
     held: list[tuple[Dwell, Floats]], period_s: float, where: str
 ) -> tuple[list[Floats], list[int], int]:
-    """Records between gaps, the position of each, and the number of lost samples."""
+    """Split the samples of dwells at gaps into records without gaps.
+
+    Returns the records, the number of the dwell of each, and the number of samples lost in the gaps.
+    """
     records, positions, lost = [], [], 0
     for dwell, series in held:
         if not np.isfinite(series).all():
@@ -173,7 +176,7 @@ def _records(
 
 
 def _unit(session: Session, part: Part, where: str) -> tuple[str, float]:
-    """Unit of the result, and the factor from the file's numbers to it."""
+    """Unit of the result (dps, mg or counts), and the factor that converts samples of the file to it."""
     unit = session.gyro_unit if part == "gyro" else session.accel_unit
     if unit == "counts":
         return "counts", 1.0
@@ -185,7 +188,10 @@ def _unit(session: Session, part: Part, where: str) -> tuple[str, float]:
 
 
 def _period(dwells: list[Dwell], where: str) -> float:
-    """Time between samples by the whole of the longest dwell, because coarse times may repeat."""
+    """Mean time in s between the samples of the longest dwell, without its gaps.
+
+    The mean is over all its samples, because clocks with a coarse resolution repeat times.
+    """
     longest = max(dwells, key=len)
     if len(longest) < 2:
         raise DataError(
@@ -200,7 +206,10 @@ def _period(dwells: list[Dwell], where: str) -> float:
 
 
 def _quick(size: int) -> int:
-    """Largest length up to `size` with a fast transform; short records stay whole."""
+    """Largest number of samples up to `size` for which the Fourier transform is fast.
+
+    Short records are not cut.
+    """
     if size < _FAST:
         return size
     return next(n for n in range(size, 0, -1) if fft.next_fast_len(n, real=True) == n)
@@ -216,12 +225,14 @@ _BANDS = ((0.04, 0.3), (0.3, 1.0))
 """Parts of the band, above the slow noise, in which records are compared."""
 _LOUDER = 1.1
 _TRIAL = 1 << 16
-"""Number of samples that determine an unstated filter."""
+"""Largest number of samples used to find a filter setting that the file does not state."""
 
 
 @solvable
 def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = None) -> AllanResult:
-    """Fit the noise of a part at rest by restricted maximum likelihood, with its Allan deviation.
+    """Fit the noise of accelerometers or gyros at rest by restricted maximum likelihood.
+
+    The result also has their Allan deviation.
 
     The processes are white noise (angle or velocity random walk), flicker (bias instability), rate random
     walk, and without a filter also quantization, of IEEE Std 952-1997, Annex C. Each has a
@@ -279,7 +290,7 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
 
 
 def _flat(record: Floats) -> Floats:
-    """Subtract mean and linear slope from samples (n,)."""
+    """Return samples (n,) minus a straight line: their mean and linear slope."""
     # Least squares slope against sample numbers about their middle.
     at = np.arange(len(record)) - (len(record) - 1) / 2
     centred = record - record.mean()
@@ -287,7 +298,10 @@ def _flat(record: Floats) -> Floats:
 
 
 def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool]:
-    """Autocovariance of the rounding, and whether the converter is too coarse for one."""
+    """Autocovariance of the errors from rounding to `step`, by lag, behind a filter with parameter m.
+
+    Also returns True if the step is too large against the noise for a prediction of this autocovariance.
+    """
     # Changes within the filter's window are white noise, without the slow noise.
     lag = 1 << m
     weights = filter_weights(m)
@@ -302,7 +316,7 @@ def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool
 
 
 def _highest(m: int) -> float:
-    """Highest frequency in cycles per sample that the filter passes sufficiently."""
+    """Highest frequency, in cycles per sample, at which the filter passes enough power for the fit."""
     if m == 0:
         return 0.5
     grid = np.linspace(0.0, 0.5**m, 2049)
@@ -310,7 +324,7 @@ def _highest(m: int) -> float:
 
 
 def _filter_seen(rests: Rests) -> int:
-    """M of the filter that makes the whole spectrum most likely."""
+    """Estimate the filter setting m of the chip: the setting under which the samples are most likely."""
     record = max(rests.records, key=len)[:_TRIAL]
     losses = np.zeros(MOST_M + 1)
     for axis in range(rests.axes):
@@ -341,12 +355,15 @@ def _fitted(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
 
 
 def _kinds(m: int) -> Sequence[Kind]:
-    """Processes of a record; behind the chip's filter there is no quantization of the angle."""
+    """Noise processes to fit; the chip's filter (m > 0) excludes quantization noise of the angle."""
     return KINDS if m == 0 else KINDS[1:]
 
 
 def _widest(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
-    """Fit the widest band, halved from the whole one, that the noises explain; else the best band."""
+    """Fit the noise processes to the widest frequency band in which they explain the spectrum.
+
+    The band starts as the full one and is halved. If no band is explained, return the best fit.
+    """
     tried = []
     while True:
         inside = data.below(band)
@@ -401,7 +418,7 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
 
 
 def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
-    """Records as quiet as the quietest, because a hand or a shaken table makes others louder.
+    """Select the records with about as little noise as the quietest, because vibration disturbs the others.
 
     Starting with the quietest, each record counts that is not louder than the earlier ones together in
     either of two bands.
@@ -427,7 +444,11 @@ def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
 
 
 def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
-    """Squared coefficients for the curve: without absent processes, but with slow noise if it is needed."""
+    """Squared coefficients of the noise processes for the fitted Allan curve, zero for absent processes.
+
+    If the data show slow noise but cannot tell flicker noise from random walk, both keep their
+    coefficients.
+    """
     lacking = [kind for kind, found in profiles.items() if not found.present and kind != "white"]
     absent = {KINDS.index(kind): 0.0 for kind in lacking}
     if {2, 3} <= absent.keys() and _slow(fitted) < SLOW_NOISE:
@@ -437,7 +458,10 @@ def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
 
 
 def _slow(fitted: _Fitted) -> float:
-    """p-value of the absence of both flicker and walk: a bound for two coefficients on their boundary."""
+    """p-value of the hypothesis that the record has neither flicker noise nor random walk.
+
+    It is an upper bound, because both coefficients are on the boundary of their range.
+    """
     _, without = fitted.likelihood.maximum(fitted.theta.copy(), {2: 0.0, 3: 0.0})
     # Mixture of χ² with one and two degrees of freedom, an upper bound on the boundary.
     ratio = max(without - fitted.deviance, 0.0)
@@ -447,7 +471,7 @@ def _slow(fitted: _Fitted) -> float:
 
 
 def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> Value:
-    """Weighted mean of the records' slopes, per second."""
+    """Drift of an axis, in `unit` per second, with u: the weighted mean of the slopes of all records."""
     rest = fitted.likelihood.slopes(fitted.theta)
     # Weighted mean of the slopes, each corrected by the slope of the likelihood.
     weight = np.array([1 / u**2 if u > 0 else 0.0 for _, u in rest])
@@ -459,7 +483,10 @@ def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> V
 
 
 def _joined(lines: list[SpectralLine]) -> tuple[SpectralLine, ...]:
-    """Lines of all records; of those within 1 % of each other the one with the largest amplitude."""
+    """Merge the sinusoids that several records show within 1 % of one frequency.
+
+    The sinusoid with the largest amplitude represents them.
+    """
     kept: list[SpectralLine] = []
     for line in sorted(lines, key=lambda one: -one.amplitude):
         if all(abs(line.frequency_hz / other.frequency_hz - 1) > 0.01 for other in kept):

@@ -61,16 +61,19 @@ class NoiseParameter:
     unit: str
     profile: Profile
     also: tuple[str, float] | None = None
-    """A second unit in common use, and its size."""
+    """A second unit in common use, and the factor from `unit` to it."""
 
     @property
     def present(self) -> bool:
-        """The data refuse that it is absent."""
+        """True if the data rule out that this noise process is absent."""
         return self.profile.present
 
     @property
     def value(self) -> Value | None:
-        """Value with u, ν, k and U, the longer arm of the interval; None if it may be absent."""
+        """Coefficient of the process with u, ν, k and U; None if the process may be absent.
+
+        U is the longer side of the 95 % interval.
+        """
         if not self.present:
             return None
         found = self.profile
@@ -79,11 +82,17 @@ class NoiseParameter:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Profile-likelihood interval of 95 %; begins at 0 if the process may be absent."""
+        """Limits of the 95 % interval of the coefficient, by its profile likelihood.
+
+        The lower limit is 0 if the process may be absent.
+        """
         return self.profile.low, self.profile.high
 
     def as_dict(self) -> dict[str, Any]:
-        """Value, u, ν, k, U (null if absent), interval, upper limit, and the detectable size."""
+        """JSON object of a noise process: value, u, ν, k, U, interval, upper limit and detectable size.
+
+        The first five are null if the process may be absent.
+        """
         value, found = self.value, self.profile
         empty = {"value": None, "u": None, "dof": None, "k": None, "U": None, "unit": self.unit}
         document: dict[str, Any] = {
@@ -108,7 +117,7 @@ class NoiseParameter:
 
 
 def parameters(part: Part, unit: str, profiles: dict[Kind, Profile]) -> tuple[NoiseParameter, ...]:
-    """Noise processes of an axis under the names and units of a part."""
+    """Noise processes of one axis, with their names and units for an accelerometer or a gyro."""
     named = zip(KINDS, _NAMES[part], _UNITS[unit], strict=True)
     return tuple(
         NoiseParameter(kind, name, own, profiles[kind], _ALSO.get((unit, kind)))
@@ -128,17 +137,17 @@ class AxisNoise:
     parameters : tuple of NoiseParameter
         In the order of `noise_processes.KINDS`; without quantization behind the chip's filter.
     ramp : Value
-        Slope of the records' lines, weighted mean, per second: a drift that is no noise.
+        Drift per second: weighted mean of the slopes of straight lines through the records.
     slow_p_value : float
-        p-value of the absence of both flicker and walk.
+        p-value of the hypothesis that there is neither flicker noise nor random walk.
     adequacy : float
-        Probability of a spectrum at least this far from the fitted one.
+        p-value of the spectrum under the fitted noise; small if this does not explain the spectrum.
     band_hz : (float, float)
-        Fitted frequencies.
+        Lowest and highest fitted frequency.
     lines : tuple of SpectralLine
         Subtracted sinusoids.
     step : float
-        Step of the converter; its rounding is no part of the coefficients. 0 unknown.
+        Step of the converter, 0 if unknown; the coefficients do not include its rounding.
     curve : AllanCurve
     notes : tuple of str
         Remarks for the user, one line each.
@@ -156,7 +165,7 @@ class AxisNoise:
     notes: tuple[str, ...]
 
     def __getitem__(self, name: str) -> NoiseParameter:
-        """Parameter by its name or kind."""
+        """Return a noise process by its name, such as `angle_random_walk`, or kind, such as `white`."""
         for parameter in self.parameters:
             if name in (parameter.name, parameter.kind):
                 return parameter
@@ -164,11 +173,11 @@ class AxisNoise:
 
     @property
     def ramps(self) -> bool:
-        """The slope is larger than the noise explains."""
+        """True if the axis drifts: its slope over the records is larger than its noise explains."""
         return self.ramp.U is not None and abs(self.ramp.value) > self.ramp.U
 
     def as_dict(self) -> dict[str, Any]:
-        """The axis as JSON."""
+        """JSON object of the axis: its noise processes, Allan deviation, drift and sinusoids."""
         return json_object(
             parameters={parameter.name: parameter for parameter in self.parameters},
             ramp={**self.ramp.as_dict(), "present": self.ramps},
@@ -225,23 +234,23 @@ class AllanResult:
 
     @property
     def duration_s(self) -> float:
-        """Time of all records."""
+        """Total duration of all records in s."""
         return self.period_s * sum(self.samples)
 
     @property
     def longest_s(self) -> float:
-        """Time of the longest record."""
+        """Duration of the longest record in s."""
         return self.period_s * max(self.samples)
 
     def __getitem__(self, axis: str) -> AxisNoise:
-        """Noise of an axis by its letter."""
+        """Return the noise of the axis with this letter."""
         for found in self.axes:
             if found.axis == axis:
                 return found
         raise KeyError(axis)
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON document of `adis-gonio allan`."""
+        """The JSON document that `adis-gonio allan --json` prints."""
         return json_object(
             part=self.part,
             unit=self.unit,
@@ -280,12 +289,15 @@ _MANY_DOF = 9999
 
 
 def name_shown(parameter: NoiseParameter) -> str:
-    """Such as `angle random walk`."""
+    """Name of a noise process for people, such as `angle random walk`."""
     return parameter.name.replace("_", " ")
 
 
 def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[int]) -> Iterator[str]:
-    """Remarks on an axis; `loud` are the positions of records that were left out."""
+    """Yield sentences for the user on the noise of an axis, such as excess noise, sinusoids or drift.
+
+    `loud` has the dwell numbers of records that were left out because of their larger noise.
+    """
     if loud:
         which = ", ".join(map(str, loud[:8])) + (", …" if len(loud) > 8 else "")
         yield f"{counted(len(loud), 'record')} left out, louder than the quietest (positions {which})"
@@ -320,7 +332,7 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[in
 
 
 def missing(parameter: NoiseParameter) -> str:
-    """Text in the place of an absent value: its limit, and the size that the records would show."""
+    """Text for a process that may be absent: its upper limit, and the size that would be detected."""
     found = parameter.profile
     limit = f"not present: at most {format_number(found.high)} (95 %)"
     if parameter.kind == "white":
@@ -329,7 +341,10 @@ def missing(parameter: NoiseParameter) -> str:
 
 
 def cells(parameter: NoiseParameter) -> Sequence[tuple[str, ...]]:
-    """Rows of `HEAD` for a process that is present: in its unit, and in the second unit in use."""
+    """Table rows, with the columns `HEAD`, for a noise process that is present.
+
+    A second row gives the value in another common unit, if there is one.
+    """
     found, rows = parameter.profile, []
     dof_text = f"> {_MANY_DOF}" if found.dof > _MANY_DOF else format_number(found.dof, 2)
     for unit, size in ((parameter.unit, 1.0), *((parameter.also,) if parameter.also else ())):
@@ -347,7 +362,7 @@ def cells(parameter: NoiseParameter) -> Sequence[tuple[str, ...]]:
 
 
 def headline(result: AllanResult) -> str:
-    """Length, number and rate of the records, in a line."""
+    """One line of text with the total length, the number and the sample rate of the records."""
     records = counted(len(result.samples), "record")
     rate_hz = format_number(1 / result.period_s, 4)
     held = f"{format_number(result.duration_s, 4)} s in {records} at {rate_hz} Hz"
@@ -355,7 +370,7 @@ def headline(result: AllanResult) -> str:
 
 
 def table_lines(result: AllanResult) -> Iterator[str]:
-    """Lines of the result, at most 80 columns wide."""
+    """Yield the lines of text that show the result, each at most 80 columns wide."""
     name = result.title or result.source or "session"
     yield from _folded(f"Noise at rest of the {PARTS[result.part]} of {name} ({result.sensor})", "")
     for text in (headline(result), *result.notes):

@@ -50,7 +50,10 @@ _TABLE = 256
 
 
 def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
-    """Variances (len(k), 4) of the DCT-II ordinates k of n samples, per squared coefficient of `KINDS`."""
+    """Variances (len(k), 4) of the DCT-II coefficients k of n samples, for each noise process in `KINDS`.
+
+    Each column is for a process with a squared coefficient of 1.
+    """
     angle = np.pi * k / n
     frequency = k / (2 * n)
     passed = filter_response(filter_m, frequency)
@@ -63,9 +66,10 @@ def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
 
 
 def ordinate_variances(autocovariance: Floats, n: int, k: Floats) -> Floats:
-    """Variances (len(k),) of DCT-II ordinates k of n samples of a process with a short autocovariance.
+    """Variances (len(k),) of DCT-II coefficients k of n samples of a process with a short autocovariance.
 
-    Exact, ends included: Σ_t φ_k(t) φ_k(t+l) = ((n − l) cos(la) − sin(la)/sin(a))/n with a = πk/n.
+    They are exact and include the ends of the record: with a = πk/n, Σ_t φ_k(t) φ_k(t+l) = ((n − l) cos(la)
+    − sin(la)/sin(a))/n.
     """
     angle = np.pi * k / n
     total = np.full(len(k), autocovariance[0])
@@ -77,14 +81,20 @@ def ordinate_variances(autocovariance: Floats, n: int, k: Floats) -> Floats:
 
 
 def line(n: int, k: Floats) -> Floats:
-    """DCT-II ordinates k of the line 0, 1, … n − 1: even ones are zero."""
+    """DCT-II coefficients of the samples 0, 1, … n − 1 (a straight line), at the indices k.
+
+    Coefficients with an even index are zero.
+    """
     angle = np.pi * k / n
     odd = -math.sqrt(2 / n) * np.cos(angle / 2) / (2 * np.sin(angle / 2) ** 2)
     return np.where(k % 2 == 1, odd, 0.0)
 
 
 def variograms(filter_m: int, lags: int, period_s: float) -> Floats:
-    """Half the mean squared difference (lags, 4) at lags 0, 1, …, per squared coefficient of `KINDS`."""
+    """Half the mean squared difference (lags, 4) of two samples, for each noise process in `KINDS`.
+
+    The rows are for the lags 0, 1, … in samples. Each column is for a squared coefficient of 1.
+    """
     own = _autocovariance(filter_weights(filter_m))
     reach = len(own) - 1
     lag = np.arange(lags + reach + 1)
@@ -111,7 +121,7 @@ def _padded(values: Floats, size: int) -> Floats:
 
 
 def _cin(x: NDArray[np.floating[Any]]) -> Floats:
-    """∫ (1 − cos t)/t dt from 0 to x."""
+    """Cosine integral Cin(x): the integral of (1 − cos t)/t from 0 to x."""
     inside = np.maximum(x, 1e-9)
     value = np.log(inside) + np.euler_gamma - special.sici(inside)[1]
     return np.where(x > 0, value, 0.0)
@@ -119,10 +129,10 @@ def _cin(x: NDArray[np.floating[Any]]) -> Floats:
 
 @lru_cache(maxsize=1)
 def _edge_table() -> Floats:
-    """Variance of flicker's ordinates 1 … `_TABLE` times their frequency, with the ends of the record.
+    """Variances of the DCT-II coefficients 1 … `_TABLE` of flicker noise, times their frequency.
 
-    From the variogram 2h Cin(πl) of h/|f| below half the sampling rate, on a record so long that
-    its length has no effect.
+    They include the effect of the ends of a record, and come from the variogram 2h Cin(πl) of noise with
+    density h/|f| below half the sampling rate. The record is so long that its length has no effect.
     """
     n = 8 * _TABLE
     lag = np.arange(1, n)
@@ -142,7 +152,7 @@ def _edge(k: Floats) -> Floats:
 
 
 LEAST_DIFFERENCES = 8
-"""Fewest differences for a point of the Allan deviation."""
+"""Smallest number of differences of means from which an Allan deviation is computed."""
 _EXACT = 512
 """Largest averaging time in samples with the filter in the computation; longer ones use a coarser
 lattice."""
@@ -151,7 +161,7 @@ _LATTICE = 32
 
 @dataclass(frozen=True)
 class AllanCurve(JsonRecord):
-    """Allan deviation of one axis with its 95 % intervals, and the deviation of the fitted model.
+    """Allan deviation of one axis with 95 % intervals, and the deviation that the fitted noise predicts.
 
     Attributes
     ----------
@@ -173,7 +183,7 @@ class AllanCurve(JsonRecord):
 
 
 def octaves(longest: int) -> list[int]:
-    """Averaging times in samples, an octave apart, for a record of this length."""
+    """Averaging times of the Allan variance, in samples: 1, 2, 4, … as far as `longest` samples allow."""
     return [1 << j for j in range(longest.bit_length()) if 2 * (1 << j) + LEAST_DIFFERENCES <= longest]
 
 
@@ -210,7 +220,7 @@ def overlapping(samples: Sequence[Floats]) -> tuple[list[int], Floats]:
 def curve(
     records: Sequence[Floats], squares: Floats, filter_m: int, period_s: float, rounding: Floats
 ) -> AllanCurve:
-    """Allan deviation of an axis, and the deviation of the fitted noise.
+    """Allan deviation of an axis from its records, and the deviation that the fitted noise predicts.
 
     Parameters
     ----------
@@ -231,7 +241,10 @@ def curve(
 def _expected(
     m: int, lengths: Sequence[int], squares: Floats, filter_m: int, period_s: float, rounding: Floats
 ) -> tuple[float, float]:
-    """Expected Allan variance, and degrees of freedom of the estimate that pools the records."""
+    """Expected Allan variance at m samples for a noise model, and the dof of its estimate.
+
+    The estimate pools records of these `lengths`; `squares` are the squared coefficients of the model.
+    """
     coarse = 1 if m <= _EXACT else m // _LATTICE
     step = m // coarse
     gamma = _variogram(squares, filter_m, 10 * step, period_s, coarse, rounding)
@@ -258,7 +271,10 @@ def _expected(
 def _variogram(
     squares: Floats, filter_m: int, lags: int, period_s: float, coarse: int, rounding: Floats
 ) -> Floats:
-    """Half the mean squared difference of means over `coarse` samples, at `lags` of these means."""
+    """Half the mean squared difference of two means over `coarse` samples, at each distance, for a model.
+
+    The distances are 0, 1, … `lags` − 1 such means. `squares` are the squared coefficients of the model.
+    """
     if coarse == 1:
         own = variograms(filter_m, lags, period_s) @ squares
         return np.asarray(own + rounding[0] - _padded(rounding, lags), np.float64)

@@ -31,14 +31,14 @@ MOST = 12
 _LOWEST = 24
 """Fewest cycles per record of a sinusoid that can be separated from slow noise."""
 _WIDTH = 48
-"""Ordinates on either side that give the level of the noise."""
+"""Number of ordinates on each side from which the noise power at an ordinate is estimated."""
 _LEAKS = 4
 """Ordinates on either side into which a sinusoid leaks behind Hann's window."""
 
 
 @dataclass(frozen=True)
 class SpectralLine(JsonRecord):
-    """A sinusoid of a record.
+    """A sinusoid that was found in a record.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class SpectralLine(JsonRecord):
 def subtract_sinusoids(
     record: Floats, period_s: float, highest: float
 ) -> tuple[Floats, list[SpectralLine], NDArray[np.intp]]:
-    """Subtract the sinusoids of a record; return the rest, the sinusoids and the ordinates around them.
+    """Subtract strong sinusoids from a record; also return them and the ordinates that they affect.
 
     Parameters
     ----------
@@ -82,7 +82,10 @@ def subtract_sinusoids(
 
 
 def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[float, float] | None:
-    """Cycles per record of the strongest sinusoid, and its ratio to the noise; None without any."""
+    """Find the strongest sinusoid of a record: its frequency in cycles per record, and power over noise.
+
+    Returns None if no sinusoid exceeds the noise clearly.
+    """
     n = len(record)
     last = int(highest * n)
     if last - _LOWEST < 4 * _WIDTH:
@@ -104,7 +107,10 @@ def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[flo
 
 
 def _level(power: Floats) -> Floats:
-    """Level (mean) of the noise at each ordinate: the higher one of the medians on both sides."""
+    """Mean power of the noise around each ordinate of a spectrum.
+
+    It is the higher one of the levels by the medians on both sides.
+    """
     step = _WIDTH // 4
     # Medians over four cells of `step` ordinates; the median of exponential noise is ln 2 times its mean.
     cells = power[: len(power) // step * step].reshape(-1, step)
@@ -127,16 +133,16 @@ def _subtract_sinusoid(record: Floats, place: float) -> tuple[Floats, float]:
 
 
 SINGLES = 64
-"""Number of the lowest ordinates, which are bins of one."""
+"""Number of the lowest ordinates that have a bin each."""
 _RELATIVE, _ABSOLUTE = 1 / 32, 1 / 1024
 """Widest bin: relative to its frequency, and in cycles per sample."""
 _POINTS = 16
-"""Ordinates of a bin at which its densities are computed."""
+"""Largest number of ordinates of a bin at which the noise densities are computed."""
 
 
 @dataclass(frozen=True)
 class Ordinates:
-    """Ordinates of one or several records of an axis, by bins.
+    """Spectrum of one or several records of an axis: DCT-II ordinates, joined in frequency bins.
 
     Attributes
     ----------
@@ -164,11 +170,14 @@ class Ordinates:
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Arrays with one row per bin, by name."""
+        """All attributes with one row for each frequency bin, by name."""
         return {name: value for name, value in vars(self).items() if name != "lines"}
 
     def below(self, frequency: float) -> Ordinates:
-        """Leave out the bins above a frequency; the lowest bins determine the line."""
+        """Copy without the bins above a frequency, in cycles per sample.
+
+        The ordinates of the straight line are cut likewise; the lowest bins suffice to fit it.
+        """
         chosen = self.frequency <= frequency
         place = np.cumsum(chosen) - 1
         lines = []
@@ -182,7 +191,7 @@ class Ordinates:
 def ordinates(
     record: Floats, filter_m: int, period_s: float, rounding: Floats, masked: NDArray[np.intp]
 ) -> Ordinates:
-    """Ordinates of a record without its linear slope.
+    """Compute the spectrum (DCT-II ordinates) of a record after its linear slope was subtracted.
 
     Parameters
     ----------
@@ -212,7 +221,7 @@ def ordinates(
 
 
 def together(parts: list[Ordinates]) -> Ordinates:
-    """Combine the ordinates of several records."""
+    """Combine the ordinates of several records of an axis into one object."""
     lines, at = [], 0
     for part in parts:
         lines += [(first + at, ordinate, slope) for first, ordinate, slope in part.lines]
@@ -223,7 +232,9 @@ def together(parts: list[Ordinates]) -> Ordinates:
 
 @dataclass(frozen=True)
 class _Grid:
-    """Bins of records of one length and their shapes, which do not depend on the data.
+    """Frequency bins for records of one length, and the shapes of the noise processes in them.
+
+    They do not depend on the data.
 
     Attributes
     ----------
@@ -246,7 +257,7 @@ class _Grid:
     shapes: Floats
 
     def mean(self, values: Floats) -> Floats:
-        """Mean (b,) over each bin's points of values (p,)."""
+        """Mean (b,) in each bin of the values (p,) at its points."""
         return np.asarray(np.add.reduceat(values, self.first) / self.count, np.float64)
 
 
@@ -265,7 +276,10 @@ def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
 
 
 def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First ordinate of each bin, and the ordinate after its last one."""
+    """Divide the ordinates 1 … n − 1 into bins: the first of each, and the ordinate after its last.
+
+    Low ordinates have a bin each; at higher frequencies the bins are wider.
+    """
     edges = list(range(1, min(SINGLES, n - 1) + 1))
     at = edges[-1] + 1
     while at < n:
@@ -282,7 +296,7 @@ _CELLS, _LEAST_CELL = 24, 16
 
 @dataclass(frozen=True)
 class Profile:
-    """Likelihood of one coefficient (not squared).
+    """Estimate of one noise coefficient (not squared) by its profile likelihood.
 
     Attributes
     ----------
@@ -307,12 +321,12 @@ class Profile:
 
     @property
     def present(self) -> bool:
-        """The data refuse that it is absent."""
+        """True if the data rule out that this noise process is absent."""
         return self.p_value < SLOW_NOISE
 
     @property
     def dof(self) -> float:
-        """Effective degrees of freedom of a standard deviation with this uncertainty."""
+        """Degrees of freedom at which a standard deviation would have this relative uncertainty."""
         return self.value**2 / (2 * self.u**2) if self.u > 0 else math.nan
 
 
@@ -336,20 +350,24 @@ class Likelihood:
         self.scale = typical / np.average(data.shapes, axis=0, weights=data.weight)
 
     def expected(self, theta: Floats) -> Floats:
-        """Variances (b,)."""
+        """Expected variance (b,) in each bin for the squared coefficients θ."""
         return np.asarray(
             np.maximum(self._data.shapes @ theta + self._data.rounding, self._least), np.float64
         )
 
     def _lines(self, v: Floats) -> Iterator[tuple[slice, Floats, Floats, float, float]]:
-        """Of each record: single bins, squares and products of the line by variance v, and their sums."""
+        """Yield the sums for the weighted fit of a straight line to each record, if bins have variance v.
+
+        Each item has the slice of single bins, the terms of Σ d²/v and Σ c d/v, and these two sums; c are
+        the ordinates of the record, and d the ordinates of a line of slope 1.
+        """
         for first, c, d in self._data.lines:
             here = slice(first, first + len(c))
             square, product = d**2 / v[here], c * d / v[here]
             yield here, square, product, float(np.sum(square)), float(np.sum(product))
 
     def deviance(self, theta: Floats) -> float:
-        """−2 log likelihood up to a constant."""
+        """Deviance, −2 log likelihood up to a constant, of the squared coefficients θ."""
         v = self.expected(theta)
         total = float(self._data.weight @ (np.log(v) + self._data.power / v))
         for _, _, _, a, b in self._lines(v):
@@ -358,7 +376,7 @@ class Likelihood:
         return total
 
     def slope_and_information(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Gradient (4,) of the deviance and expected information (4, 4) on θ."""
+        """Gradient (4,) of the deviance by the squared coefficients θ, and Fisher information (4, 4)."""
         data = self._data
         v = self.expected(theta)
         relative = data.shapes / v[:, None]
@@ -418,7 +436,7 @@ class Likelihood:
         return theta, best
 
     def best(self) -> tuple[Floats, float]:
-        """Maximum of the likelihood from several starts."""
+        """Maximize the likelihood from several starting values; return θ (4,) and its deviance."""
         white = np.array([0.0, self.scale[1], 0.0, 0.0])
         # White noise alone, a little slow noise, and all processes alike.
         starts = [white + share * self.scale * [0.0, 0.0, 1.0, 1.0] for share in (0.0, 0.01)]
@@ -426,7 +444,10 @@ class Likelihood:
         return min((self.maximum(start) for start in starts), key=lambda found: found[1])
 
     def u_squared(self, theta: Floats, index: int) -> float:
-        """Standard uncertainty of θ[index] by the Fisher information of all coefficients above zero."""
+        """Standard uncertainty of the squared coefficient θ[index], by the Fisher information.
+
+        Other coefficients count as free if they are above zero.
+        """
         _, information = self.slope_and_information(theta)
         with_it = (theta > 0) | (np.arange(len(theta)) == index)
         scale = np.where(with_it, self.scale, 0.0)
@@ -434,12 +455,15 @@ class Likelihood:
         return float(scale[index] * math.sqrt(max(inverse[index, index], 0.0)))
 
     def slopes(self, theta: Floats) -> list[tuple[float, float]]:
-        """Slope of each record's line per sample, and its standard uncertainty."""
+        """Slope per sample of the straight line fitted to each record, and its standard uncertainty."""
         sums = [(a, b) for _, _, _, a, b in self._lines(self.expected(theta))]
         return [(b / a, 1 / math.sqrt(a)) if a > 0 else (0.0, math.inf) for a, b in sums]
 
     def adequacy(self, theta: Floats) -> float:
-        """Probability of a spectrum this far from the model, by the deviance of cells of ordinates."""
+        """p-value of the spectrum under the model θ: small if these noise processes do not explain it.
+
+        The test compares the mean power in groups of neighbouring ordinates with the model.
+        """
         data = self._data
         v = self.expected(theta)
         order = np.argsort(data.frequency, kind="stable")
@@ -461,7 +485,10 @@ class Likelihood:
 
 
 def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> Profile:
-    """Profile the likelihood of one coefficient around its maximum `theta` of deviance `least`."""
+    """Estimate of one coefficient with its interval, by the likelihood maximized over the others.
+
+    `theta` is the maximum of the likelihood over all squared coefficients, and `least` its deviance.
+    """
     absent, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
     ratio = max(deviance - least, 0.0)
     p_value = 0.5 * float(stats.chi2.sf(ratio, 1)) if theta[index] > 0 else 1.0
@@ -506,7 +533,10 @@ def _root_below(beyond: Callable[[float], float], top: float) -> float:
 
 
 def _detectable(likelihood: Likelihood, absent: Floats, index: int) -> float:
-    """Coefficient that nine of ten such records show."""
+    """Smallest coefficient that nine of ten such records would detect.
+
+    `absent` (4,) is the best model without this process.
+    """
     at = absent.copy()
     without = likelihood.u_squared(at, index)
     # The uncertainty depends on the size, so iterate.

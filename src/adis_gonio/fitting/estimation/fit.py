@@ -44,12 +44,12 @@ _DAMPING = (1.0, 0.5, 0.2, 0.05, 0.01)
 _RUN_AWAY = 1e100
 """Slopes above this would overflow when squared."""
 _LEAST_GAIN = 1e-6
-"""Decrease of χ² below which a refit has converged."""
+"""Decrease of χ² in an iteration below which a refit has converged."""
 
 
 @dataclass(frozen=True)
 class Values:
-    """Values of a model.
+    """Values of all parameters of a model, and the attitudes of the dwells.
 
     Attributes
     ----------
@@ -67,13 +67,13 @@ class Values:
 
     @property
     def parameters(self) -> Floats:
-        """Base parameters, then the values of all terms."""
+        """One array of all parameters: the base parameters, then the values of all terms."""
         return np.concatenate([self.base, *self.terms])
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A model with parameter values, on readings.
+    """A model (base model and terms) with parameter values, applied to the readings of a session.
 
     Attributes
     ----------
@@ -95,22 +95,22 @@ class Fit:
 
     @classmethod
     def begin(cls, data: Readings, *, with_prior: bool = True) -> Fit:
-        """Base model at starting values, not yet refitted."""
+        """Return the base model at starting values, not yet fitted to the readings."""
         base, attitude = data.model.begin(
             data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions
         )
         return cls(data, (), Values(base, attitude), with_prior)
 
     def with_terms(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
-        """Copy with these terms, at the values (q,) given for each."""
+        """Copy with these terms, each at the given values (q,)."""
         return replace(self, terms=tuple(terms), values=replace(self.values, terms=tuple(values)))
 
     def value_of(self, term: Term) -> Floats:
-        """Values (q,) of one of the terms."""
+        """Fitted values (q,) of one of the terms."""
         return self.values.terms[self.terms.index(term)]
 
     def slice_of(self, index: int) -> slice:
-        """Slice of the parameters that holds the values of a term."""
+        """Slice of the parameter array that contains the values of the term with this index."""
         start = len(self.values.base) + sum(len(own) for own in self.values.terms[:index])
         return slice(start, start + len(self.values.terms[index]))
 
@@ -118,7 +118,7 @@ class Fit:
 
     @cached_property
     def turn_rad(self) -> Floats:
-        """Angle (n,) by which the stage has turned the part, including effects of the stage."""
+        """Angle (n,) in rad by which the stage has turned the sensor, including errors of the stage."""
         turn = self.data.turn_rad
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if term.enters_angle:
@@ -127,21 +127,24 @@ class Fit:
 
     @cached_property
     def ideal(self) -> Floats:
-        """Ideal readings (n, axes), including gain and misalignment."""
+        """Readings (n, axes) by the base model without biases and further terms, at the fitted attitudes.
+
+        They include the scale factors and misalignments.
+        """
         return self.data.model.ideal(self.values.base, self.values.attitude, self.turn_rad)
 
     @cached_property
     def tangent(self) -> Floats:
-        """∂ideal/∂attitude (n, axes, freedom) per rad."""
+        """Derivative (n, axes, freedom) of the ideal readings by the attitude, per rad."""
         return self.data.model.tangent(self.values.base, self.values.attitude, self.turn_rad)
 
     @cached_property
     def predicted(self) -> Floats:
-        """Predicted readings (n, axes) at the fitted attitudes."""
+        """Readings (n, axes) that the model predicts at the fitted attitudes."""
         return self._predicted(self.ideal)
 
     def _predicted(self, ideal: Floats) -> Floats:
-        """Predicted readings (n, axes) for ideal readings (n, axes)."""
+        """Readings (n, axes) that the model predicts: ideal readings plus the effects of all terms."""
         predicted = ideal
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if not term.enters_angle:
@@ -150,18 +153,18 @@ class Fit:
 
     @property
     def misfit(self) -> Floats:
-        """Reading minus prediction (n, axes)."""
+        """Residual (n, axes) of each reading: reading minus prediction at the fitted attitude."""
         return self.data.mean - self.predicted
 
     @cached_property
     def declared_misfit(self) -> Floats:
-        """Misfit (n, axes) plus the part of the attitude deviations: the misfit at declared angles."""
+        """Residual (n, axes) of each reading from its prediction at the declared angle (first order)."""
         deviation = self.data.model.deviation_rad(self.values.attitude)
         return self.misfit + (self.tangent @ deviation[:, :, None])[:, :, 0]
 
     @cached_property
     def gravity(self) -> Floats:
-        """Gravity (n, axes) that the calibrated sensor computes from each reading alone."""
+        """Gravity (n, axes) that the calibrated sensor would report for each reading."""
         added = np.zeros(self.data.mean.shape)
         for index, term in enumerate(self.terms):
             if not term.enters_angle:
@@ -169,7 +172,10 @@ class Fit:
         return self.data.model.calibrated(self.values.base, self.data.mean - added)
 
     def added(self, index: int) -> Floats:
-        """Contribution of a term to the readings (n, axes), to first order if the term turns the part."""
+        """Contribution (n, axes) of the term with this index to the readings.
+
+        If the term is an error of the angle, the contribution is computed to first order.
+        """
         term, own = self.terms[index], self.values.terms[index]
         added = term.added(own, self.ideal, self.data.conditions)
         return self.as_readings(term, added[..., None])[:, :, 0]
@@ -178,7 +184,10 @@ class Fit:
 
     @cached_property
     def whitener(self) -> Floats:
-        """Whitening matrix (n, rows, axes) of each dwell."""
+        """Matrix (n, rows, axes) for each dwell that converts residuals to unit covariance.
+
+        The covariance includes the uncertainty of the declared angle; a free angle removes its direction.
+        """
         root = self.data.own_root
         along = root @ self.tangent
         if along.shape[2] == 0:
@@ -202,7 +211,7 @@ class Fit:
 
     @cached_property
     def link_rows(self) -> LinkRows | None:
-        """Rows of the links between poses, at the attitudes; None if there are no links."""
+        """Equations for the links between poses at the fitted attitudes; None if there are no links."""
         if self.data.links is None:
             return None
         return LinkRows.at(self.data.links, self.values.attitude, self.tangent, self.data.own_root)
@@ -224,7 +233,11 @@ class Fit:
 
     @cached_property
     def _shared(self) -> tuple[Floats, Floats] | None:
-        """Matrix A (rows, k), and V g(λ) Vᵀ (k, k) with Aᵀ A = V λ Vᵀ."""
+        """Factors of the symmetric inverse square root of 1 + A Aᵀ, the covariance with shared noise.
+
+        The first factor is A (rows, k), the shared modes. The second is V g(λ) Vᵀ (k, k) with Aᵀ A = V λ
+        Vᵀ.
+        """
         rows = self.modes
         if rows is None:
             return None
@@ -234,11 +247,14 @@ class Fit:
         return rows, (vectors / (root * (root + 1))) @ vectors.T
 
     def white(self, columns: Floats) -> Floats:
-        """Whiten columns of readings (n, axes, d): rows (rows, d) of the dwells, then of the links."""
+        """Convert columns of readings (n, axes, d) to rows (rows, d) with unit covariance of the noise.
+
+        The rows of the dwells come first, then the rows of the links.
+        """
         return self._without_shared(self._own(columns))
 
     def _own(self, columns: Floats) -> Floats:
-        """Whitened rows (rows, d) before the modes that rows share are taken into account."""
+        """Like `white`, but without the noise that several rows share."""
         whitened = self.white_by_dwell(columns)
         flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns.shape[2])
         links = self.link_rows
@@ -251,11 +267,14 @@ class Fit:
         return flat - rows @ (middle @ (rows.T @ flat))
 
     def white_by_dwell(self, columns: Floats) -> Floats:
-        """Whitened rows (n, rows, d) of the dwells before shared modes are taken into account."""
+        """Like `white`, as (n, rows, d) for the dwells only, without the noise that several rows share."""
         return np.asarray(self.whitener @ columns)
 
     def by_reading(self, slope: Floats) -> Floats:
-        """∂(slopeᵀ · whitened readings)/∂reading, (d, n, axes), of `slope` (rows, d)."""
+        """Derivative (d, n, axes) of d weighted sums of whitened rows by each reading.
+
+        The weights are the columns of `slope` (rows, d).
+        """
         slope = self._without_shared(slope)
         of_dwells = len(self.data) * self.whitener.shape[1]
         # Undo `_own`: split the rows of dwells from the rows of links, and apply the transposed whitener.
@@ -265,21 +284,27 @@ class Fit:
         return found if links is None else found + links.by_reading(slope[of_dwells:])
 
     def by_rotation(self, slope: Floats) -> Floats:
-        """∂(slopeᵀ · whitened readings)/∂rotation (rad) of each link, (m, 3, d), of `slope` (rows, d)."""
+        """Derivative (m, 3, d) of d weighted sums of whitened rows by the rotation of each link, per rad.
+
+        The weights are the columns of `slope` (rows, d).
+        """
         links = self.link_rows
         assert links is not None
         return links.by_rotation(self._without_shared(slope)[-2 * len(links.links) :])
 
     @cached_property
     def residual(self) -> Floats:
-        """Whitened residual (n, rows); with links a flat array, first the rows of dwells, then of links."""
+        """Residuals (n, rows) scaled to unit covariance.
+
+        With links this is a flat array: first the rows of the dwells, then the rows of the links.
+        """
         if self.data.links is None:
             return self.white(self.declared_misfit[:, :, None]).reshape(len(self.data), -1)
         return self._without_shared(self.unshared_residual[:, None])[:, 0]
 
     @property
     def unshared_residual(self) -> Floats:
-        """Flat residual (rows,) before the modes that rows share are taken into account."""
+        """Like `residual`, as a flat array (rows,) and without the noise that several rows share."""
         flat = self._own(self.declared_misfit[:, :, None])[:, 0]
         if self.link_rows is not None:
             # Links have a misclosure of their own, in addition to the effect of the misfits.
@@ -289,7 +314,10 @@ class Fit:
     # -- columns -----------------------------------------------------------------------------------
 
     def as_readings(self, term: Term, columns: Floats) -> Floats:
-        """Columns of a term, of readings or of an angle, as columns of readings (n, axes, d)."""
+        """Convert columns of a term to columns of readings (n, axes, d).
+
+        Columns of an error of the angle are multiplied by the tangent; other columns are unchanged.
+        """
         if not term.enters_angle:
             return columns
         if not isinstance(self.data.model, PlanarTurn):
@@ -297,11 +325,13 @@ class Fit:
         return self.tangent * columns[:, None, :]
 
     def candidate(self, term: Term) -> Floats:
-        """Derivative (n, axes, d) of the readings by the amplitudes of a term, at amplitude zero."""
+        """Derivative (n, axes, d) of the readings by the amplitudes of a new term, at amplitude zero."""
         return self.as_readings(term, term.columns(self.ideal, self.data.conditions))
 
     def candidates(self, terms: Sequence[Term]) -> tuple[Floats, NDArray[np.intp]]:
-        """Candidate columns of M terms side by side (n, axes, P), and the number of columns of each (M,).
+        """Derivatives of the readings by the amplitudes of M terms, as columns (n, axes, P) side by side.
+
+        The second result (M,) is the number of columns of each term.
 
         Unnamed terms with the same basis share their columns of an axis, which are computed once.
         """
@@ -327,14 +357,17 @@ class Fit:
 
     @cached_property
     def base_columns(self) -> Floats:
-        """∂reading/∂base (n, axes, p); zero for parameters that these dwells do not determine."""
+        """Derivative (n, axes, p) of the readings by the base parameters.
+
+        It is zero for parameters that these dwells do not determine.
+        """
         columns = self.data.model.columns(self.values.base, self.values.attitude, self.turn_rad)
         columns[:, :, ~self.data.visible] = 0.0
         return columns
 
     @cached_property
     def columns(self) -> Floats:
-        """∂reading/∂parameter (n, axes, p + q)."""
+        """Derivative (n, axes, p + q) of the readings by all p + q parameters."""
         blocks = [self.base_columns]
         for term, own in zip(self.terms, self.values.terms, strict=True):
             blocks.append(self.as_readings(term, term.derivative(own, self.ideal, self.data.conditions)))
@@ -342,11 +375,14 @@ class Fit:
 
     @cached_property
     def jacobian(self) -> Floats:
-        """Whitened `columns`, (rows, p + q)."""
+        """Derivative (rows, p + q) of the whitened readings by all parameters."""
         return self.white(self.columns)
 
     def linear(self) -> tuple[Floats, list[Floats], Floats]:
-        """Linear problem: whitened base columns (rows, p), columns of each term, and the target (rows,)."""
+        """Linear problem for choosing terms, in whitened rows.
+
+        Returns the base columns (rows, p), the columns of each term, and the target (rows,).
+        """
         target = self.residual.ravel()
         blocks = []
         for index, (term, own) in enumerate(zip(self.terms, self.values.terms, strict=True)):
@@ -359,12 +395,12 @@ class Fit:
 
     @property
     def chi2(self) -> float:
-        """χ² of the readings."""
+        """Weighted sum of the squared residuals (χ²) of the readings."""
         return float((self.residual**2).sum())
 
     @cached_property
     def equations(self) -> int:
-        """Number of whitened rows with information; an angle without a prior uses up one row."""
+        """Number of equations that the readings give; each angle without a prior uses up one of them."""
         spare = (
             0 if self.data.free else int(np.isinf(self.data.fixture).sum()) * (self.data.model.freedom == 1)
         )
@@ -372,7 +408,7 @@ class Fit:
 
     @cached_property
     def _half(self) -> Floats:
-        """Root (p + q, k) of the covariance."""
+        """Square root (p + q, k) of the parameters' covariance: it equals root times its transpose."""
         # Scale columns to unit length first: parameters have different units.
         scaled = self._with_prior(self.jacobian)
         size = np.linalg.norm(scaled, axis=0)
@@ -384,12 +420,12 @@ class Fit:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance (p + q, p + q) of base parameters and values of the terms."""
+        """Covariance (p + q, p + q) of the base parameters and the values of the terms."""
         return np.asarray(self._half @ self._half.T)
 
     @cached_property
     def used(self) -> float:
-        """Effective number of parameters: directions that a prior determines count for less than one."""
+        """Effective number of fitted parameters: one with an informative prior counts less than one."""
         used = float(((self.jacobian @ self._half) ** 2).sum())
         if all(term.prior_sd is None for term in self.terms):
             used = float(round(used))  # the base's prior is wide: a parameter counts fully or not at all
@@ -397,14 +433,14 @@ class Fit:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of χ²."""
+        """Degrees of freedom of χ²: equations minus effective parameters."""
         return self.equations - self.used
 
     # -- priors ------------------------------------------------------------------------------------
 
     @cached_property
     def _prior(self) -> tuple[Floats, Floats]:
-        """Prior of each parameter: 1/σ (p + q,), zero for no prior, and centre (p + q,)."""
+        """Prior of each parameter: 1/σ (p + q,), zero without a prior, and its mean (p + q,)."""
         model = self.data.model
         spreads = [np.array([parameter.spread for parameter in model.parameters])]
         for term, own in zip(self.terms, self.values.terms, strict=True):
@@ -417,22 +453,25 @@ class Fit:
 
     @cached_property
     def _away(self) -> Floats:
-        """Distance (p + q,) of the parameters from the centre of their prior, in its σ."""
+        """Distance (p + q,) of each parameter from its prior mean, in standard deviations of the prior."""
         precision, centre = self._prior
         return np.asarray(precision * (self.values.parameters - centre))
 
     @cached_property
     def loss(self) -> float:
-        """χ² of the readings and of the priors."""
+        """Quantity that the fit minimizes: χ² of the readings plus squared distances from the priors."""
         return self.chi2 + float((self._away**2).sum())
 
     def _with_prior(self, rows: Floats) -> Floats:
-        """Rows, and one further row for each prior."""
+        """Append one row for each prior to the given rows."""
         precision, _ = self._prior
         return np.concatenate([rows, np.diag(precision)[precision > 0]])
 
     def base_step(self, left: Floats) -> Floats:
-        """Least-squares steps (p, k) of the base parameters, with their priors, for rows (rows, k)."""
+        """Least-squares changes (p, k) of the base parameters that explain k whitened residuals (rows, k).
+
+        The priors of the base parameters count as further rows.
+        """
         count = len(self.values.base)
         held = self._prior[0][:count] > 0
         # A prior is one further row 1/σ with the target (centre − value)/σ.
@@ -445,7 +484,7 @@ class Fit:
     # -- refitting ---------------------------------------------------------------------------------
 
     def settled(self, passes: int = 2) -> Fit:
-        """Copy with the attitudes that fit the other values best."""
+        """Copy with the attitude of each dwell fitted again, at unchanged parameters."""
         data, model = self.data, self.data.model
         freedom = model.freedom
         fixed = data.fixture == 0
@@ -478,7 +517,7 @@ class Fit:
     def refit(
         self, iterations: int = 15, tolerance: float = _LEAST_GAIN, within: Floats | None = None
     ) -> Fit:
-        """Full nonlinear least squares of base parameters and terms, by Gauss–Newton.
+        """Fit base parameters and terms to the readings by nonlinear least squares (Gauss–Newton).
 
         The derivative leaves out that an effect depends on the ideal reading; the model does not. Steps
         therefore converge linearly, with a factor of about the size of the effect over 1 g.
@@ -520,7 +559,7 @@ class Fit:
         return fit
 
     def _tried(self, step: Floats) -> Fit:
-        """Fit after a step; the unchanged fit if the step leads to values that no sensor has."""
+        """Return the fit after a change of its parameters; unchanged if no sensor has such values."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 trial = self._stepped(step).settled()
@@ -542,7 +581,10 @@ class Fit:
         return replace(self, values=Values(base, old.attitude, tuple(terms)))
 
     def again(self, data: Readings) -> Fit:
-        """Refit the same terms to other readings; amplitudes that these do not show are set to zero."""
+        """Fit these terms to other readings.
+
+        Amplitudes start at zero if the other readings give no information on them.
+        """
         values = []
         for term, old in zip(self.terms, self.values.terms, strict=True):
             slopes = term.derivative(old, data.mean, data.conditions)
@@ -556,7 +598,7 @@ class Fit:
     # -- dwells that were not fitted ------------------------------------------------------------------
 
     def on(self, data: Readings) -> Fit:
-        """Copy with the same parameters on other dwells, at the attitudes that fit these dwells best."""
+        """Copy with these parameters for other dwells; only the attitudes of the dwells are fitted."""
         return self._placed_on(data).settled(4)
 
     def _placed_on(self, data: Readings) -> Fit:
@@ -569,14 +611,17 @@ class Fit:
         return replace(self, data=data, values=replace(self.values, attitude=attitude))
 
     def angle_error_rad(self, data: Readings) -> Floats | None:
-        """Angle (n,) by the calibrated goniometer minus declared angle; None without declared angles."""
+        """Calibrated minus declared angle (n,) of the dwells in `data`; None without declared angles."""
         if not isinstance(data.model, PlanarTurn) or data.conditions.angle_rad is None:
             return None
         # A stage at a larger angle than declared has turned ψ = α − θ the other way.
         return -self._placed_on(replace(data, fixture_rad=np.inf)).settled(4).values.attitude
 
     def can_predict(self, data: Readings, most: float) -> NDArray[np.bool_]:
-        """Dwells (n,) of other readings predicted with a variance up to `most`, in units of noise."""
+        """Mask (n,) of the dwells in `data` that this fit predicts with sufficient certainty.
+
+        The variance of the prediction must be at most `most` times the variance of the noise.
+        """
         there = self.on(data)
         rest = self.white_by_dwell(self.columns)
         return predictable_dwells(
@@ -585,7 +630,10 @@ class Fit:
 
 
 def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
-    """p-value of χ² by the noise measured within the dwells."""
+    """p-value of χ² for a model fitted with measured noise: small if the model does not explain the data.
+
+    `noise_dof` is the number of degrees of freedom of the measured noise.
+    """
     from scipy import stats
 
     if dof <= 0:
@@ -596,12 +644,15 @@ def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
 
 
 def nameless_spread(model: Measurement, term: Term) -> float:
-    """Prior standard deviation of the amplitudes of an unnamed term, in the unit of the term."""
+    """Prior standard deviation of each amplitude of an unnamed term, in the unit of the term."""
     return NAMELESS_SPREAD * (MG_PER_G if term.enters_angle else model.full)
 
 
 def amplitude_spreads(model: Measurement, terms: Sequence[Term], widths: NDArray[np.intp]) -> Floats:
-    """Prior standard deviation (P,) of the amplitudes of terms with `widths` (M,) columns each."""
+    """Prior standard deviations (P,) of the amplitudes of M terms, one after another.
+
+    `widths` (M,) are the numbers of amplitudes of the terms.
+    """
     spread = np.repeat([nameless_spread(model, term) for term in terms], widths)
     for term, end in zip(terms, np.cumsum(widths).tolist(), strict=True):
         if isinstance(term, NamedTerm):
@@ -610,7 +661,9 @@ def amplitude_spreads(model: Measurement, terms: Sequence[Term], widths: NDArray
 
 
 def predictable_dwells(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:
-    """Dwells (n,) with rows (n, r, p) that rows (m, p) of others predict with a variance up to `most`.
+    """Mask (n,) of dwells that a fit to other dwells predicts with a variance of at most `most`.
+
+    `left` (n, r, p) are the whitened rows of these dwells, and `rest` (m, p) those of the fit.
 
     With whitened columns X, the prediction of held-out rows has the covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
     units of the noise (Cook and Weisberg, Residuals and Influence in Regression, 1982).

@@ -1,4 +1,4 @@
-"""Links: known rotations of the part between two poses, as rows of a `Fit` in space.
+"""Links: known rotations of the sensor between two poses, as equations of a `Fit` in space.
 
 A pose in space gives one equation, because its attitude u is unknown. If the rotation Φ from one pose to
 another is known except for a small error ε (`gyros.gyro_links`), u' = exp(ε×) Φ u gives two more. Let P(u)
@@ -31,14 +31,14 @@ from adis_gonio.model.measurement import across
 
 @dataclass(frozen=True)
 class Links:
-    """Rotations between readings, linearised at assumed parameters of the gyros.
+    """Rotations that the gyros measured between readings, linearised at assumed gyro parameters.
 
     Attributes
     ----------
     before, after : (m,) int
         Rows of the readings, `after` increasing.
     rotation : (m, 3, 3) float
-        Φ: takes components in the part before the turn to components after it.
+        Φ: converts components of a direction in the sensor before the turn to components after it.
     offset_rad : (m, 3) float
         Mean of ε; not zero if Φ was computed at other parameters than the centre of the gyros' prior.
     own_rad2 : (m, 3, 3) float
@@ -62,11 +62,11 @@ class Links:
 
     @cached_property
     def joined(self) -> NDArray[np.bool_]:
-        """Links (m − 1,) that end in the dwell in which the next link begins."""
+        """Mask (m − 1,) of the links that end in the dwell in which the next link begins."""
         return np.asarray(self.after[:-1] == self.before[1:])
 
     def only(self, links: NDArray[np.bool_] | NDArray[np.intp]) -> Links:
-        """Select links, in their order."""
+        """Copy with the selected links, in their order."""
         index = np.arange(len(self))[links]
         return Links(
             self.before[index], self.after[index], self.rotation[index], self.offset_rad[index],
@@ -74,7 +74,7 @@ class Links:
         )  # fmt: skip
 
     def rows(self, kept: NDArray[np.intp]) -> Links | None:
-        """Links between the kept readings, renumbered; None if there are none."""
+        """Links that connect two of the kept readings, with new row numbers; None if there are none."""
         # New number of each kept reading, −1 for the others.
         place = np.full(max(int(self.after.max()), int(kept.max(initial=0))) + 1, -1, dtype=np.intp)
         place[kept] = np.arange(len(kept))
@@ -85,11 +85,11 @@ class Links:
         return replace(self.only(whole), before=before[whole], after=after[whole])
 
     def moved(self, by_rad: Floats) -> Links:
-        """Copy with (m, 3) added to the mean of ε."""
+        """Copy with `by_rad` (m, 3) added to the mean of ε, the rotation error of each link."""
         return replace(self, offset_rad=self.offset_rad + by_rad)
 
     def drawn(self, rng: np.random.Generator) -> Links:
-        """Copy with a random draw of ε added to its mean."""
+        """Copy with a random draw of the rotation errors ε added to their mean, for simulations."""
         own = self._own.lower_times(rng.standard_normal(3 * len(self))).reshape(-1, 3)
         return self.moved(own + self.modes_rad @ rng.standard_normal(self.modes_rad.shape[2]))
 
@@ -98,7 +98,7 @@ class Links:
         return Band.of(self.own_rad2, self.next_rad2[:-1] * self.joined[:, None, None])
 
     def own_product(self, columns: Floats) -> Floats:
-        """Own covariance times columns (m, 3, d)."""
+        """Multiply the covariance of the links' own errors by columns (m, 3, d)."""
         product: Floats = self.own_rad2 @ columns
         shared = self.next_rad2[:-1] * self.joined[:, None, None]
         product[:-1] += shared @ columns[1:]
@@ -108,19 +108,19 @@ class Links:
 
 @dataclass(frozen=True)
 class LinkRows:
-    """Rows of links at attitudes.
+    """Equations that links contribute to a fit, two for each link, linearised at given attitudes.
 
     Attributes
     ----------
     links : Links
     estimator : (n, 2, axes) float
-        T of each reading, rad per mg.
+        T of each reading: error of the attitude by an error of the reading, rad per mg.
     misclosure : (m, 2) float
-        y minus the part that the mean of ε explains.
+        y minus the contribution of the mean of ε.
     carried : (m, 2, 2) float
-        F.
+        F: derivative of the attitude after a link by the attitude before it.
     turned : (m, 2, 3) float
-        K.
+        K: derivative of y by the rotation error ε.
     band : Band
         Cholesky factor of the rows' covariance without modes.
     """
@@ -134,7 +134,7 @@ class LinkRows:
 
     @classmethod
     def at(cls, links: Links, attitude: Floats, tangent: Floats, root: Floats) -> LinkRows:
-        """Rows at attitudes (n, 3).
+        """Equations of links, linearised at the attitudes (n, 3) of the dwells.
 
         Parameters
         ----------
@@ -169,24 +169,27 @@ class LinkRows:
         return cls(links, estimator, misclosure, carried, turned, band)
 
     def white(self, columns: Floats) -> Floats:
-        """Whitened rows (2 m, d) of columns of readings (n, axes, d)."""
+        """Convert columns of readings (n, axes, d) to rows (2 m, d) with unit covariance, two per link."""
         moved = self.estimator @ columns
         rows = moved[self.links.after] - self.carried @ moved[self.links.before]
         return self.band.solved(rows.reshape(-1, columns.shape[2]))
 
     @property
     def residual(self) -> Floats:
-        """Whitened misclosures (2 m,)."""
+        """Whitened misclosure (2 m,): gravity measured after each link minus gravity carried along it."""
         return self.band.solved(self.misclosure.reshape(-1, 1))[:, 0]
 
     @property
     def modes(self) -> Floats:
-        """Whitened rows (2 m, q) of the modes."""
+        """Whitened effect (2 m, q) of the q errors that all links share."""
         rows = self.turned @ self.links.modes_rad
         return self.band.solved(rows.reshape(-1, rows.shape[2]))
 
     def by_reading(self, slope: Floats) -> Floats:
-        """Transpose of `white`: (d, n, axes) of `slope` (2 m, d)."""
+        """Derivative (d, n, axes) by the readings of d weighted sums of the whitened rows.
+
+        The weights are the columns of `slope` (2 m, d).
+        """
         rows = self.band.solved(slope, transposed=True).reshape(len(self.links), 2, -1)
         moved = np.zeros((len(self.estimator), 2, slope.shape[1]))
         np.add.at(moved, self.links.after, rows)
@@ -194,20 +197,26 @@ class LinkRows:
         return np.asarray(np.einsum("nkd,nka->dna", moved, self.estimator))
 
     def by_rotation(self, slope: Floats) -> Floats:
-        """∂(slopeᵀ · whitened rows)/∂ε, (m, 3, d) of `slope` (2 m, d)."""
+        """Derivative (m, 3, d) by the rotation errors ε of d weighted sums of the whitened rows.
+
+        The weights are the columns of `slope` (2 m, d).
+        """
         rows = self.band.solved(slope, transposed=True).reshape(len(self.links), 2, -1)
         return np.asarray(self.turned.transpose(0, 2, 1) @ rows)
 
 
 @dataclass(frozen=True)
 class Band:
-    """Cholesky factor of a block-tridiagonal covariance, as a lower band (`scipy.linalg`)."""
+    """Cholesky factor L of a block-tridiagonal covariance, in the lower band form of `scipy.linalg`."""
 
     lower: Floats
 
     @classmethod
     def of(cls, own: Floats, shared: Floats) -> Band:
-        """Factor of the blocks (m, d, d) on the diagonal and the blocks (m − 1, d, d) to their right."""
+        """Factorize a covariance with the blocks `own` (m, d, d) on its diagonal.
+
+        `shared` (m − 1, d, d) are the blocks to the right of the diagonal.
+        """
         from scipy.linalg import cholesky_banded
 
         m, d = own.shape[:2]
@@ -221,7 +230,7 @@ class Band:
         return cls(np.asarray(cholesky_banded(band.reshape(2 * d, -1), lower=True)))
 
     def solved(self, columns: Floats, *, transposed: bool = False) -> Floats:
-        """L⁻¹ times columns (k, d), or L⁻ᵀ."""
+        """Solve L x = columns (k, d), or Lᵀ x = columns if `transposed`."""
         from scipy.linalg import solve_banded
 
         width = len(self.lower) - 1
@@ -234,7 +243,7 @@ class Band:
         return np.asarray(solve_banded((0, width), upper, columns))
 
     def lower_times(self, column: Floats) -> Floats:
-        """L times a column (k,)."""
+        """Multiply L by a column (k,)."""
         product = self.lower[0] * column
         for k in range(1, len(self.lower)):
             product[k:] += self.lower[k, : len(column) - k] * column[: len(column) - k]

@@ -98,31 +98,31 @@ class Unit:
     scale: float = 1.0
 
     def mg(self, values: Floats) -> Floats:
-        """Values (n, axes or more) of the file in mg, (n, axes)."""
+        """Convert values (n, axes or more) from the unit of the file to mg (n, axes)."""
         return np.asarray((values[:, : len(self.zero)] * self.scale - self.zero) / self.per_mg)
 
     @property
     def known(self) -> bool:
-        """False for counts, since their zero and scale are unknown."""
+        """True if zero and scale of the unit are known; False for counts."""
         return self.name != "counts"
 
 
 def in_mg(axes: int, scale: float = 1.0) -> Unit:
-    """Unit of readings with a known scale and zero."""
+    """Unit of readings with a known scale, for a number of axes; the zero is 0."""
     return Unit("mg", np.zeros(axes), np.ones(axes), scale)
 
 
 @dataclass(frozen=True)
 class Readings(ComputedOnce):
-    """Readings of a session, one row for each dwell.
+    """Mean readings of a session and their noise, one row for each dwell.
 
     Attributes
     ----------
     mean : (n, axes) float
         Mean of each dwell; two columns in a planar session, three in space.
     own_covariance : (n, axes, axes) float
-        Covariance of the means in mg² without the noise that dwells share; if `known` is False a
-        placeholder of 1 mg on each axis.
+        Covariance of the means in mg² without the noise that dwells share. If `known` is False, it is a
+        placeholder: 1 mg² on each axis.
     dof : (n,) float
         Degrees of freedom of that covariance; inf if it was stated.
     known : (n,) bool
@@ -162,7 +162,7 @@ class Readings(ComputedOnce):
     converter : Converter or None
         Steps and limits in all samples, including dwells at a limit; None without samples.
     links : Links or None
-        Rotations of the part between poses, by its gyros; None if none are used.
+        Rotations of the sensor between poses, measured by its gyros; None if none are used.
     """
 
     mean: Floats
@@ -195,29 +195,29 @@ class Readings(ComputedOnce):
 
     @property
     def axes(self) -> int:
-        """Axes of a reading: 2 in the plane, 3 in space."""
+        """Number of axes of a reading: 2 in the plane, 3 in space."""
         return int(self.mean.shape[1])
 
     @property
     def planar(self) -> bool:
-        """True if the plane of rotation is known."""
+        """True if the sensor turns in a known plane, False for any attitude in space."""
         return isinstance(self.model, PlanarTurn)
 
     @cached_property
     def model(self) -> Measurement:
-        """Model of the measured quantity."""
+        """Base model that relates the readings to attitude and parameters."""
         if self.measurement is not None:
             return self.measurement
         return PlanarTurn(self.gravity_mg) if self.axes == 2 else FreeAttitude(self.gravity_mg)
 
     @property
     def noise_known(self) -> bool:
-        """True if every reading has an uncertainty."""
+        """True if the noise of every reading is known."""
         return bool(self.known.all())
 
     @property
     def variance_of_mean(self) -> Floats:
-        """Variance (n,) of a reading, the mean over its axes, in unit of readings squared."""
+        """Variance (n,) of each mean reading, averaged over its axes, in the squared unit of readings."""
         return np.asarray(np.trace(self.covariance, axis1=1, axis2=2) / self.axes)
 
     @property
@@ -234,46 +234,46 @@ class Readings(ComputedOnce):
 
     @cached_property
     def fixture(self) -> Floats:
-        """Standard uncertainty (n,) of each declared angle in rad; inf without a declared angle."""
+        """Standard uncertainty (n,) of each declared angle in rad; inf for a dwell without one."""
         declared = np.isfinite(self.angle_rad) if self.planar else np.zeros(len(self), dtype=bool)
         return np.where(declared, self.fixture_rad, np.inf)
 
     @cached_property
     def fixture_precision(self) -> Floats:
-        """Precision (n,) of each declared angle in rad⁻²; 0 if the angle is exact or free."""
+        """1/variance (n,) of each declared angle in rad⁻²; 0 if the angle is exact or undeclared."""
         certain = self.fixture == 0
         return np.where(certain, 0.0, 1 / np.where(certain, 1.0, self.fixture) ** 2)
 
     @cached_property
     def turn_rad(self) -> Floats:
-        """−θ (n,); 0 without a declared angle."""
+        """Declared angle (n,) in rad with the sign reversed; 0 for a dwell without a declared angle."""
         return np.where(np.isfinite(self.angle_rad), -self.angle_rad, 0.0)
 
     @property
     def free(self) -> bool:
-        """True if attitudes are unknown and no declared angle carries information."""
+        """True if attitudes are unknown and no declared angle restricts them."""
         return self.model.freedom > 0 and bool(np.isinf(self.fixture).all())
 
     @property
     def equations_each(self) -> int:
-        """Equations from one reading: one if its attitude is free, otherwise one for each axis."""
+        """Number of equations from one reading: one if its attitude is free, otherwise one per axis."""
         return 1 if self.free else self.axes
 
     @property
     def by_axis(self) -> bool:
-        """False if only the length of a reading carries information."""
+        """True if each axis of a reading carries information, False if only its length does."""
         return self.model.freedom < 2
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
-        """Base parameters (p,) that are fitted; the others keep their nominal values."""
+        """Mask (p,) of the base parameters that are fitted; the others keep their nominal values."""
         if self.fitted is not None:
             return self.fitted
         return self.model.visible(self.mean, np.isfinite(self.fixture))
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance of the means (n, axes, axes) in mg², including the noise that dwells share."""
+        """Covariance (n, axes, axes) of the mean readings in mg², including noise that dwells share."""
         if self.slow is None:
             return self.own_covariance
         shared: Floats = (self.slow**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
@@ -281,16 +281,16 @@ class Readings(ComputedOnce):
 
     @cached_property
     def root(self) -> Floats:
-        """Inverse Cholesky factor (n, axes, axes) of `covariance`, in 1/mg."""
+        """Whitening matrix (n, axes, axes) in 1/mg: the inverse Cholesky factor of `covariance`."""
         return _inverse_root(self.covariance)
 
     @cached_property
     def own_root(self) -> Floats:
-        """Inverse Cholesky factor (n, axes, axes) of `own_covariance`, in 1/mg."""
+        """Whitening matrix (n, axes, axes) in 1/mg: the inverse Cholesky factor of `own_covariance`."""
         return _inverse_root(self.own_covariance)
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Readings:
-        """Select dwells."""
+        """Copy with the selected dwells."""
         by_dwell = [
             "mean", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples",
         ]  # fmt: skip
@@ -305,7 +305,7 @@ class Readings(ComputedOnce):
 
     @cached_property
     def training(self) -> Readings:
-        """Dwells that may be fitted, with the fitted base parameters fixed for all folds.
+        """Dwells that may be fitted (no `check` dwells), with one choice of base parameters for all fits.
 
         If too few of these dwells have a known noise for a test of a model, the noise of every dwell counts
         as unknown: one noise for all is estimated from the residual.
@@ -324,7 +324,7 @@ class Readings(ComputedOnce):
         return rows if testable or rows.noise_known else rows.without_noise()
 
     def without_noise(self) -> Readings:
-        """The readings with the noise of each one unknown."""
+        """Copy in which the noise of every reading is unknown."""
         n = len(self)
         return replace(
             self,
@@ -338,7 +338,7 @@ class Readings(ComputedOnce):
 
     @property
     def checking(self) -> Readings | None:
-        """The `check` dwells; None without them."""
+        """The `check` dwells of the session, which are not fitted; None if there are none."""
         return self.rows(self.check) if self.check.any() else None
 
 
@@ -355,7 +355,7 @@ def from_means(
     fixture_rad: float = 0.0,
     **others: object,
 ) -> Readings:
-    """Readings from means (n, axes) in mg and their covariance (n, axes, axes) in mg²."""
+    """Make readings from mean values (n, axes) in mg and their covariance (n, axes, axes) in mg²."""
     n, axes = mean.shape
     angle = conditions.angle_rad
     made = Readings(
@@ -377,7 +377,9 @@ def from_means(
 
 
 def _refuse_other_units(session: Session, readings: Readings) -> None:
-    """Raise `DataError` if readings at rest are far from 1 g: another unit, or no gravity.
+    """Raise `DataError` if the readings at rest are far from 1 g.
+
+    Then their unit is wrong, or they do not measure gravity.
 
     Parameters
     ----------
@@ -405,7 +407,7 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
 
 
 def _as_another(session: Session, length: float) -> str:
-    """Clause that names the units in which readings of `length` g would be 1 g, and the option for it."""
+    """Advice for an error message: units in which `length` g would be 1 g, and the option to state one."""
     own = mg_per_unit(session)
     fits = [
         unit
@@ -422,7 +424,7 @@ def _as_another(session: Session, length: float) -> str:
 
 
 def _refuse_reversed(session: Session, readings: Readings) -> None:
-    """Raise `DataError` if the readings turn the other way than the declared angles.
+    """Raise `DataError` if the readings turn in the direction opposite to the declared angles.
 
     X follows cos(α − θ) and Y sin(α − θ): with x_c, x_s, y_c, y_s their first harmonics, the sense of
     rotation is the sign of x_s y_c − x_c y_s, which neither gains nor a misalignment below 90° change.
@@ -451,7 +453,7 @@ def _refuse_reversed(session: Session, readings: Readings) -> None:
 
 
 def readings_of(session: Session) -> Readings:
-    """Readings of all dwells, including `check` dwells; computed once for each session.
+    """Reduce all dwells of a session to readings, including `check` dwells; computed once for each session.
 
     Raises
     ------
@@ -471,7 +473,7 @@ def _checked_readings(session: Session) -> Readings:
 
 
 def reduced(session: Session) -> Readings:
-    """Readings of all dwells without a check of their length; see `readings_of`."""
+    """Reduce all dwells to readings like `readings_of`, without the check that their length is 1 g."""
     source = session.source or "session"
     axes = 2 if session.plane == "xy" else 3
     dwells, converter, notes = _usable(session, axes)
@@ -548,7 +550,7 @@ def reduced(session: Session) -> Readings:
 
 
 def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
-    """True if on some axis all samples of each dwell are equal: averages, written repeatedly."""
+    """True if an axis has equal samples within each dwell, so that the file seems to repeat averages."""
     if session.accel_unit == "lsb":  # a converter's step may hide the noise
         return False
     ranges = [np.ptp(dwell.accel[:, :axes], axis=0) > 0 for dwell in dwells]
@@ -556,7 +558,7 @@ def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
 
 
 def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[str]]:
-    """Usable dwells, the converter by all dwells, and sentences about the dwells that are left out."""
+    """Select the usable dwells; also return the converter's steps and limits, and notes on the others."""
     source = session.source or "session"
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if not dwells:
@@ -576,7 +578,7 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[s
 def _of_flicker(
     dwells: Sequence[Dwell], flicker: Floats, many: NDArray[np.intp], n: int
 ) -> tuple[Floats, Floats | None]:
-    """1/f noise of dwells: own variance of each dwell (m, axes), and modes (n, axes, k) that dwells share.
+    """1/f noise of dwell means: the own variance of each dwell (m, axes), and shared modes (n, axes, k).
 
     Together they describe the deviation from the bias of a session twice as long (`covariance_of_means`).
     """
@@ -596,7 +598,7 @@ def _keeps_modes(dwells: int, flicker: Floats) -> bool:
 
 
 def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floats, Floats | None]:
-    """1/f noise of dwells that begin and end at (m,) s: own variance of each dwell, and shared modes.
+    """Variance of the dwell means by 1/f noise: own variances and modes that the dwells share.
 
     Parameters
     ----------
@@ -620,7 +622,10 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
 
 
 def _unit_of_counts(mean: Floats, gravity_mg: float) -> Unit:
-    """Zero and counts per mg of each axis, by the ellipse or ellipsoid through the readings."""
+    """Find zero and counts per mg of each axis from readings in several positions.
+
+    All readings have the length of gravity, so they are on an ellipse or ellipsoid.
+    """
     if float(np.ptp(mean, axis=0).max()) <= 0:
         raise FitError(
             "readings in counts are all alike; their scale cannot be found: measure more positions"
@@ -663,7 +668,7 @@ def _means(series: list[Floats | None]) -> Floats | None:
 
 
 def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
-    """Times and temperatures of the session, averaged to at most `HISTORY_POINTS` points."""
+    """Times and temperatures during the session, averaged to at most `HISTORY_POINTS` points."""
     time = np.concatenate([dwell.time_s for dwell in dwells]) - start
     temperature = np.concatenate([d.temperature_c for d in dwells if d.temperature_c is not None])
     if (np.diff(time) <= 0).any():
@@ -678,7 +683,10 @@ def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
 
 
 def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Floats] | None:
-    """Times and readings in mg at the first and last sample of each dwell; linear during moves."""
+    """Times and readings in mg at the beginning and end of each dwell, which describe the load over time.
+
+    The load is taken as linear during moves. None if the times do not increase.
+    """
     ends = np.array([dwell.time_s[[0, -1]] for dwell in dwells]) - start
     # A dwell of one sample has one time, others have a begin and an end.
     kept = np.column_stack([np.ones(len(dwells), dtype=bool), ends[:, 1] > ends[:, 0]])
@@ -687,13 +695,7 @@ def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Flo
 
 
 def mg_per_unit(session: Session) -> float:
-    """Size in mg of the accelerometers' unit; 1 for counts of unknown size.
-
-    Raises
-    ------
-    DataError
-        The unit is LSB and the LSB of the sensor is not known.
-    """
+    """Factor from the unit of the accelerometers to mg; 1 for counts of unknown size."""
     if session.accel_unit == "lsb":
         if session.sensor not in VARIANTS:
             raise DataError(
@@ -704,12 +706,18 @@ def mg_per_unit(session: Session) -> float:
 
 
 def quantization_variance(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:
-    """Variance (dwells, axes) in mg² of the means of samples × `mg` from the converter's step."""
+    """Variance (dwells, axes) in mg² that the converter's step adds to the mean of a dwell's samples.
+
+    `mg` converts samples to mg.
+    """
     return quantized_means(np.array([r.var(axis=0) for r in rows]) * mg**2, quantum)
 
 
 def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
-    """Variance (dwells, axes) in mg² of means from the steps (axes,); sample variances include rounding."""
+    """Variance (dwells, axes) in mg² that steps (axes,) of the converter add to means.
+
+    `variance_mg2` is the variance of the samples, including their rounding.
+    """
     step = np.where(quantum_mg > 0, quantum_mg, 1.0)
     # Noise before the converter, in steps: subtract the variance of rounding.
     sigma2 = np.maximum(variance_mg2 - quantum_mg**2 / 12, 0.0) / step**2
@@ -721,7 +729,7 @@ def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
 
 
 def _flicker(session: Session, noise: MeanNoise) -> Floats:
-    """Allan variance (axes,) of the 1/f noise in mg²."""
+    """Allan variance (axes,) in mg² of the 1/f noise, measured or from the data sheet."""
     variant = VARIANTS.get(session.sensor)
     stated = 0.0 if variant is None else variant.performance.bias_instability_mg**2
     if session.accel_unit == "counts":
@@ -731,7 +739,7 @@ def _flicker(session: Session, noise: MeanNoise) -> Floats:
 
 
 def conic_through(points: Floats) -> tuple[Floats, Floats]:
-    """Centre (d,) and matrix (d, d) of the ellipse or ellipsoid (p − c)ᵀ Q (p − c) = 1 near the points.
+    """Centre (d,) and matrix Q (d, d) of the ellipse or ellipsoid (p − c)ᵀ Q (p − c) = 1 through points.
 
     Algebraic least squares on centred and scaled points: with all quadratic terms if there are enough
     points and they give an ellipsoid, otherwise with fewer (no mixed terms, then a sphere).
@@ -783,14 +791,14 @@ PARTS: tuple[str, ...] = tuple(_READERS)
 
 
 def known_part(part: str) -> str:
-    """Return the name of a part; `UsageError` for other names."""
+    """Check the name of a sensor part, `accel` or `gyro`, and return it; `UsageError` for other names."""
     if part not in _READERS:
         raise UsageError(f"a sensor has no part '{part}'; it has {', '.join(PARTS)}")
     return part
 
 
 def readings_of_part(session: Session, part: str) -> Readings:
-    """Readings of a part of the sensor; for accelerometers as `readings_of`."""
+    """Reduce a session to readings of its gyros or, like `readings_of`, of its accelerometers."""
     module, name = _READERS[known_part(part)]
     reader: Callable[[Session], Readings] = getattr(import_module(module), name)
     return reader(session)

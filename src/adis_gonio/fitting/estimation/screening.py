@@ -44,7 +44,7 @@ reading is longer than the cut one. The tenth above 1 allows for gains and biase
 
 
 def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: float | None) -> None:
-    """Raise `DataError` with the positions that are all zero or stuck, as the module defines it.
+    """Raise `DataError` if a dwell is all zero or stuck, by the rules in the module's docstring.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
 
 
 def limit_notes(limits: Sequence[Limit], unit: str) -> list[str]:
-    """One sentence for each limit, with the dwells that it excludes."""
+    """Sentences for the user, one for each limit of the range, with the dwells that it excludes."""
     lines = []
     for limit in limits:
         where = f"the extreme value {limit.value:g} {unit} ({name_positions(limit.positions)})"
@@ -96,7 +96,10 @@ def limit_notes(limits: Sequence[Limit], unit: str) -> list[str]:
 
 
 def _at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: float | None) -> set[int]:
-    """Dwells with a mean moved by a limit that two or more dwells reach, if gravity allows the reading."""
+    """Positions of dwells with a mean changed by a limit of the range, if gravity allows such a reading.
+
+    The limit must be reached in two or more dwells.
+    """
     if gravity is None:
         return set()
     means = {dwell.position: dwell.accel.mean(axis=0) for dwell in dwells}
@@ -113,7 +116,7 @@ def _at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: float |
 
 
 def longest_runs(accel: Floats) -> Floats:
-    """Longest run of one word on each axis, (axes,), in samples."""
+    """Largest number of equal samples in a row on each axis, (axes,)."""
     runs = []
     for axis in range(accel.shape[1]):
         change = np.flatnonzero(np.diff(accel[:, axis]))
@@ -122,7 +125,10 @@ def longest_runs(accel: Floats) -> Floats:
 
 
 def _still_against_others(dwells: Sequence[Dwell]) -> list[int]:
-    """Dwells in which an axis is constant for half of the time, and four times longer than in others."""
+    """Positions of the dwells in which an axis is suspiciously constant.
+
+    It is constant for half of the dwell, and four times longer than in the other dwells.
+    """
     if len(dwells) < 2:
         return []
     runs = np.stack([longest_runs(dwell.accel) for dwell in dwells])
@@ -136,7 +142,7 @@ def _still_against_others(dwells: Sequence[Dwell]) -> list[int]:
 
 
 def _is_lively(dwells: Sequence[Dwell], healthy: NDArray[np.bool_], axis: int) -> bool:
-    """True if an axis has more noise in the healthy dwells than a converter's step can hide."""
+    """True if an axis has so much noise in the healthy dwells that no converter step could hide it."""
     deviations, steps = [], []
     for dwell, use in zip(dwells, healthy, strict=True):
         if use:
@@ -173,7 +179,7 @@ _HARMLESS = 0.1
 
 @dataclass(frozen=True)
 class Limit:
-    """An extreme value at which samples of an axis pile up.
+    """A limit of the range on one axis: an extreme value that many samples have.
 
     Attributes
     ----------
@@ -183,11 +189,11 @@ class Limit:
     samples : int
         Number of samples at the limit.
     inside : int
-        Number of samples at the next value.
+        Number of samples at the value next to the limit.
     positions : tuple of int
         Dwells that have samples at the limit.
     spoiled : tuple of int
-        Dwells with a mean that the limit moves.
+        Dwells with a mean that the limit changes.
     """
 
     axis: int
@@ -200,7 +206,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Converter:
-    """Steps and limits of the converter that samples show, in their unit.
+    """Steps and limits of the converter on each axis, found in the samples and in their unit.
 
     Attributes
     ----------
@@ -215,12 +221,12 @@ class Converter:
 
     @property
     def spoiled(self) -> set[int]:
-        """Positions of the dwells with a mean that a limit moves."""
+        """Positions of the dwells with a mean that a limit of the range changes."""
         return {position for limit in self.limits for position in limit.spoiled}
 
 
 def converter_of(dwells: Sequence[Dwell]) -> Converter:
-    """Find the steps and limits in the samples of dwells."""
+    """Find the converter's step and limits of the range on each axis, from the samples of dwells."""
     steps = steps_of([dwell.accel for dwell in dwells])
     return Converter(steps, _limits(dwells, steps))
 
@@ -240,7 +246,10 @@ def _limits(dwells: Sequence[Dwell], steps: Floats) -> tuple[Limit, ...]:
 
 
 def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
-    """Largest value (smallest for sign −1), number of samples at it, and at the next value."""
+    """Largest value of the samples, the number of samples with it, and the number with the next value.
+
+    For sign −1, the smallest value.
+    """
     most = max if sign > 0 else min
     extreme = most(float(column.max() if sign > 0 else column.min()) for column in columns)
     count = sum(int((column == extreme).sum()) for column in columns)
@@ -254,7 +263,7 @@ def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
 
 
 def _many_values(columns: Sequence[Floats]) -> bool:
-    """True if the axis has enough different values for evidence of a limit."""
+    """True if an axis has enough different values for a test for a limit of the range."""
     seen: Floats = np.empty(0)
     for column in columns:
         seen = np.union1d(seen, column)
@@ -277,7 +286,10 @@ def _limit(dwells: Sequence[Dwell], axis: int, value: float, inside: int) -> Lim
 
 
 def _moves(share: float, n: int) -> bool:
-    """True if cutting off this share of a normal distribution moves the mean of n samples notably."""
+    """True if a limit that cuts off this share of a normal distribution changes the mean of n samples.
+
+    Changes that are small against the noise of the mean do not count.
+    """
     if share >= 0.5:
         return True
     z = float(stats.norm.isf(share))
@@ -286,7 +298,7 @@ def _moves(share: float, n: int) -> bool:
 
 
 def steps_of(dwells: Sequence[Floats]) -> Floats:
-    """Step (axes,) between the values of samples within dwells; 0 for a constant axis.
+    """Smallest difference (axes,) between two values that the converter can give; 0 for a constant axis.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ _LOWEST = 3
 _ALONE = 64
 """Number of lowest ordinates that are kept one by one, since some are used individually."""
 _AT_ONCE = 1 << 17
-"""Number of samples for which spectra are computed at once."""
+"""Number of samples for which spectra are computed in one call, to limit the memory."""
 _LEAST_WEIGHT = 6.0
 _GAINS = (1.323, 2.773)
 """Upper 25 % quantiles of χ² with one and two degrees of freedom: prefer the narrower band in doubt."""
@@ -67,7 +67,7 @@ _ALLAN_OF_FLICKER = 4 * math.log(2)
 
 @dataclass(frozen=True)
 class MeanNoise:
-    """Noise of the means of d dwells.
+    """Noise of the mean readings of d dwells, estimated from the samples.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class MeanNoise:
 
 @dataclass(frozen=True)
 class _Ordinates:
-    """Periodograms of the dwells of one length.
+    """Periodograms (spectra) of all dwells that have a common length.
 
     The lowest ordinates are separate. Higher ordinates of a long dwell are joined into bins that lie within
     one band and one cell of `_cells`, so that sums over bands and cells do not change.
@@ -116,7 +116,7 @@ class _Ordinates:
 
 @dataclass(frozen=True)
 class _Foot:
-    """Shape of the density near zero, relative to its mean over the band."""
+    """Fitted shape of the noise density near frequency zero, relative to its mean over a band."""
 
     band: float
     log_zero: float
@@ -131,18 +131,18 @@ class _Foot:
 
     @property
     def corner(self) -> float:
-        """Frequency at which the density is 1/e of its value at zero; the band's edge if there is none."""
+        """Frequency at which the density has fallen to 1/e of its value at zero, or the end of the band."""
         x = np.linspace(0.0, 1.0, 65)
         fallen = np.flatnonzero(self.log_shape(x) < -1)
         return self.band * (float(x[fallen[0]]) if fallen.size else 1.0)
 
     def log_shape(self, x: Floats) -> Floats:
-        """Logarithm of the density at x = f/band relative to that at zero."""
+        """Logarithm of the ratio of the density at x = f/band to the density at zero."""
         return _basis(x, len(self.coefficients) - 1) @ self.coefficients - self.log_zero
 
 
 def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> MeanNoise:
-    """Noise of the mean of each dwell.
+    """Estimate the noise of the mean of each dwell from the correlated samples within dwells.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def _periodograms(samples: Sequence[Floats], scale: Floats | float) -> list[_Ord
 
 
 def _bins(frequency: Floats) -> NDArray[np.intp]:
-    """First ordinate of each bin.
+    """Divide the ordinates of a spectrum into bins; return the first ordinate of each bin.
 
     Bands end at 0.5/2^j and have `_CELLS` cells each: the upper octave of a band has half of them, and a
     band twice as wide has cells twice as wide. Only an ordinate at the end of a band has a separate bin.
@@ -235,12 +235,15 @@ def _bins(frequency: Floats) -> NDArray[np.intp]:
 
 
 def _basis(x: Floats, order: int) -> Floats:
-    """Legendre polynomials of 2x² − 1, (n, order + 1)."""
+    """Even polynomials (n, order + 1) of x: Legendre polynomials of 2x² − 1, up to this order."""
     return np.asarray(np.polynomial.legendre.legvander(2 * x * x - 1, order), dtype=np.float64)
 
 
 def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floats, float]:
-    """Coefficients, their covariance and −2 log likelihood of a log-linear density; Fisher scoring."""
+    """Fit the logarithm of a density as a linear combination of the columns of `design` (Fisher scoring).
+
+    Returns the coefficients, their covariance and −2 log likelihood (Whittle).
+    """
     inverse = np.asarray(np.linalg.pinv(design.T @ (weight[:, None] * design)), dtype=np.float64)
     beta = np.zeros(design.shape[1])
     beta[0] = math.log(max(float(np.average(mean, weights=weight)), 1e-300))
@@ -258,7 +261,10 @@ def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floa
 def _whittle_with_flicker(
     design: Floats, inverse_x: Floats, weight: Floats, mean: Floats
 ) -> tuple[Floats, Floats, float]:
-    """Like `_whittle` for exp(polynomial) + h/x; h is not returned, but its covariance is included."""
+    """Like `_whittle`, for the density exp(polynomial) + h/x with 1/f noise h/x.
+
+    h is fitted but not returned; its uncertainty is included in the covariance.
+    """
     terms = design.shape[1]
     beta = np.zeros(terms + 1)
     # Start values: white level from the upper half, h from the excess of the lowest ordinate.
@@ -288,7 +294,7 @@ def _whittle_with_flicker(
 
 
 def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
-    """True if the lowest ordinates fit a power of f near −1 better than the low end of a filter."""
+    """True if the density at the lowest frequencies is more likely 1/f noise than a filtered noise."""
     lowest = _lowest(groups)
     if lowest is None:
         return False
@@ -300,7 +306,7 @@ def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
 
 
 def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
-    """True if the lowest ordinates fit white noise plus h/f better than the low end of a filter.
+    """True if white noise plus 1/f noise fits the lowest ordinates better than filtered noise does.
 
     Over a wide band the decrease of a long filter resembles h/f plus a polynomial; here the filter is flat.
     """
@@ -313,13 +319,19 @@ def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
 
 
 def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
-    """−2 log likelihood of the low end of a filter over the lowest ordinates."""
+    """−2 log likelihood of a density as a filter gives it, flat near zero, for the lowest ordinates.
+
+    `k` are the numbers of the ordinates, `total` their weights and `mean` their pooled values.
+    """
     x2 = (k / _SLOPE) ** 2
     return _whittle(np.stack([np.ones(_SLOPE), x2, x2**2], axis=1), total, mean)[2]
 
 
 def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
-    """Numbers, weights and pooled means of the lowest ordinates; None if no dwell has enough."""
+    """Lowest ordinates of the spectrum, pooled over dwells: numbers, weights and means.
+
+    None if no dwell has enough ordinates.
+    """
     groups = [group for group in groups if len(group.weight) > _SLOPE]
     if not groups:
         return None
@@ -334,7 +346,10 @@ def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
 
 
 def _choose_foot(groups: list[_Ordinates]) -> _Foot:
-    """Fit near zero with the smallest variance at zero; bands are halved while a better fit is possible."""
+    """Fit the density near zero in bands of decreasing width, and return the most certain fit.
+
+    This is the fit with the smallest variance of the density at zero.
+    """
     best: _Foot | None = None
     flicker = _flicker_at_foot(groups)
     band = 0.5
@@ -360,7 +375,10 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
 
 
 def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _Foot | None:
-    """Polynomial of the lowest order that one or two further terms do not improve clearly, or None."""
+    """Fit the log density in a band by a polynomial of the lowest sufficient order; None if there is none.
+
+    An order is sufficient if one or two further terms do not improve the fit clearly.
+    """
     fits: list[tuple[Floats, Floats, float]] = []
     for order in range(min(3, len(x))):
         for p in range(len(fits), min(order + 3, len(x))):
@@ -392,7 +410,10 @@ def _foot(
 def _beside_flicker(
     x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
 ) -> tuple[Floats, Floats] | None:
-    """Polynomial plus 1/f noise, and its covariance, if better than one or two further terms."""
+    """Fit a polynomial plus 1/f noise; return the polynomial's coefficients and covariance.
+
+    None if one or two further terms of the polynomial explain the density as well as 1/f noise.
+    """
     for order in range(min(3, len(x) - 2)):
         one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
         beta, covariance, deviance = _whittle_with_flicker(_basis(x, order), inverse_x, weight, mean)
@@ -411,7 +432,7 @@ def _beside_flicker(
 
 
 def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats, Floats] | None:
-    """Pooled ordinates below `band`, relative to the mean of each dwell and axis in this band.
+    """Mean ordinates of all dwells in cells of frequency below `band`, relative to each dwell's mean.
 
     Returns x = f/band, weight, mean, and mean of 1/x of the cells that are not empty.
     """
@@ -446,7 +467,7 @@ def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Float
 
 
 def _homogeneous(level: Floats, weight: Floats) -> bool:
-    """True if the dwells' levels are consistent with one level (Bartlett's test for each axis, 0.1 %)."""
+    """True if all dwells may have one noise density, by Bartlett's test for each axis at 0.1 %."""
     use = weight > 0
     if use.sum() < 2:
         return True
@@ -465,7 +486,7 @@ def _homogeneous(level: Floats, weight: Floats) -> bool:
 
 
 def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
-    """Set correlations between axes to zero if chance explains them (three standard errors)."""
+    """Set correlations between axes to zero if they are below three standard errors, so may be chance."""
     deviation = np.sqrt(np.maximum(np.diagonal(level, axis1=1, axis2=2), 1e-300))
     correlation = level / (deviation[:, :, None] * deviation[:, None, :])
     keep = np.abs(correlation) > 3 / np.sqrt(dof)[:, None, None]
@@ -476,7 +497,7 @@ def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
 
 
 def _all_flicker(groups: list[_Ordinates]) -> Floats:
-    """Allan variance (axes,) of 1/f noise that makes up the whole of the lowest ordinates.
+    """Allan variance (axes,) of 1/f noise if all power in the lowest ordinates were 1/f noise.
 
     The sensor's own is one in all dwells, so that a dwell counts as much less as it is louder.
     """
@@ -495,7 +516,7 @@ def _all_flicker(groups: list[_Ordinates]) -> Floats:
 
 
 def _reciprocal(level: Floats) -> Floats:
-    """1/level of dwells (d, …, axes); 0 for a level that is only rounding against the others."""
+    """Return 1/level for each dwell and axis; 0 for a level so small that it is only rounding error."""
     least = np.maximum(1e-9 * level.max(axis=tuple(range(level.ndim - 1))), 1e-300)
     return np.where(level > least, 1 / np.maximum(level, least), 0.0)
 
@@ -503,7 +524,7 @@ def _reciprocal(level: Floats) -> Floats:
 def _flicker(
     groups: list[_Ordinates], density: Floats, foot: _Foot, dof: float, n: Floats
 ) -> tuple[Floats, Floats]:
-    """Allan variance of 1/f noise (axes,) from the lowest ordinates, and its 95 % upper limit."""
+    """Allan variance (axes,) of 1/f noise from the lowest ordinates, and its 95 % upper limit (axes,)."""
     from scipy.special import fdtri
 
     axes = density.shape[1]
@@ -539,7 +560,9 @@ are treated as independent noise of each dwell."""
 
 
 def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
-    """Covariance (n, n) of dwell means about the mean of a session twice as long, for Allan variance 1.
+    """Covariance (n, n) of dwell means by 1/f noise with an Allan variance of 1.
+
+    The means are relative to the mean of a session twice as long.
 
     Parameters
     ----------
@@ -573,7 +596,10 @@ _SHORTEST_S = 1e-9
 
 
 def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
-    """Begin and end of dwells of one session."""
+    """Begin and end of the dwells of a session, corrected if the given times are impossible.
+
+    Dwells without length or with overlaps are taken as consecutive.
+    """
     length = end_s - begin_s
     # Shorter dwells are not plausible, and their squares would underflow.
     if (length < _SHORTEST_S).any():
@@ -585,19 +611,25 @@ def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
 
 
 def spans(times_s: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Begin and end (n,) of dwells of two or more samples, including the period of the last sample."""
+    """Begin and end (n,) of each dwell in s; the end includes the period of the last sample.
+
+    Each dwell has two or more samples.
+    """
     begin = np.array([float(time[0]) for time in times_s])
     period = np.array([float(np.ptp(time)) / (len(time) - 1) for time in times_s])
     return begin, np.array([float(time[-1]) for time in times_s]) + period
 
 
 def scatter_of_means(dwells: int) -> float:
-    """Variance of the means of consecutive dwells, for an Allan variance of 1."""
+    """Variance of the means of consecutive dwells by 1/f noise with an Allan variance of 1."""
     return 1.0 if dwells < 2 else dwells * math.log(dwells) / (2 * (dwells - 1) * math.log(2))
 
 
 def modes(covariance: Floats) -> tuple[Floats, Floats]:
-    """Factor (n, k) of the slowest modes of a covariance, and the remaining variances (n,)."""
+    """Split a covariance (n, n) into a factor (n, k) of its largest modes and the remaining variances.
+
+    The modes are its eigenvectors with the largest eigenvalues, which vary slowly in time.
+    """
     from scipy.linalg import eigh
 
     n = len(covariance)

@@ -24,7 +24,7 @@ Where = Literal["bias", "gain", "misalignment", "angle"]
 
 @dataclass(frozen=True)
 class Term(ABC):
-    """Base of all terms.
+    """Base class of the terms of a model: named effects of the catalogue, and unnamed functions.
 
     Attributes
     ----------
@@ -42,66 +42,69 @@ class Term(ABC):
 
     @property
     def name(self) -> str | None:
-        """Name in the catalogue; None for an unnamed term."""
+        """Name of the effect in the catalogue; None for an unnamed term."""
         return None
 
     @property
     def shown_as(self) -> str:
-        """Name, or the formula of an unnamed term: for display, never for decisions."""
+        """Name, or the formula of an unnamed term, for display only."""
         return self.name or self.label
 
     @property
     def dwell(self) -> int | None:
-        """The only dwell on which it acts; None if it acts on all dwells."""
+        """Number of the only dwell on which the term acts; None if it acts on all dwells."""
         return None
 
     @property
     def constant(self) -> bool:
-        """True for a named bias, which every sensor has."""
+        """True for a term that is always in the model, such as a bias."""
         return False
 
     @property
     def prior_sd(self) -> float | None:
-        """Prior standard deviation of each value about zero; None without a prior."""
+        """Prior standard deviation of each value of the term, with mean zero; None without a prior."""
         return None
 
     @property
     @abstractmethod
     def enters_angle(self) -> bool:
-        """True if it turns the part, False if it adds to the readings."""
+        """True if the term changes the angle of the sensor, False if it adds to the readings."""
 
     @abstractmethod
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative by its amplitudes: (n, axes, d) in the readings' unit, or (n, d) in rad."""
+        """Derivative of the readings or the angle by the amplitudes, at amplitude zero.
+
+        The shape is (n, axes, d) in the readings' unit, or (n, d) in rad for an angle.
+        """
 
     @abstractmethod
     def start(self, amplitudes: Floats) -> Floats:
-        """Values (p,) of all parameters for amplitudes (d,) from the search."""
+        """Starting values (p,) of all parameters of the term, for given amplitudes (d,)."""
 
     @abstractmethod
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Contribution to the readings (n, axes) in their unit, or to the angle (n,) in rad."""
+        """Contribution of the term to the readings (n, axes) in their unit, or to the angle (n,) in rad."""
 
     @abstractmethod
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """∂added/∂values: (n, axes, p) or (n, p)."""
+        """Derivative of `added` by the p values: (n, axes, p), or (n, p) for an angle."""
 
     def amplitude_index(self, values: Floats) -> list[int]:
-        """Indices of the amplitudes among the values (p,)."""
+        """Indices of the amplitudes among the values (p,), without shape parameters."""
         return list(range(len(values)))
 
     def bounds(self) -> Floats | None:
-        """Bounds (p, 2) of the values; None without bounds."""
+        """Lower and upper limit (p, 2) of each value; None without limits."""
         return None
 
     def limited(self, old: Floats, new: Floats) -> Floats:
-        """Limit the values after a step to the allowed range."""
+        """Return the new values, limited to the range that one iteration of a fit may reach from `old`."""
         return new
 
 
 @dataclass(frozen=True)
 class NamedTerm(Term):
-    """An effect of the catalogue with its shapes at one point of their grid.
+    """An effect of the catalogue with given values of its shape parameters.
 
     Attributes
     ----------
@@ -121,7 +124,7 @@ class NamedTerm(Term):
 
     @property
     def name(self) -> str | None:
-        """Name in the catalogue."""
+        """Name of the effect in the catalogue."""
         return self.effect.name
 
     @property
@@ -131,36 +134,36 @@ class NamedTerm(Term):
 
     @property
     def prior_sd(self) -> float | None:
-        """As `spread`."""
+        """Prior standard deviation of each value: the attribute `spread`."""
         return self.spread
 
     @property
     def enters_angle(self) -> bool:
-        """True for effects of the stage."""
+        """True for effects of the stage, which change the angle of the sensor."""
         return self.effect.enters is Enters.ATTITUDE
 
     @property
     def dwell(self) -> int | None:
-        """Dwell of an effect that acts on one dwell."""
+        """Number of the dwell for an effect that acts on one dwell only; otherwise None."""
         return getattr(self.effect, "dwell", None)
 
     @cached_property
     def amplitudes(self) -> list[int]:
-        """Indices of the amplitudes among the parameters."""
+        """Indices of the amplitudes among the parameters, without shape parameters."""
         fixed = {index for index, _ in self.shapes}
         return [k for k in range(len(self.effect.parameters)) if k not in fixed]
 
     def amplitude_index(self, values: Floats) -> list[int]:
-        """As `amplitudes`."""
+        """Indices of the amplitudes: the attribute `amplitudes`, for any values."""
         return self.amplitudes
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative by the amplitudes at amplitude zero."""
+        """Derivative of the readings or the angle by the amplitudes, at amplitude zero."""
         values = self.start(np.zeros(len(self.amplitudes)))
         return self.effect.derivative(values, ideal, conditions)[..., self.amplitudes]
 
     def start(self, amplitudes: Floats) -> Floats:
-        """Values (p,) of the amplitudes (d,), with the shapes of the grid."""
+        """Starting values (p,) with the given amplitudes (d,) and the shape parameters of this term."""
         values = np.zeros(len(self.amplitudes) + len(self.shapes))
         values[self.amplitudes] = amplitudes
         for index, shape in self.shapes:
@@ -168,13 +171,13 @@ class NamedTerm(Term):
         return values
 
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """As the effect says."""
+        """Contribution of the effect to the readings or the angle, computed by `Effect.added`."""
         if self.enters_angle:
             return self.effect.attitude_rad(values, conditions)
         return self.effect.reading(values, ideal, conditions)
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """As the effect says."""
+        """Derivative of the contribution by the values, computed by `Effect.derivative`."""
         return self.effect.derivative(values, ideal, conditions)
 
     @cached_property
@@ -182,17 +185,20 @@ class NamedTerm(Term):
         return np.array([[p.low, p.high] for p in self.effect.parameters])
 
     def bounds(self) -> Floats:
-        """Physical bounds of the catalogue."""
+        """Limits (p, 2) of the values, as the catalogue states them for this effect."""
         return self._bounds
 
     @cached_property
     def amplitude_spread(self) -> Floats:
-        """Prior standard deviation of each amplitude (d,): a quarter of the width of its bounds."""
+        """Prior standard deviation (d,) of each amplitude: a quarter of the range between its limits."""
         low, high = self._bounds[self.amplitudes].T
         return np.asarray((high - low) / 4)
 
     def limited(self, old: Floats, new: Floats) -> Floats:
-        """Limit values to their bounds, and a shape to half or twice its value: its slope is only local."""
+        """Limit the new values to their bounds, and each shape parameter to half to twice its old value.
+
+        The derivative by a shape parameter is valid only near the old value.
+        """
         new = new.copy()
         for index, _ in self.shapes:
             new[index] = np.clip(new[index], 0.5 * old[index], 2 * old[index])
@@ -206,7 +212,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Basis:
-    """Basis functions of an unnamed term: of the conditions, or of the readings axis by axis.
+    """Basis functions of an unnamed term: of the conditions, or of the stimulus of each axis.
 
     Attributes
     ----------
@@ -234,7 +240,7 @@ class Basis:
     )
 
     def over(self, conditions: Conditions) -> Floats:
-        """Values of `common` at the conditions (n, q), kept for the next term because terms share bases.
+        """Values (n, q) of the functions `common` at the conditions; the last result is kept for reuse.
 
         A function that is only rounding error at these conditions is set to zero, such as the sine of the
         fifth harmonic at multiples of 36°. Otherwise a fit could give it an amplitude of 10¹⁴.
@@ -248,12 +254,15 @@ class Basis:
 
 
 def in_g(ideal: Floats, conditions: Conditions) -> Floats:
-    """Stimulus of accelerometers: the ideal readings (n, axes) in g."""
+    """Stimulus (n, axes) of accelerometers, which scale errors multiply: the ideal readings in g."""
     return ideal / MG_PER_G
 
 
 def join_columns(blocks: Sequence[tuple[int | slice, Floats]], shape: tuple[int, ...]) -> Floats:
-    """Columns (n, axes, P) from blocks: the axis or axes, and their columns (n, q) or (n, axes, q)."""
+    """Place blocks of columns side by side in an array (n, axes, P) with the given shape (n, axes).
+
+    Each block is (axis or axes, columns): (n, q) for one axis or (n, axes, q); other axes get zeros.
+    """
     out = np.zeros((*shape, sum(rows.shape[-1] for _, rows in blocks)))
     start = 0
     for axes, rows in blocks:
@@ -264,7 +273,7 @@ def join_columns(blocks: Sequence[tuple[int | slice, Floats]], shape: tuple[int,
 
 @dataclass(frozen=True)
 class NamelessTerm(Term):
-    """An unnamed term: one combination of the grammar.
+    """An unnamed term: basis functions that change a bias, a scale factor, a misalignment or the angle.
 
     Attributes
     ----------
@@ -288,22 +297,22 @@ class NamelessTerm(Term):
 
     @property
     def prior_sd(self) -> float | None:
-        """As `shrinkage`."""
+        """Prior standard deviation of each amplitude: the attribute `shrinkage`."""
         return self.shrinkage
 
     @property
     def enters_angle(self) -> bool:
-        """True for a function that turns the part."""
+        """True if the term changes the angle of the sensor, False if it adds to the readings."""
         return self.where == "angle"
 
     @property
     def shown_as(self) -> str:
-        """Formula after the word "unnamed"."""
+        """Text for display: the word "unnamed" and the formula."""
         return f"unnamed: {self.form}"
 
     @property
     def form(self) -> str:
-        """Formula in words."""
+        """Formula in words: the quantity that changes, its axes, and the basis functions."""
         letters = ", ".join(AXES[k] for k in self.axes)
         head = {
             "bias": f"bias of {letters}",
@@ -314,7 +323,10 @@ class NamelessTerm(Term):
         return f"{head} follows {self.basis.form}"
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Basis functions. Amplitudes are in the readings' unit (of a gain at full stimulus) or in mrad."""
+        """Derivative by the amplitudes, which is the basis functions applied to each axis or the angle.
+
+        Amplitudes are in the readings' unit (for a scale error, at full stimulus) or in mrad.
+        """
         if self.where == "angle":
             return self.tangent_rad * self.basis.over(conditions)
         driven = self.stimulus(ideal, conditions)
@@ -322,7 +334,7 @@ class NamelessTerm(Term):
         return join_columns(blocks, ideal.shape)
 
     def on_axis(self, axis: int, driven: Floats, conditions: Conditions) -> Floats:
-        """Columns (n, q) of an axis; `driven` (n, axes) is the quantity that gains multiply."""
+        """Columns (n, q) of one axis; scale errors multiply the stimulus `driven` (n, axes)."""
         basis = self.basis
         if basis.common is not None:
             rows = basis.over(conditions)
@@ -337,13 +349,13 @@ class NamelessTerm(Term):
         return rows
 
     def start(self, amplitudes: Floats) -> Floats:
-        """The amplitudes, since there are no shapes."""
+        """Starting values: the amplitudes, because an unnamed term has no shape parameters."""
         return np.array(amplitudes, dtype=float)
 
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Columns times amplitudes."""
+        """Contribution to the readings or the angle: columns times amplitudes."""
         return np.asarray(self.columns(ideal, conditions) @ values)
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """The columns, since an unnamed term is linear."""
+        """Derivative by the values: the columns, because an unnamed term is linear in its amplitudes."""
         return self.columns(ideal, conditions)

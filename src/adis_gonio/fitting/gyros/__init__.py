@@ -1,1 +1,1 @@
-"""Gyros: mean rates over dwells and turns, the true rotation of the part, and fits of both."""
+"""Gyros: mean rates over dwells and turns, true rotations of the sensor, and fits of both."""

@@ -44,7 +44,7 @@ simulated parts is an estimate, and no limit."""
 UNKNOWN_ACCEL_GAIN = 0.02
 _NOMINAL = np.array([1.0] * 3 + [0.0] * 6)
 _NATURAL = np.array([1.0] * 3 + [math.pi / 180] * 3 + [1.0] * 3)
-"""Units inside: 1, rad, mg; results state skews in degrees."""
+"""Factors from the units of results to the units used here: skews from degrees to rad."""
 _STEP = 0.01
 _NOT_CALIBRATED = (
     "the accelerometers' biases are not determined: u of the directions of axes includes them;"
@@ -58,14 +58,14 @@ _NOT_SQUARE = (
 
 @dataclass(frozen=True)
 class Axes:
-    """Gains, skews and biases of three accelerometers with their covariance.
+    """Scale factors, skews and biases of three accelerometers, with their covariance.
 
     Attributes
     ----------
     values : (9,) float
-        Gains, skews in rad, biases in mg.
+        Scale factors, skews in rad, biases in mg.
     factor : (9, k) float
-        Directions of one standard uncertainty: the covariance is factor factorᵀ.
+        Factor of the covariance, which is factor factorᵀ.
     known : frozenset of str
         Names of the measured parameters.
     """
@@ -76,7 +76,7 @@ class Axes:
 
     @classmethod
     def of(cls, prior: tuple[float, float, float], *sources: Source) -> Axes:
-        """Combine sources; the first source of a parameter counts.
+        """Combine sources of the nine parameters; if several give a parameter, the first one counts.
 
         Parameters
         ----------
@@ -101,11 +101,14 @@ class Axes:
         return cls(values, vectors * np.sqrt(np.maximum(variance, 0.0)), frozenset(known))
 
     def direction(self, force_g: Floats) -> Floats:
-        """Gravity (…, 3) by readings (…, 3) in g, in the accelerometers' frame, of any length."""
+        """Direction of gravity (…, 3) in the accelerometers' frame, from readings (…, 3) in g.
+
+        The vectors are not normalized.
+        """
         return _direction(self.values, force_g)
 
     def modes(self, force_g: Floats) -> Floats:
-        """Change (3, k) of the unit direction of a reading by each direction of `factor`."""
+        """Change (3, k) of the unit direction computed from a reading, by each column of `factor`."""
 
         def unit(values: Floats) -> Floats:
             vector = _direction(values, force_g)
@@ -114,7 +117,10 @@ class Axes:
         return central_differences(unit, self.values, _STEP, self.factor.T)
 
     def u_rad(self) -> float:
-        """Standard uncertainty of a direction, each way across it: the mean over the three axes."""
+        """Standard uncertainty in rad of a direction, for each of the two ways across it.
+
+        It is the mean over the three axes.
+        """
         # A direction has two components across it, so half of the squared length counts for each.
         sizes = [np.linalg.norm(self.modes(row)) for row in np.eye(3)]
         return float(np.sqrt(np.mean(np.square(sizes)) / 2))
@@ -126,7 +132,7 @@ def _direction(values: Floats, force_g: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Triad:
-    """The accelerometers of a session as the reference of turns.
+    """Calibrated accelerometers of a session, which give the true rotation of each turn.
 
     Attributes
     ----------
@@ -150,12 +156,12 @@ class Triad:
 
 
 def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
-    """Calibrate the accelerometers of a session by its own fit, as far as it allows.
+    """Calibrate the accelerometers of a session by a fit to this session, as far as it determines them.
 
     Parameters
     ----------
     calibration : Calibration, optional
-        Calibration of the same part's accelerometers, for parameters that the session does not determine.
+        Calibration of the same accelerometers, for parameters that the session does not determine.
 
     Raises
     ------
@@ -203,7 +209,10 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
 
 
 def _triad_in_space(session: Session, *sources: Source, noise_mg: float = 0.0) -> Triad:
-    """Make the triad by sources of its nine parameters; the rest has the spread of the family."""
+    """Make the triad of a session in space from `sources` of its nine parameters.
+
+    Parameters without a source have the spread that the data sheet gives for this family of sensors.
+    """
     variant = VARIANTS.get(session.sensor)
     prior = (UNKNOWN_ACCEL_GAIN, math.radians(UNKNOWN_SKEW_DEG) / math.sqrt(3), UNKNOWN_BIAS_MG)
     if variant is not None:
@@ -224,9 +233,10 @@ def _triad_in_space(session: Session, *sources: Source, noise_mg: float = 0.0) -
 
 
 def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tuple[float, float]]:
-    """Average ψ of each dwell with its declared angle if both agree, weighted by the fixture's uncertainty.
+    """Average the angle ψ of each dwell with its declared angle, weighted by their uncertainties.
 
-    Both are angles of the same stage: ψ + θ is α for all dwells, apart from errors.
+    Both are angles of one stage: ψ + θ is the start angle α for all dwells, apart from errors. Angles that
+    disagree are not averaged.
     """
     sigma = math.degrees(readings.fixture_rad)
     theta = np.degrees(readings.angle_rad)

@@ -1,4 +1,4 @@
-"""Method `gyro`: zero rates, g-sensitivity, gains and directions of the gyros, by weighted least squares.
+"""Method `gyro`: weighted least squares for zero rates, g-sensitivity, scale factors and directions.
 
 The model is the gyros' base model (`MeanRate`) with the effects of a physical calibration:
 `g_sensitivity` if poses show it, `gyro_scale` and `gyro_misalignment` if turns show them. No parameter
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 METHOD = "gyro"
 CALIBRATED = ("g_sensitivity", "gyro_scale", "gyro_misalignment")
-"""Effects of a physical calibration."""
+"""Effects of the catalogue that a gyro calibration corrects."""
 _EFFECTS = tuple(effect(name, AXES) for name in CALIBRATED)
 DRIFTS = {
     "drift with time": effect("gyro_drift", AXES, steps=0),
@@ -102,7 +102,10 @@ _STEP_DEG = 1e-4
 
 
 def rotation_and_skews_deg(misalignment_deg: Floats) -> Floats:
-    """Rotation vector (3) of the triad and its three skews xy, xz, yz, in degrees."""
+    """Rotation vector (3) of the gyro triad and its three skews xy, xz, yz, in degrees, as one array (6,).
+
+    The argument (3, 3) is the misalignment of each gyro (row) towards each axis (column), in degrees.
+    """
     from scipy.spatial.transform import Rotation
 
     rows = gyro_directions(misalignment_deg)
@@ -114,7 +117,9 @@ def rotation_and_skews_deg(misalignment_deg: Floats) -> Floats:
 
 
 def alignment(parameters: Mapping[str, Value], covariance: Floats) -> dict[str, Value] | None:
-    """`triad_rotation_x…` and `gyro_skew_xy…` in degrees with u, from the gyros' misalignments.
+    """Rotation and skews of the gyro triad in degrees with u, computed from the gyros' misalignments.
+
+    The names are `triad_rotation_x …` and `gyro_skew_xy …`.
 
     Parameters
     ----------
@@ -147,13 +152,16 @@ def alignment(parameters: Mapping[str, Value], covariance: Floats) -> dict[str, 
 
 @dataclass(frozen=True)
 class GyroScore:
-    """Residuals of dwells, each left out of the fit in turn, by axis in °/s."""
+    """Prediction errors of one model for the dwells, in °/s by gyro axis: rms and largest.
+
+    Each dwell is predicted by a fit to all other dwells.
+    """
 
     rms_dps: dict[str, float]
     max_dps: dict[str, float]
 
     def as_dict(self) -> dict[str, Any]:
-        """One entry of `scores`; the residual is over all axes."""
+        """One entry of the JSON key `scores`: rms over all axes, largest residual, and rms by axis."""
         both = np.array(list(self.rms_dps.values()))
         return {
             "residual_rms_dps": float(np.sqrt((both**2).mean())),
@@ -164,7 +172,7 @@ class GyroScore:
 
 @dataclass(frozen=True)
 class GyroFit(ParameterTable):
-    """Parameters of the gyros with covariance.
+    """Fitted parameters of the gyros with their covariance.
 
     Attributes
     ----------
@@ -175,7 +183,7 @@ class GyroFit(ParameterTable):
     covariance : (p, p) float
         In the order and units of `parameters`.
     chi2, dof : float, int
-        Residual against the measured noise.
+        Weighted sum of the squared residuals by the measured noise, and its degrees of freedom.
     residual_dps : (n, 3) float
         Reading minus model of each interval used.
     positions : tuple of int
@@ -212,7 +220,7 @@ class GyroFit(ParameterTable):
     part = GYRO
 
     def __getitem__(self, name: str) -> Value:
-        """Parameter by name; `KeyError` if the session does not determine it."""
+        """Return the parameter of this name; `KeyError` if the session does not determine it."""
         return self.parameters[name]
 
     def __contains__(self, name: object) -> bool:
@@ -220,12 +228,15 @@ class GyroFit(ParameterTable):
 
     @cached_property
     def triad(self) -> dict[str, Value] | None:
-        """`triad_rotation_x…` against the accelerometers, `gyro_skew_xy…`, in deg; None if undetermined."""
+        """Rotation of the gyro triad against the accelerometers and skews between the gyros, in degrees.
+
+        The names are `triad_rotation_x …` and `gyro_skew_xy …`. None if a misalignment is undetermined.
+        """
         return alignment(self.parameters, self.covariance)
 
     @property
     def residual_rms_dps(self) -> float:
-        """Root mean square of the residuals in °/s."""
+        """Root mean square of the residuals of all intervals and axes, in °/s."""
         return float(np.sqrt((self.residual_dps**2).mean()))
 
     def __repr__(self) -> str:
@@ -237,12 +248,12 @@ class GyroFit(ParameterTable):
 
     @property
     def held(self) -> str:
-        """`14 dwells and 3 turns`."""
+        """Text that counts the dwells and turns used in the fit, such as `14 dwells and 3 turns`."""
         dwells = counted(len(self.positions) - self.turns, "dwell")
         return f"{dwells} and {counted(self.turns, 'turn')}" if self.turns else dwells
 
     def calibration(self) -> GyroCalibration:
-        """Calibration of readings to rates of turn, for the present state of the part.
+        """Calibration that converts readings to rates of turn, for the chip's present offset registers.
 
         Raises
         ------
@@ -254,11 +265,11 @@ class GyroFit(ParameterTable):
         return gyro_calibration_as_it_is(estimates_of_gyro_fit(self), self.provenance)
 
     def caption_and_parameters(self) -> tuple[str, Entries]:
-        """Method, and the parameters by name."""
+        """Caption of the table in notebooks, which names the method, and the parameters by name."""
         return f"fit by method {self.method}", self.as_dict()["parameters"].items()
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document of `fit --sensor-part gyro`."""
+        """The JSON document that `adis-gonio fit --sensor-part gyro --json` prints."""
         return json_object(
             method=self.method,
             part=self.part,
@@ -283,12 +294,12 @@ class GyroFit(ParameterTable):
 
 @solvable
 def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> GyroFit:
-    """Fit a session's gyros; check dwells take no part.
+    """Fit the gyros of a session to all its dwells and turns except `check` dwells.
 
     Parameters
     ----------
     accelerometers : Calibration, optional
-        Calibration of the accelerometers of the same part, for directions that the session does not
+        Calibration of the accelerometers of the same sensor, for directions that the session does not
         determine.
 
     Raises
@@ -298,7 +309,7 @@ def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> Gyr
     FitError
         There is no dwell for fitting.
     UsageError
-        The calibration is of another part, or states no uncertainties.
+        The calibration is of another sensor, or states no uncertainties.
     """
     if accelerometers is not None:
         from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_by
@@ -324,7 +335,10 @@ def _fit_session(session: Session, readings: Readings | None = None) -> GyroFit:
 
 
 def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
-    """Fit readings of gyros; without `scored` no dwell is left out, which costs most of the time."""
+    """Fit the gyro model to readings; `scored=False` omits the scores, which take most of the time.
+
+    The scores are the prediction errors for dwells that are left out of the fit, one at a time.
+    """
     if len(data) < 1:
         raise FitError("no dwell holds samples of the gyros")
     model = _Model.of(data, _EFFECTS)
@@ -367,7 +381,7 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
 
 @dataclass(frozen=True)
 class _Model:
-    """Terms of a calibration on readings, and which of their parameters are free.
+    """Terms of a gyro calibration, the readings to fit, and a mask of the free parameters.
 
     Attributes
     ----------
@@ -383,7 +397,7 @@ class _Model:
 
     @classmethod
     def of(cls, data: Readings, effects: Sequence[Effect]) -> _Model:
-        """Model with the effects whose conditions were recorded, and its free parameters."""
+        """Build the model from all effects with recorded conditions, and find its free parameters."""
         seen = [one for one in effects if not data.conditions.lacks(one.needs)]
         terms = tuple(NamedTerm(one.name, (), 0.0, one) for one in seen)
         names = (*data.model.names, *(p.name for term in terms for p in term.effect.parameters))
@@ -392,7 +406,7 @@ class _Model:
 
     @cached_property
     def begun(self) -> Fit:
-        """Fit with all parameters at the values of perfect gyros."""
+        """Starting point of the fit: all parameters have the values of perfect gyros."""
         base = Fit.begin(self.data, with_prior=False)
         tau = max(BEGIN_TAU * float(np.ptp(self.data.conditions.time_s)), 1.0)
         values = [[tau if p.shape else 0.0 for p in term.effect.parameters] for term in self.terms]
@@ -400,24 +414,24 @@ class _Model:
 
     @cached_property
     def fit(self) -> Fit:
-        """Fit of the free parameters."""
+        """The model with its free parameters fitted to the readings."""
         return self.begun.refit(within=np.eye(len(self.names))[:, self.free])
 
     @property
     def covariance(self) -> Floats:
-        """Covariance (p, p) of all parameters, zero for fixed ones."""
+        """Covariance (p, p) of all parameters; rows and columns of fixed parameters are zero."""
         return _covariance(self.fit, self.free)
 
     @property
     def lost(self) -> list[str]:
-        """Undetermined parameters, by the names of a result."""
+        """Names of the parameters that the readings do not determine, as a result names them."""
         return [_stated_name(name) for name, free in zip(self.names, self.free, strict=True) if not free]
 
     def _determined(self) -> NDArray[np.bool_]:
-        """Parameters (p,) that the readings determine, each gyro alone.
+        """Mask (p,) of the parameters that the readings determine, found for each gyro separately.
 
-        The parameter with the largest uncertainty is fixed, again and again, until all are within
-        `LIMIT`. The zero rate stays free: it is stated however large its uncertainty is.
+        The parameter with the largest uncertainty is fixed, and the others are examined again, until all
+        uncertainties are below `LIMIT`. The zero rate is always free, even if it is very uncertain.
         """
         free = np.ones(len(self.names), dtype=bool)
         # Columns scaled so that `LIMIT` holds for all of them alike.
@@ -443,12 +457,15 @@ def _lacks(data: Readings, name: str) -> bool:
 
 
 def _gyro_of(name: str) -> str:
-    """Letter of the gyro: the first of those at the end of a name; no axis for a shared parameter."""
+    """Letter of the gyro that a parameter belongs to, such as x for `g_sensitivity_xy`.
+
+    The name of a parameter that all gyros share gives another letter, which is no axis.
+    """
     return name.rsplit("_", 1)[-1][0]
 
 
 def _natural(names: Sequence[str]) -> Floats:
-    """Size (p,) of each parameter in the units of `LIMIT`."""
+    """Factor (p,) from the unit of `LIMIT` to the unit of each parameter: degrees per rad, otherwise 1."""
     return np.array([math.degrees(1.0) if "misalignment" in name else 1.0 for name in names])
 
 
@@ -464,7 +481,10 @@ def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
 
 
 def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
-    """Factor on the noise variance of each gyro by its residual, and its degrees of freedom."""
+    """For each gyro, the factor on its noise variance that explains its residual, and its dof.
+
+    The factor is 1 if the residual agrees with the measured noise.
+    """
     data, fit = model.data, model.fit
     out = {}
     for k, axis in enumerate(AXES):
@@ -481,7 +501,7 @@ def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
 # -- parameters of a result -------------------------------------------------------------------------------
 
 _STATED = {"gyro_scale_error": "gyro_scale"}
-"""Parameters with another name in results than in effects."""
+"""Name in results, by the name in the catalogue, of parameters for which these differ."""
 _UNITS = {"gyro_bias": "dps", "gyro_scale": "1", "gyro_misalignment": "deg", "g_sensitivity": "dps/g"}
 
 
@@ -497,7 +517,7 @@ def _unit(name: str) -> str:
 def stated_parameters(
     names: Sequence[str], values: Floats, covariance: Floats, free: NDArray[np.bool_] | None = None
 ) -> tuple[list[str], Floats, Floats]:
-    """Names, values and covariance of the free parameters, as gains K and misalignments of D.
+    """Names, values and covariance of the free parameters, as scale factors K and misalignments of D.
 
     Parameters
     ----------
@@ -516,7 +536,7 @@ def stated_parameters(
 
 
 def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
-    """Replace the terms of the effects among parameters (p,) by gains K and misalignments of D.
+    """Convert fitted scale errors and misalignments in (p,) to scale factors K and misalignments of D.
 
     A gyro that adds e Ω_i + Σ sin m_p Ω_p − (1 − c) Ω_i, c² = 1 − Σ sin² m_p, to Ω_i has the row
     (c + e, sin m_p, …) of K D. K is the length of this row, and its direction has the misalignments.
@@ -540,7 +560,10 @@ def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
 
 
 def _scores(data: Readings, model: _Model) -> dict[str, GyroScore]:
-    """Score the zero rate alone, the calibration, and models with drifts on dwells left out in turn."""
+    """Score the zero rate alone, the full gyro model, and this model with each drift, on left-out dwells.
+
+    Each dwell at rest is left out once and predicted by a fit to all others.
+    """
     if len(data) < 3:
         return {}
     models = {"zero rate": _Model.of(data, ()), METHOD: model}
@@ -552,7 +575,10 @@ def _scores(data: Readings, model: _Model) -> dict[str, GyroScore]:
 
 
 def _left_out(model: _Model, rows: NDArray[np.intp]) -> GyroScore | None:
-    """Residuals of rows left out one by one; None if the others do not determine the model."""
+    """Score a model on rows of the readings, each predicted by a fit to all other rows.
+
+    Returns None if a fit without one of the rows does not determine the model's free parameters.
+    """
     data, residuals = model.data, []
     for row in rows.tolist():
         kept = np.arange(len(data)) != row
@@ -587,7 +613,7 @@ def _warnings(
 
 
 def _kinds(names: Sequence[str]) -> list[str]:
-    """`gyro_misalignment_xy, xz`: combine names of one kind."""
+    """Shorten a list of parameter names, such as `gyro_misalignment_xy, xz`, short for two names."""
     groups: dict[str, list[str]] = {}
     for name in names:
         stem, axes = name.rsplit("_", 1)
@@ -596,7 +622,7 @@ def _kinds(names: Sequence[str]) -> list[str]:
 
 
 def _remedy(data: Readings, model: _Model) -> str:
-    """Measurements that would determine the remaining parameters."""
+    """Advice to the user: the measurements that would determine the undetermined parameters."""
     steps = []
     if any(name.startswith("g_") for name in model.lost) or _lacks(data, "g_sensitivity"):
         steps.append("measure poses with each axis up and down")
@@ -606,7 +632,10 @@ def _remedy(data: Readings, model: _Model) -> str:
 
 
 def _drifting(data: Readings, model: _Model, parameters: dict[str, Value]) -> list[str]:
-    """Warnings of g-sensitivities that a drift would change by more than their own standard uncertainty."""
+    """Warn if a drift in the model would change a g-sensitivity by more than its standard uncertainty.
+
+    Also warns if a g-sensitivity cannot be determined in addition to the drift.
+    """
     warnings = []
     for word in DRIFTS:
         with_drift = _Model.of(data, (*_EFFECTS, DRIFTS[word]))
@@ -639,7 +668,7 @@ _STEM = "gyro_scale_"
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of the gyros by the turns between a session's positions, which need no extra measurement.
+    """Scale factors of the gyros from the turns between a session's positions, without extra measurements.
 
     Attributes
     ----------
@@ -653,7 +682,7 @@ class Gains:
 
     @property
     def line(self) -> str:
-        """`gain of gyro Z by 3 turns between dwells: 1.0098 ± 0.0004`."""
+        """Text for the user, such as `gain of gyro Z by 3 turns between dwells: 1.0098 ± 0.0004`."""
         shown = ", ".join(
             f"{name.removeprefix(_STEM).upper()} {format_uncertain(value.value, value.u, value.unit)}"
             for name, value in self.values.items()
@@ -662,18 +691,18 @@ class Gains:
         return f"gain of {gyros} {shown}, by {counted(self.turns, 'turn')} (fit --sensor-part gyro)"
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON: the parameters by name, and `turns_used`."""
+        """JSON object: the scale factors by parameter name, and the number of turns as `turns_used`."""
         return {name: value.as_dict() for name, value in self.values.items()} | {"turns_used": self.turns}
 
 
 def gains_in(result: GyroFit) -> Gains | None:
-    """Gains in a fit of the gyros; None without a turn that determines one."""
+    """Scale factors in a fit of the gyros; None if no turn determines a scale factor."""
     found = {name: value for name, value in result.parameters.items() if name.startswith(_STEM)}
     return Gains(found, result.turns) if found and result.turns else None
 
 
 def gains_of(session: Session) -> Gains | None:
-    """Gains by a session's turns; None without a turn that determines one."""
+    """Fit the gyros of a session and return their scale factors; None if no turn determines one."""
     try:
         if not any(turn.gyro is not None and len(turn) for turn in session.turns):
             return None
@@ -684,7 +713,7 @@ def gains_of(session: Session) -> Gains | None:
 
 @dataclass(frozen=True)
 class GyroEstimates:
-    """Estimates of the gyros by a fit or a trace.
+    """Estimated parameters of the gyros, from a fit or a trace, as the input of a calibration.
 
     Attributes
     ----------
@@ -693,7 +722,7 @@ class GyroEstimates:
     covariance : (names, (p, p) float) or None
     not_corrected : tuple of NotCorrected
     doubts : tuple of str
-        Why it is no sound base for the chip, one line each; empty if it is one.
+        Reasons not to write offsets from these estimates to the chip, one line each; usually empty.
     remarks : tuple of str
         Warnings for the user.
     """
@@ -707,7 +736,7 @@ class GyroEstimates:
 
 
 def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
-    """Estimates by `fit --sensor-part gyro`; a residual above the noise is a doubt."""
+    """Convert the result of `fit --sensor-part gyro` to `GyroEstimates`; excess residuals become doubts."""
     large = [f"{axis} {math.sqrt(own):.2g}" for axis, own in result.inflation.items() if own > 1]
     doubts = [f"the gyros' residual is larger than their noise ({', '.join(large)} times)"] if large else []
     return GyroEstimates(
@@ -720,13 +749,13 @@ def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
 
 
 def gyro_calibration_as_it_is(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
-    """Return the calibration for the present offsets of the sensor; see `gyro_as_written`."""
+    """Return the calibration for the chip's present offset registers; see `gyro_as_written`."""
     made = make_gyro_calibration(found, where)
     return made if where is None else gyro_as_written(made, where)
 
 
 def make_gyro_calibration(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
-    """Return the calibration for the offsets in force while its session was recorded."""
+    """Return the calibration for the offset registers as they were while the session was recorded."""
     about: dict[str, Any] = {}
     if where is not None:
         about = {name: getattr(where, name) for name in ("temperature_c", "supply_v", "source")}
@@ -736,7 +765,10 @@ def make_gyro_calibration(found: GyroEstimates, where: Provenance | None) -> Gyr
 
 
 def gyro_as_written(gyro: GyroCalibration, where: Provenance) -> GyroCalibration:
-    """Calibration for the present state of the part: later writes change the zero rates and the force."""
+    """Adapt a calibration to the offsets that were written to the chip after its session.
+
+    Gyro offsets change the zero rates; accelerometer offsets change the measured force.
+    """
     if where.gyro_write_open:
         raise SessionError(f"{where.source}: {INTERRUPTED}")
     if where.gyro_written_lsb is not None:

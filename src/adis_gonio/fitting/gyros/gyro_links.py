@@ -1,4 +1,4 @@
-"""Rotations of the part between two poses by its gyros, with their full uncertainty.
+"""Rotations of the sensor between two poses, measured by its gyros, with their full uncertainty.
 
 The zero rate over a turn is the mean of the two adjacent dwells, and its g-sensitivity follows the
 accelerometers while the part turns. The uncertainty of the rotation has these parts:
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
 SHEET_GAIN = 0.02
-"""Limit of a gain's error (CHIP: sensitivity ±2 %)."""
+"""Limit of the relative error of a gyro's scale factor (CHIP: sensitivity ±2 %)."""
 SHEET_FRAME_DEG = 0.5
 """Limit of the angle between a triad and the package (CHIP), for gyros and accelerometers."""
 SHEET_ASYMMETRY = 0.002
@@ -64,7 +64,7 @@ _NAMES = (
 
 @dataclass(frozen=True)
 class GyroPrior:
-    """Prior parameters of three gyros in the order of `PARAMETERS`, by a data sheet or a calibration.
+    """Prior of the parameters of three gyros, from a data sheet or a calibration, in `PARAMETERS` order.
 
     Attributes
     ----------
@@ -77,14 +77,14 @@ class GyroPrior:
 
     @cached_property
     def root(self) -> Floats:
-        """Root (21, q) of the covariance."""
+        """Square root (21, q) of the prior covariance: root times its transpose is the covariance."""
         size, axes = np.linalg.eigh(self.covariance)
         kept = size > 1e-12 * max(float(size[-1]), 1e-300)
         return np.asarray(axes[:, kept] * np.sqrt(size[kept]))
 
     @classmethod
     def of_sheet(cls, sensor: str) -> GyroPrior:
-        """Perfect gyros with the uncertainty of their data sheet: rectangles within its limits.
+        """Prior of the gyros: perfect, with rectangular distributions within the limits of the data sheet.
 
         Gains and misalignments of each gyro are independent. The whole triad is rotated against the
         triad of the accelerometers: the direction of each in the package is equally uncertain.
@@ -110,7 +110,7 @@ class GyroPrior:
         return cls(values, covariance)
 
     def calibrated(self, gyros: GyroCalibration) -> GyroPrior:
-        """Replace the parameters that a calibration determines."""
+        """Replace the prior of each parameter that a calibration of the gyros determines."""
         values, covariance = self.values.copy(), self.covariance.copy()
         names = np.array(_NAMES)
         known = np.flatnonzero([name in gyros for name in names])
@@ -129,9 +129,10 @@ class GyroPrior:
         Parameters
         ----------
         gram, product : (3, 3) float
-            Forces times forces, and forces times rates (a column per gyro), each minus its mean.
+            Sums over dwells of force times force, and of force times zero rate (a column for each gyro),
+            each factor minus its mean.
         variance : (3,) float
-            Of a zero rate, by gyro.
+            Variance of the zero rate of each gyro in a dwell.
         """
         values, covariance = self.values.copy(), self.covariance.copy()
         for gyro in range(3):
@@ -145,7 +146,7 @@ class GyroPrior:
 
 
 def _parameters(gyros: GyroCalibration, values: Floats) -> Floats:
-    """Parameters (21,) by the values of a calibration."""
+    """Convert the values of a calibration to the 21 gyro parameters of the prior."""
     held = dict(zip((one.name for one in gyros.parameters), values.tolist(), strict=True))
     misalignment = np.array([[held.get(f"gyro_misalignment_{i}{j}", 0.0) for j in AXES] for i in AXES])
     gains = np.array([held.get(f"gyro_scale_{i}", 1.0) for i in AXES])
@@ -155,7 +156,7 @@ def _parameters(gyros: GyroCalibration, values: Floats) -> Floats:
 
 
 EARTH_DPS = 360.0 / 86164.0
-"""Rate of the earth."""
+"""Rate of rotation of the earth in °/s."""
 _CONTRAST = np.array([-0.5, 1.0, -0.5])
 """Weights of dwell, turn, dwell: zero rate over the turn minus its estimate."""
 
@@ -174,7 +175,7 @@ class Leg:
     zero_dps2 : (3,) float
         Variance of the subtracted zero rate.
     missing_rad2 : float
-        Variance by lost scans, each axis.
+        Variance of the angle about each axis by lost samples.
     spans_s : (3, 2) float
         Begin and end of the dwell before, the turn and the dwell after.
     shared_dps2 : (3,) float
@@ -194,7 +195,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class GyroLinks:
-    """All links of a session, with only the prior known of its gyros.
+    """All turns of a session as links, before the parameters of its gyros are fitted.
 
     Attributes
     ----------
@@ -217,7 +218,10 @@ class GyroLinks:
 
     @cached_property
     def _wander(self) -> tuple[Floats, Floats]:
-        """1/f noise of an Allan variance of 1: variance (m,) of each leg, covariance (m,) with the next."""
+        """Effect on each turn of 1/f noise with an Allan variance of 1.
+
+        Returns its variance (m,) for each turn, and its covariance (m,) with the next turn.
+        """
         own, following = np.zeros(len(self.legs)), np.zeros(len(self.legs))
         for k, leg in enumerate(self.legs):
             # Variance of the contrast of dwell, turn and dwell.
@@ -307,7 +311,7 @@ def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | 
 
 
 def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
-    """Samples of a turn from rest to rest, or the reason why it gives no link."""
+    """Samples of a turn from one dwell to the next, or the reason why it gives no link."""
     before, after = (rests.by_position.get(position) for position in (turn.before, turn.position))
     if before is None or after is None:
         return "one of its dwells has no gyros"
@@ -339,7 +343,7 @@ def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
 
 
 def _by_dwells(prior: GyroPrior, rests: GyroDwells) -> GyroPrior:
-    """Update the g-sensitivity of a prior by the zero rates of the dwells."""
+    """Update the prior of the g-sensitivity with the zero rates measured in the dwells."""
     if len(rests.dwells) < 2 or not np.isfinite(rests.force_g).all():
         return prior
     # Least squares of zero rates on forces, both minus their means.

@@ -1,4 +1,4 @@
-"""Readings of the gyros: mean rates over dwells and turns, with the true rotation of the part.
+"""Readings of the gyros: mean rates over dwells and turns, with the true rotation of the sensor.
 
 Nothing rotates in a dwell, and a turn counts if its true rotation is known (`turn_references`). Both are
 means over time. Everything linear in the rate (gain, direction of the axis, zero rate, g-sensitivity)
@@ -68,7 +68,7 @@ rate."""
 
 @dataclass(frozen=True)
 class _Interval:
-    """One row of `RateIntervals`; its fields have the names of the columns."""
+    """One row of `RateIntervals`; each field is an entry of the column with its name."""
 
     mean_dps: Floats
     covariance_dps2: Floats
@@ -92,7 +92,7 @@ class _Interval:
 
 @dataclass(frozen=True)
 class RateIntervals:
-    """Dwells and turns in the order of time, one row per interval.
+    """Mean rates of the gyros in dwells and turns, one row for each interval, in the order of time.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class RateIntervals:
     force_g : (n, 3) float
         Mean reading of the accelerometers in g; z is 0 without a Z accelerometer.
     abs_dps : (n, 3) float
-        Mean of |rate| minus the zero rate; 0 for dwells.
+        Mean of |rate − zero rate| over a turn; 0 for dwells.
     temperature_c, supply_v : (n,) float or None
     temperatures_c : (n, 3) float or None
         Temperatures of the three gyros' dies, if the file has all three.
@@ -133,7 +133,7 @@ class RateIntervals:
     references : tuple of str
         Reference of the rotation of each interval: `rest`, `gravity` or `whole turns`.
     refused : tuple of str
-        Turns without a use, and why.
+        Turns that are not used, with the reason.
     notes : tuple of str
         Remarks on the accelerometers as the reference.
     """
@@ -167,17 +167,21 @@ class RateIntervals:
 
     @property
     def length_s(self) -> Floats:
-        """Length (n,) of each interval."""
+        """Duration (n,) of each interval in s."""
         return self.end_s - self.begin_s
 
     def drift(self) -> tuple[Floats, Floats | None]:
-        """1/f noise: independent variances (n, 3) of the intervals, and modes (n, 3, k) that they share."""
+        """Contribution of 1/f noise to the mean rates of the intervals, as their covariance in two terms.
+
+        The first is an independent variance (n, 3) of each interval; the second are modes (n, 3, k) that
+        the intervals share, or None.
+        """
         return flicker_parts(self.begin_s, self.end_s, self.allan_dps2)
 
 
 @dataclass(frozen=True)
 class GyroDwells:
-    """Dwells of a session with gyros, and how their rates were sampled.
+    """Dwells of a session with gyro samples, and the properties of their sampling and noise.
 
     Attributes
     ----------
@@ -202,22 +206,22 @@ class GyroDwells:
 
     @property
     def by_position(self) -> dict[int, int]:
-        """Index of a dwell by its number."""
+        """Row of each dwell by its number in the session."""
         return {dwell.position: k for k, dwell in enumerate(self.dwells)}
 
     @cached_property
     def mean_dps(self) -> Floats:
-        """Mean rates (n, 3): the zero rates including their g-sensitivity."""
+        """Mean rate (n, 3) of each gyro in each dwell in °/s: its zero rate under the force there."""
         return self.scale * np.array([row.mean(axis=0) for row in self.rows])
 
     @cached_property
     def variance_dps2(self) -> Floats:
-        """Variance (n, 3) of the mean rates by the noise of the samples."""
+        """Variance (n, 3) in (°/s)² of the mean rates from the noise of the samples."""
         return np.diagonal(self.noise.covariance, axis1=1, axis2=2)
 
     @cached_property
     def force_g(self) -> Floats:
-        """Mean reading of the accelerometers (n, 3), in g."""
+        """Mean reading (n, 3) of the accelerometers in each dwell, in g."""
         return self.per_g * np.array([three_axes(dwell.accel).mean(axis=0) for dwell in self.dwells])
 
     @cached_property
@@ -275,7 +279,7 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
     Parameters
     ----------
     calibration : Calibration, optional
-        Calibration of the accelerometers of the same part, for parameters that the session lacks.
+        Calibration of the accelerometers of the same sensor, for parameters that the session lacks.
 
     Raises
     ------
@@ -326,9 +330,9 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
 
 
 def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
-    """Number of consecutive whole turns without a change of attitude, by the dwell in which each ends.
+    """For each dwell in which a whole turn ends, the number of such turns in a row without other moves.
 
-    Such turns share the error of the direction of their axis.
+    Turns in a row share the error of the direction of their axis.
     """
     consecutive = {turn.position: 1 for turn in turns}
     group: list[int] = []
@@ -342,7 +346,10 @@ def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
 
 
 def _surroundings(part: Dwell | Turn) -> dict[str, Any]:
-    """Mean temperature, supply and temperatures (3,) of the dies; NaN if not recorded."""
+    """Mean temperature, supply voltage and three gyro die temperatures of a dwell or turn, by name.
+
+    NaN if not recorded.
+    """
     found: dict[str, Any] = {"temperatures_c": np.full(3, math.nan)}
     for name in ("temperature_c", "supply_v"):
         series = getattr(part, name)
@@ -379,7 +386,7 @@ def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[_Interval]
 def _interval_of_turn(
     session: Session, turn: Turn, rests: GyroDwells, triad: Triad, consecutive: int
 ) -> _Interval | str:
-    """Interval of a turn, or the reason why there is none."""
+    """Mean rates during a turn as a row of the table, or the reason why the turn gives none."""
     before, after = (rests.dwells[rests.by_position[k]] for k in (turn.before, turn.position))
     path = path_between(session, turn, before, after)
     integral = NOT_RECORDED if path is None else integrate(path, rests.sampling)
@@ -415,7 +422,7 @@ def _interval_of_turn(
 def _whole(
     session: Session, path: Path, integral: Integral, triad: Triad, delay_s: float, consecutive: int
 ) -> Reference | str:
-    """Reference of whole turns about the vertical."""
+    """True rotation in one or more whole turns about the vertical, or the reason why it is unknown."""
     steady, covariance = steady_force(path, integral.begin_s + delay_s, integral.end_s + delay_s)
     axis = covariance / max(float(steady @ steady), 1e-18)
     sigma = session.fixture_sigma_deg
@@ -428,7 +435,7 @@ def _whole(
 
 
 def _by_gravity(integral: Integral, triad: Triad, positions: tuple[int, int]) -> Reference | str:
-    """Reference of a turn between two dwells with different directions of gravity."""
+    """True rotation in a turn between two dwells, from gravity at both, or why it is unknown."""
     if triad.psi_deg is not None:
         here, there = (triad.psi_deg.get(position) for position in positions)
         if here is None or there is None:
@@ -441,7 +448,7 @@ def _by_gravity(integral: Integral, triad: Triad, positions: tuple[int, int]) ->
 
 
 def gyro_readings_of(session: Session) -> Readings:
-    """Readings of all intervals, check intervals included; computed once and kept with the session.
+    """Readings of all intervals, including `check` intervals; computed once for each session.
 
     Raises
     ------
@@ -457,7 +464,7 @@ def _gyro_readings(session: Session) -> Readings:
 
 
 def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:
-    """Like `gyro_readings_of`, but with a calibration of the part's accelerometers; not kept.
+    """Like `gyro_readings_of`, with a calibration of the accelerometers; the result is not kept for reuse.
 
     Raises
     ------
@@ -480,7 +487,7 @@ def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:
 def readings_of_intervals(
     intervals: RateIntervals, sensor: str = "generic", gravity_mg: float = 1000.0
 ) -> Readings:
-    """Convert rate intervals to readings, as fit and trace take them.
+    """Convert intervals of rates to readings, the input of `fit` and `trace`.
 
     The covariance of a reading is the covariance of the interval, plus the covariance of the true
     rotation, plus its independent part of the 1/f noise. `Readings.slow` has the modes that intervals
@@ -538,7 +545,10 @@ def _conditions(intervals: RateIntervals, force: Floats | None) -> Conditions:
 
 
 def _changing_force(force_g: Floats) -> tuple[Floats | None, list[str]]:
-    """Forces (n, 3) with 0 for components that do not change, and a remark on these components."""
+    """Replace components of the force (n, 3) that do not change by 0, and add a remark on them.
+
+    The forces are None if no component changes.
+    """
     if not np.isfinite(force_g).all():
         return None, ["accelerometers in counts: the gyros' g-sensitivity is not determined"]
     moves = np.ptp(force_g, axis=0) >= LEAST_FORCE_G

@@ -1,4 +1,4 @@
-"""Integrate the three rates over a turn, from rest to rest: the turned angle, and the attitude.
+"""Integrate the rates of the three gyros over a turn, from rest to rest, to its angle and attitude.
 
 The mean rate of a turn needs only the integral of the rates (`integrate`). The trapezoidal rule runs on the
 times of the samples, from the last sample of one dwell to the first sample of the next. The Bartlett filter
@@ -38,13 +38,13 @@ from adis_gonio.model.records import Dwell, Session, Turn
 LONGEST_GAP_S = 0.25
 """Longest gap that is bridged within a turn; a hand's submovements take longer (`sim.hand`)."""
 MARGIN_S = 1.0
-"""Rest that is kept on both sides of the motion."""
+"""Time at rest that is integrated before and after the motion."""
 WINDOW_S = 0.1
-"""Length of the means that separate motion from rest."""
+"""Length of the windows whose mean rate decides between motion and rest."""
 MOVING_DPS = 1.0
-"""A mean above this is motion; a part at rest shows less in every attitude."""
+"""Mean rate in °/s above which a sensor moves; at rest it shows less in every attitude."""
 MOVING_NOISE = 6.0
-"""Smallest mean that is motion, in standard deviations of the mean."""
+"""Mean rate of a window above which the sensor moves, in standard deviations of the mean."""
 SHIFTED_G = 0.01
 """Change of the accelerometers' reading that shows another attitude (0.6°)."""
 HELD_NOISE = 6.0
@@ -58,7 +58,7 @@ _LEAST_BRIDGES = 8
 
 @dataclass(frozen=True)
 class Sampling:
-    """How the rates were sampled.
+    """Properties of the sampling of the gyros: period, filter, range and noise.
 
     Attributes
     ----------
@@ -83,24 +83,24 @@ class Sampling:
 
     @property
     def delay_s(self) -> float:
-        """Delay of the filter: N − 1 samples."""
+        """Delay in s of the chip's filter, N − 1 samples with N = 2^m."""
         return float((2**self.filter_m - 1) * self.period_s)
 
     @property
     def window(self) -> int:
-        """Samples in a mean that separates motion from rest, at least as many as the filter mixes."""
+        """Number of samples per mean in the test for motion, at least the length of the filter."""
         return max(8, round(WINDOW_S / self.period_s), int(2 * 2**self.filter_m - 1))
 
     @property
     def moving_dps(self) -> Floats:
-        """Mean (3,) of a window above which the part moves."""
+        """Threshold (3,) in °/s: the sensor moves if the mean rate of a window exceeds it."""
         spread = np.sqrt(np.diagonal(self.density_dps2) / self.window)
         return np.maximum(MOVING_DPS, MOVING_NOISE * spread)
 
 
 @dataclass(frozen=True)
 class Path:
-    """Samples from the last one of a dwell to the first one of the next dwell.
+    """Samples of a turn, from the end of one dwell to the beginning of the next.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Path:
     rate_dps, force_g : (n, 3) float
         Readings of the gyros and of the accelerometers.
     zero_dps, rest_g : (2, 3) float
-        Means of both in each of the two dwells.
+        Means of the gyros and of the accelerometers in each of the two dwells.
     """
 
     time_s: Floats
@@ -121,7 +121,7 @@ class Path:
 
 @dataclass(frozen=True)
 class Integral:
-    """A turn as its integral.
+    """A turn and the integral of its rates.
 
     Attributes
     ----------
@@ -132,11 +132,12 @@ class Integral:
     covariance_deg2 : (3, 3) float
         From noise and bridged gaps, without changes of the zero rate.
     turned_deg : (3,) float
-        Integral without the mean zero rate of both dwells, good enough to count turns and to find the axis.
+        Integral of the rates minus the mean zero rate of both dwells; it serves to count turns and to find
+        the axis.
     force_g : (3,) float
         Mean reading of the accelerometers.
     mean_abs_dps : (3,) float
-        Mean of |rate − zero|, by which an asymmetry of the gain is multiplied.
+        Mean of |rate − zero rate|, which an asymmetry of the scale factor multiplies.
     samples, bridged : int
         Number of samples, and of lost scans in the interval.
     """
@@ -153,27 +154,27 @@ class Integral:
 
     @property
     def length_s(self) -> float:
-        """Length of the interval."""
+        """Duration of the interval in s."""
         return self.end_s - self.begin_s
 
 
 def dps_per_unit(session: Session) -> float:
-    """Size in °/s of the unit of the session's gyros."""
+    """Factor from the unit of the session's gyros to °/s."""
     return 180.0 / math.pi if session.gyro_unit == "radps" else 1.0
 
 
 def g_per_unit(session: Session) -> float:
-    """Size in g of the unit of the session's accelerometers; NaN for counts."""
+    """Factor from the unit of the session's accelerometers to g; NaN for counts."""
     return math.nan if session.accel_unit == "counts" else 1e-3 * mg_per_unit(session)
 
 
 def three_axes(accel: Floats) -> Floats:
-    """Accelerations (n, 3) of two or three axes; a missing Z is 0."""
+    """Extend accelerations of two axes to (n, 3) with zeros for Z; three axes are returned as given."""
     return accel if accel.shape[1] == 3 else np.column_stack([accel, np.zeros(len(accel))])
 
 
 def path_between(session: Session, turn: Turn, before: Dwell, after: Dwell) -> Path | None:
-    """Samples from the end of one dwell to the beginning of the other; None without any."""
+    """Samples from the end of a dwell to the beginning of the next; None if there are none."""
     if turn.gyro is None or not len(turn) or before.gyro is None or after.gyro is None:
         return None
     per_dps, per_g = dps_per_unit(session), g_per_unit(session)
@@ -189,7 +190,7 @@ def path_between(session: Session, turn: Turn, before: Dwell, after: Dwell) -> P
 
 
 def integrate(path: Path, sampling: Sampling) -> Integral | str:
-    """Integrate a turn; return the reason as text if that is impossible."""
+    """Integrate the gyro rates of a turn to its rotation; if impossible, return the reason as text."""
     if len(path.time_s) < 2 * sampling.window:
         return NOT_RECORDED
     peak = np.abs(path.rate_dps).max(axis=0)
@@ -235,9 +236,9 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
 
 
 def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
-    """True if readings of the accelerometers (n, 3) differ from those in one of the dwells.
+    """True if the mean of the readings `here_g` (n, 3) differs from the mean in one of the two dwells.
 
-    A turn about the vertical changes no reading.
+    `dwell` is 0 or 1. A turn about the vertical changes no reading.
     """
     off = np.abs(here_g.mean(axis=0) - path.rest_g[dwell])
     noise = here_g.std(axis=0) / math.sqrt(len(here_g))
@@ -245,7 +246,7 @@ def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
 
 
 def _moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
-    """True (n,) if the mean of a window around a sample exceeds the mean of a part at rest."""
+    """For each sample (n,), True if the mean rate around it is too large for a sensor at rest."""
     rate = path.rate_dps - path.zero_dps.mean(axis=0)
     # Means of windows that shrink at both ends, by differences of the cumulative sum.
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate, axis=0)])
@@ -259,7 +260,7 @@ def _moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
 
 
 def _is_rest(path: Path, sampling: Sampling, low: int, high: int, zero_dps: Floats) -> bool:
-    """True if the samples between two rows are the zero rate of the adjacent dwell and noise."""
+    """True if the rates between two rows show only the zero rate of the adjacent dwell and noise."""
     time, rate = path.time_s[low : high + 1], path.rate_dps[low : high + 1] - zero_dps
     length = float(time[-1] - time[0])
     if length <= 0:
@@ -272,7 +273,7 @@ def _is_rest(path: Path, sampling: Sampling, low: int, high: int, zero_dps: Floa
 
 
 def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integral | str:
-    """Integrate from one sample to another; return the reason as text if that is impossible."""
+    """Integrate the rates between two samples to a rotation; if impossible, return the reason as text."""
     rows = slice(begin, end + 1)
     time, rate, force = path.time_s[rows], path.rate_dps[rows], path.force_g[rows]
     weight, length = _trapezoid_weights(time), float(time[-1] - time[0])
@@ -296,13 +297,16 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
 
 
 def _trapezoid_weights(time_s: Floats) -> Floats:
-    """Weights (n,) in s by which the trapezoidal rule multiplies samples."""
+    """Weights (n,) in s of the samples in an integral over time by the trapezoidal rule."""
     steps = np.diff(time_s)
     return np.asarray((np.append(steps, 0.0) + np.append(0.0, steps)) / 2)
 
 
 def smooth_blocks(rate: Floats, window: int) -> Floats:
-    """Replace samples by the means of their blocks, because noise about zero has a positive mean of |…|."""
+    """Replace each sample by the mean of its block of `window` samples.
+
+    Without this, noise around zero would add to a mean of absolute rates.
+    """
     # Sums over blocks of `window` samples, the last one shorter.
     starts = np.arange(0, len(rate), window)
     counts = np.diff(np.append(starts, len(rate)))
@@ -311,7 +315,7 @@ def smooth_blocks(rate: Floats, window: int) -> Floats:
 
 
 def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, int] | None:
-    """Covariance (3, 3) in deg² of the error of straight lines over lost scans, and the number of scans.
+    """Covariance (3, 3) in deg² of the error by linear interpolation over lost samples, and their number.
 
     None if too few samples around a gap show that error.
     """
@@ -341,7 +345,10 @@ def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, in
 
 
 def period_of(times_s: list[Floats]) -> float:
-    """Time between samples without a loss: the median of all; NaN without samples."""
+    """Usual time between samples in s: the median over all dwells, unaffected by lost samples.
+
+    NaN without samples.
+    """
     steps = [np.diff(time) for time in times_s if len(time) > 1]
     return float(np.median(np.concatenate(steps))) if steps else math.nan
 
@@ -353,11 +360,11 @@ class AssumedGyros:
     Attributes
     ----------
     sensitivity : (3, 3) float
-        A: gains times directions, a row per gyro.
+        A: scale factors times sensitive directions, one row for each gyro.
     per_g : (3, 3) float
         g-sensitivity in °/s/g.
     asymmetry : (3,) float
-        Relative error of the gain by |rate|.
+        Relative error of the scale factor that multiplies |rate| instead of the rate.
     """
 
     sensitivity: Floats
@@ -366,24 +373,27 @@ class AssumedGyros:
 
     @classmethod
     def of(cls, values: Floats) -> AssumedGyros:
-        """Make gyros from `PARAMETERS` values in their order."""
+        """Make the gyros from an array of values in the order of `PARAMETERS`."""
         return cls(values[:9].reshape(3, 3), values[9:18].reshape(3, 3), values[18:])
 
 
 def gyro_directions(misalignment_deg: Floats) -> Floats:
-    """Unit vectors (3, 3) of the gyros by the misalignment (3, 3) of each towards the other axes."""
+    """Unit vectors (3, 3) along the sensitive axes of the gyros, one row for each gyro.
+
+    `misalignment_deg` (3, 3) has the angle of each gyro (row) towards each other axis (column).
+    """
     sines = np.sin(np.radians(misalignment_deg)) * (1 - np.eye(3))
     return np.asarray(sines + np.diag(np.sqrt(1 - (sines**2).sum(axis=1))))
 
 
 @dataclass(frozen=True)
 class Attitude:
-    """Effect of a turn on a direction fixed in space.
+    """Rotation over a turn, as its effect on a direction that is fixed in space.
 
     Attributes
     ----------
     rotation : (3, 3) float
-        Φ: from components in the part before the turn to those after it.
+        Φ: converts components of a direction in the sensor before the turn to components after it.
     by_parameter : (3, 21) float
         ∂ε/∂(A, g-sensitivity, asymmetry), rad, rad/(°/s/g), rad.
     by_zero : (3, 3) float
@@ -406,7 +416,7 @@ def attitude(
     noise_dps2: Floats,
     magnitude_dps: Floats | None = None,
 ) -> Attitude:
-    """Compute the rotation over a turn.
+    """Integrate the rates of a turn to its rotation, and to the effect of gyro errors on it.
 
     Parameters
     ----------
@@ -446,9 +456,10 @@ def attitude(
 
 
 def _to_end(steps_rad: Floats) -> Floats:
-    """Φ(t₁, t) (n + 1, 3, 3) of each sample, from the angles (n, 3) turned between samples.
+    """Rotation Φ(t₁, t) (n + 1, 3, 3) from the time of each sample to the end of the turn.
 
-    The products run within about √n blocks of about √n steps, all blocks at once, then over the blocks.
+    The argument has the angles (n, 3) turned between samples. The products run within about √n blocks of
+    about √n steps, all blocks at once, then over the blocks.
     """
     from scipy.spatial.transform import Rotation
 

@@ -1,4 +1,4 @@
-"""True rotation of the part between two dwells, as a rotation vector in the accelerometers' frame.
+"""True rotation of the sensor between two dwells, as a rotation vector in the accelerometers' frame.
 
 Gravity on both sides
     If the axis is not upright, the rotation is the angle between the two directions of gravity about the
@@ -32,9 +32,9 @@ MARK_U_DEG = 0.1
 NOT_WHOLE = 0.25
 """Largest distance of a turn from a whole number of turns; a gain error of 2 % in ten turns is less."""
 LEAST_REFERENCE_DEG = 20.0
-"""Smallest turn that determines a gain."""
+"""Smallest turn, in degrees, from which a scale factor is determined."""
 LEAST_INCLINED = math.sin(math.radians(15))
-"""Smallest sine between the axis and gravity for an angle by gravity."""
+"""Smallest sine of the angle between the axis of a turn and gravity for a reference by gravity."""
 STRAIGHT = math.cos(math.radians(5))
 """Least mean cosine between the rate and the axis of a turn in space."""
 _BLOCKS = 400
@@ -42,7 +42,7 @@ _BLOCKS = 400
 
 @dataclass(frozen=True)
 class Reference:
-    """A true rotation.
+    """True rotation of the sensor in a turn, known from gravity or from whole turns.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ UNSEEN = 0.2
 
 
 def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: float) -> Reference | str:
-    """Turn about the stage's axis, from the angles ψ of gravity in both dwells.
+    """True rotation about the stage's axis, from the angle ψ of gravity before and after the turn.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: 
 
 
 def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
-    """Turn about the gyro's own axis, with its angle by gravity (3,) before and after in the part.
+    """True rotation about the axis that the gyros show, with its angle from gravity before and after.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad
 def reference_of_whole_turns(
     integral: Integral, steady: Floats, u_mark_deg: float, axis_rad2: Floats, consecutive: int = 1
 ) -> Reference | str:
-    """Whole turns about the vertical, from a mark back to it.
+    """True rotation for whole turns about the vertical, which end at the mark from which they began.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def reference_of_whole_turns(
 
 
 def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floats]:
-    """Constant part of the accelerometers' reading while the part turns about one axis.
+    """Constant component of the accelerometers' reading while the sensor turns about one axis.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Slips, mistyped and swapped positions: declared angle against gravity's and the gyro's."""
+"""Find slipped, mistyped and swapped positions: compare declared angles with gravity and the gyro."""
 
 from __future__ import annotations
 

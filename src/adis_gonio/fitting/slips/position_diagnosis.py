@@ -1,4 +1,4 @@
-"""Diagnosis of wrong positions: the search over patterns of error, and a finding for each position."""
+"""Diagnosis of wrong positions: search for the most probable faults, and report each wrong position."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ MEANINGS: dict[Name, str] = {
 }
 
 SIZED: frozenset[Name] = frozenset({"mistyped", "misset", "slipped"})
-"""Names of one error with a size."""
+"""Names of faults with an error of one size at one position or at all later ones."""
 
 
 @dataclass(frozen=True)
 class Named(JsonRecord):
-    """One name of a set.
+    """One possible cause of an error, with its positions and probability.
 
     The JSON document is one entry of `names`.
 
@@ -70,7 +70,7 @@ class PositionFinding:
     position : int
         Number of the dwell; of a lasting change the first one.
     finding : Name
-        The most probable name.
+        The most probable cause.
     declared_deg : float or None
         None without a declared angle.
     gravity_deg, gyro_deg : Angle or None
@@ -105,7 +105,10 @@ class PositionFinding:
 
     @property
     def correction(self) -> str | None:
-        """Value of `--angles` that corrects the session; None if the position must be repeated."""
+        """Value for the option `--angles` that corrects the declared angles.
+
+        None if no declared angle can correct the session, so that the position must be measured again.
+        """
         match self.finding:
             case "swapped":
                 return (
@@ -122,7 +125,7 @@ class PositionFinding:
 
     @property
     def sentence(self) -> str:
-        """The finding and its remedy, in a sentence."""
+        """One sentence for the user: the suspected error of the position, and its remedy."""
         where = f"position {self.position}"
         declared = "" if self.declared_deg is None else f"declared {self.declared_deg:g}°, "
         sources = "gravity" if self.gyro_deg is None else "gravity and gyro"
@@ -156,7 +159,7 @@ class PositionFinding:
 
     @property
     def _named(self) -> str:
-        """The finding's name, then the other names of the set, with their positions if these differ."""
+        """Text with the most probable cause, then the other possible causes at this or another position."""
         # If one angle differs from all others, all others differ from it by the opposite.
         by = f"by {_signed((-self.error_deg[0], self.error_deg[1]))}"
         own, elsewhere = [_meaning(self.finding, self.position)], dict[int, list[str]]()
@@ -175,7 +178,7 @@ class PositionFinding:
         return ", or ".join(dict.fromkeys(own))
 
     def as_dict(self) -> dict[str, Any]:
-        """One entry of `positions`."""
+        """One entry of the JSON list `positions`."""
         document: dict[str, Any] = {
             "position": self.position, "finding": self.finding, "declared_deg": self.declared_deg
         }  # fmt: skip
@@ -195,7 +198,7 @@ class PositionFinding:
 
 
 def listed(findings: Sequence[PositionFinding]) -> dict[str, Any]:
-    """The key `positions` of a result's JSON; empty without a finding."""
+    """The entry `positions` of a JSON result, as a mapping; empty if no position is suspected."""
     return {"positions": [found.as_dict() for found in findings]} if findings else {}
 
 
@@ -220,7 +223,7 @@ def _signed(angle: Angle) -> str:
 
 
 CERTAIN = 0.99
-"""Posterior above which a position is accused."""
+"""Posterior probability of a fault above which a position is reported."""
 MOST_FAULTS = 6
 LARGEST = 120
 """Largest number of dwells of a diagnosis, because it computes the covariance of all rows."""
@@ -232,7 +235,7 @@ SETTLED_RAD = math.radians(0.5)
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Findings of a session by the three angles.
+    """Wrong positions of a session, found by comparing angles as declared, by gravity and by the gyro.
 
     Attributes
     ----------
@@ -249,12 +252,15 @@ class Diagnosis:
     sight: Detectability | None = field(default=None, repr=False, compare=False)
 
     def detectable_deg(self, name: Name = "slipped") -> dict[int, float]:
-        """Smallest error of a name that is accused with 99 % power, by position; inf if there is none."""
+        """For each position, the smallest error in degrees that is found with a probability of 99 %.
+
+        `name` is the kind of error. The value is inf if no error of up to half a turn would be found.
+        """
         return {} if self.sight is None else self.sight.detectable_deg(name, CERTAIN)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """One line per finding, swaps once."""
+        """Sentences for the user, one for each wrong position; two swapped positions share a sentence."""
         lines: dict[tuple[object, ...], str] = {}
         for found in self.findings:
             key = (found.finding, *sorted((found.position, *found.others)))
@@ -263,7 +269,10 @@ class Diagnosis:
 
 
 def diagnose(angles: Angles) -> Diagnosis:
-    """Weigh every fault of `position_faults` on every position, and report the certain ones."""
+    """Compute the probability of every fault at every position, and report the certain faults.
+
+    The faults are listed in `position_faults`.
+    """
     declared = int(np.isfinite(angles.declared_rad).sum())
     watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
     if declared < LEAST - watched or len(angles) > LARGEST:
@@ -286,7 +295,10 @@ def diagnose(angles: Angles) -> Diagnosis:
 
 
 def _search(rows: Rows, grid: Sequence[ScatterPoint]) -> tuple[list[Pattern], Weighed]:
-    """Accept faults one after another, the most probable first, until no fault is more probable."""
+    """Accept faults one after another, the most probable first, while a fault is more probable than none.
+
+    Returns the accepted faults and the probabilities after the last one.
+    """
     accepted: list[Pattern] = []
     while True:
         patterns, weighed = _weigh_others(rows, grid, accepted)
@@ -298,7 +310,7 @@ def _search(rows: Rows, grid: Sequence[ScatterPoint]) -> tuple[list[Pattern], We
 def _weigh_others(
     rows: Rows, grid: Sequence[ScatterPoint], accepted: Sequence[Pattern]
 ) -> tuple[list[Pattern], Weighed]:
-    """Weigh all patterns in addition to accepted ones."""
+    """Compute the probability of each further fault, given the accepted faults; return both."""
     known = KnownFaults.of(rows, accepted)
     taken = {(p.name, p.dwells) for p in accepted}
     patterns = [p for p in patterns_of(rows, known.error_rad) if (p.name, p.dwells) not in taken]
@@ -306,7 +318,10 @@ def _weigh_others(
 
 
 def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -> tuple[Floats, Floats]:
-    """Mean (p + q,) and covariance of all columns' values."""
+    """Posterior mean (p + q,) and covariance of the p calibration parameters and q sizes of faults.
+
+    `accepted` are the faults, and `scatter` the standard deviations of the ordinary errors.
+    """
     known = KnownFaults.of(rows, accepted)
     white = Whitened(rows, scatter, known.columns)
     z = white.white_residual(known.residual(rows)[:, None])[:, 0]
@@ -351,7 +366,10 @@ def _findings(
 def _set_of_names(
     position: Sequence[int], patterns: Sequence[Pattern], weighed: Weighed
 ) -> tuple[Named, ...]:
-    """Names by their share among the accusing ones: the smallest set with 95 % of the probability."""
+    """Most probable faults of the session with their probabilities, as a 95 % credible set.
+
+    The probabilities are relative to all faults that accuse a position.
+    """
     accusing = {key: value for key, value in weighed.named.items() if key[1] in ACCUSED}
     total = np.logaddexp.reduce(list(accusing.values()))
     ordered = sorted(accusing.items(), key=lambda item: -item[1])
@@ -367,7 +385,7 @@ def _set_of_names(
 
 @dataclass(frozen=True)
 class _Account:
-    """Angles of the accused positions of one pattern, given all accepted faults."""
+    """Computes the error of each position that one fault affects, given all accepted faults."""
 
     position: Sequence[int]
     rows: Rows
@@ -381,12 +399,15 @@ class _Account:
 
     @cached_property
     def posterior(self) -> tuple[Floats, Floats]:
-        """Mean and covariance of all columns' values."""
+        """Posterior mean and covariance of the calibration parameters and the sizes of faults."""
         return _posterior(self.rows, self.accepted, self.scatter)
 
     @cached_property
     def error(self) -> tuple[Floats, float]:
-        """E (n,) by the patterns, and the standard uncertainty of this pattern's one free amplitude."""
+        """Error (n,) of each position by the accepted faults, in rad, and u of the size of this fault.
+
+        The u is 0 if the size of this fault is not one free number.
+        """
         error, first = self.known.error_rad.copy(), len(self.rows.prior_mean)
         mean, covariance = self.posterior
         u = 0.0
@@ -401,7 +422,7 @@ class _Account:
         return error, u
 
     def finding(self, k: int, name: Name, probability: float, names: tuple[Named, ...]) -> PositionFinding:
-        """Finding of one accused position."""
+        """Finding for the position k: its error, the most probable cause and the other causes."""
         declared = _degrees(self.rows.declared_rad[k])
         gravity, gyro = self._gravity(k), self._gyro(k)
         actual = _weighted_mean([gravity, gyro])
@@ -431,7 +452,11 @@ class _Account:
         )
 
     def _intended(self, k: int, name: Name, declared: float, actual: Angle) -> float | None:
-        """Intended entry: the other's angle of a swap, else an angle on the list, or a whole degree."""
+        """Angle in degrees that the operator probably meant to enter; None if unknown.
+
+        For swapped positions it is the angle of the other position. For a typing error it is the nearest
+        angle on the list of usual angles, else a whole degree.
+        """
         if name == "swapped":
             other = next(j for j in self.pattern.dwells if j != k)
             return _degrees(self.rows.declared_rad[other])
@@ -452,26 +477,33 @@ class _Account:
         return None
 
     def _stated(self, e: float, row: int, variance: float) -> Angle:
-        """E in degrees, with u by its own variance and the columns of a row."""
+        """Convert an error in rad to degrees with u.
+
+        The u combines `variance` with the uncertainty of the calibration at one row of the linear model.
+        """
         columns = self.rows.design[row]
         p = len(columns)
         u = math.sqrt(variance + float(columns @ self.posterior[1][:p, :p] @ columns))
         return math.degrees(float(wrap_radians(np.array(e)))), math.degrees(u)
 
     def _model(self, row: int) -> float:
-        """Value of a row by the posterior mean of its columns."""
+        """Value that the calibration, at its posterior mean, predicts for one row of the linear model."""
         columns = self.rows.design[row]
         return float(columns @ self.posterior[0][: len(columns)])
 
     def _gravity(self, k: int) -> Angle:
-        """E by the reading alone, with the calibration by all others, in degrees."""
+        """Error of the position k in degrees, from its reading calibrated by all other positions."""
         rows, known = self.rows, self.known
         about = wrap_radians(rows.seen_rad[k] + known.error_rad[k] - known.zero_rad)
         e = known.error_rad[k] - (about - self._model(k))
         return self._stated(e, k, float(rows.noise[k, k]) + self.scatter.reading**2)
 
     def _gyro(self, k: int) -> Angle | None:
-        """E by the turn from the dwell before, or to the next one if that has no complete record."""
+        """Error of the position k in degrees, from the turn that the gyro measured between two positions.
+
+        It is the turn from the position before, or else the turn to the next one. None if both records are
+        incomplete.
+        """
         rows = self.rows
         for dwell, sign in ((k, 1.0), (k + 1, -1.0)):
             found = np.flatnonzero(rows.turn == dwell)
@@ -490,7 +522,10 @@ def _degrees(angle_rad: float) -> float:
 
 
 def _weighted_mean(found: Sequence[Angle | None]) -> Angle:
-    """Weighted mean of angles in degrees, on the turn of the first."""
+    """Weighted mean of angles in degrees with u; None entries are ignored.
+
+    All angles are first unwrapped to within half a turn of the first.
+    """
     known = [one for one in found if one is not None]
     weights = np.array([1 / max(u, 1e-6) ** 2 for _, u in known])
     # Unwrap all angles to within half a turn of the first.

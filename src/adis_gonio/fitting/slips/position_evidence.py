@@ -1,4 +1,4 @@
-"""Probability of the rows under each pattern, averaged over calibration and scatter.
+"""Probability of a session's data under each possible fault, averaged over calibration and scatter.
 
 It is the marginal likelihood of a linear Gaussian model. The unknown parameters of the calibration, of
 the gyro and of the catalogue's effects have priors and are integrated in closed form. The scatter of
@@ -30,16 +30,16 @@ MORE_RAD = tuple(math.radians(value) for value in (0.0, 0.05, 0.2, 0.8))
 MORE_STATED, MORE_UNSTATED = (0.8, 0.12, 0.06, 0.02), (0.25, 0.25, 0.25, 0.25)
 LEAST_RAD = math.radians(0.01)
 ROUGH = (0.0, 0.001, 0.005)
-"""Scatter of readings beyond their noise, in g."""
+"""Possible standard deviations of readings in addition to their noise, in g."""
 ROUGH_PRIOR = (0.6, 0.3, 0.1)
 LARGER = (1.0, 8.0)
-"""Factor on the size of the catalogue's effects."""
+"""Possible factors on the typical size of all effects of the catalogue."""
 LARGER_PRIOR = (0.7, 0.3)
 WANDERS = ((math.radians(0.1), 0.0), (math.radians(0.5), 0.0), (0.0, 0.002))
 """Rotation of a part that turns slowly in its mount at the end of a session (standard deviation of a
 random walk), and drift of the zero of an axis, in g."""
 WANDERS_PRIOR = 0.02
-"""Prior of each of them."""
+"""Prior probability of each entry of `WANDERS`."""
 NEGLIGIBLE = 40.0
 """Distance from the best in nats beyond which the case without gyro is not computed for all patterns."""
 GYRO_FAILS = 0.01
@@ -48,7 +48,7 @@ GYRO_FAILS = 0.01
 
 @dataclass(frozen=True)
 class ScatterPoint:
-    """One point of the grid, with the logarithm of its prior."""
+    """Standard deviations of the ordinary errors in a session: one grid point, with ln of its prior."""
 
     position_rad: float
     reading: float
@@ -59,7 +59,10 @@ class ScatterPoint:
 
 
 def scatters(fixture_rad: float | None) -> list[ScatterPoint]:
-    """Grid of scatters."""
+    """Grid of possible standard deviations of the ordinary errors.
+
+    `fixture_rad` is the stated uncertainty of a declared angle, if known.
+    """
     more = MORE_UNSTATED if fixture_rad is None else MORE_STATED
     stated = LEAST_RAD if fixture_rad is None else max(fixture_rad, LEAST_RAD / 10)
     # Without a random walk: all combinations of the three scatters.
@@ -81,14 +84,14 @@ def scatters(fixture_rad: float | None) -> list[ScatterPoint]:
 
 @dataclass(frozen=True)
 class KnownFaults:
-    """Accepted faults, in addition to which the next one is searched.
+    """Faults that are already accepted, in addition to which the next fault is searched.
 
     Attributes
     ----------
     error_rad : (n,) float
-        Their errors at the sizes of their linearisation.
+        Errors of the positions by these faults, at the sizes at which the model is linearised.
     zero_rad : float
-        α without them.
+        Start angle α, estimated after these faults are corrected.
     columns : (m, q) float
         Directions in which their sizes are free.
     """
@@ -99,20 +102,22 @@ class KnownFaults:
 
     @classmethod
     def of(cls, rows: Rows, accepted: Sequence[Pattern]) -> KnownFaults:
-        """Combine accepted patterns; without any the session is as declared."""
+        """Combine accepted faults; without any, all declared angles are taken as correct."""
         error = sum((p.error_rad for p in accepted), np.zeros(len(rows)))
         zero = common_zero(wrap_radians(rows.seen_rad + error)[rows.declared])
         none = np.zeros((len(rows.by_error), 0))
         return cls(error, zero, np.hstack([none, *(p.columns for p in accepted)]))
 
     def residual(self, rows: Rows) -> Floats:
-        """Residual (m,) of the rows."""
+        """Residual (m,) of each row of the linear model, given these faults."""
         return rows.observed(self.error_rad, self.zero_rad)
 
 
 @dataclass(frozen=True)
 class Whitened:
-    """Rows under one scatter, with the sizes of known faults free.
+    """Rows of the linear model, scaled to unit covariance for one grid point of the ordinary errors.
+
+    The sizes of the known faults are free.
 
     Attributes
     ----------
@@ -126,18 +131,18 @@ class Whitened:
 
     @cached_property
     def design(self) -> Floats:
-        """All columns with a prior (m, p + q)."""
+        """Columns (m, p + q) of all values with a prior: calibration, effects, sizes of known faults."""
         return np.hstack([self.rows.design, self.known])
 
     @cached_property
     def prior_sd(self) -> Floats:
-        """Standard deviation (p + q,) of their values."""
+        """Prior standard deviation (p + q,) of the value of each column of `design`."""
         sd = self.rows.prior_sd * np.where(self.rows.effect, self.scatter.effects, 1.0)
         return np.concatenate([sd, np.full(self.known.shape[1], np.pi)])
 
     @cached_property
     def noise(self) -> Floats:
-        """Covariance (m, m) without the columns."""
+        """Covariance (m, m) of the rows from noise and ordinary errors, without the columns of `design`."""
         n = len(self.rows)
         # e without a fault scatters around the declared angle, or anywhere without one.
         turned = self.rows.by_error * np.where(self.rows.declared, self.scatter.position_rad, NOWHERE_RAD)
@@ -155,12 +160,12 @@ class Whitened:
 
     @cached_property
     def root(self) -> Floats:
-        """Cholesky factor of the covariance of the rows."""
+        """Cholesky factor (m, m) of the total covariance of the rows."""
         spread = self.design * self.prior_sd
         return np.asarray(np.linalg.cholesky(self.noise + spread @ spread.T))
 
     def weight(self, z: Floats) -> Floats:
-        """Ln of the scatter's prior times the likelihood of whitened rows, (m, k) → (k,)."""
+        """Ln of prior times likelihood (k,) of this grid point, for whitened residuals (m, k)."""
         scale = -np.log(np.diag(self.root)).sum() - 0.5 * len(self.root) * math.log(2 * math.pi)
         return np.asarray(scale + self.scatter.log_prior - 0.5 * (z * z).sum(axis=0))
 
@@ -171,26 +176,26 @@ class Whitened:
         return np.asarray(solve_triangular(self.root, np.eye(len(self.root)), lower=True))
 
     def white(self, values: Floats) -> Floats:
-        """Values (m, …) with unit covariance."""
+        """Whiten columns (m, …): scale and mix the rows so that their covariance is the identity."""
         return np.asarray(self._inverse @ values)
 
     def white_residual(self, values: Floats) -> Floats:
-        """Values (m, k) minus the columns at their prior mean, with unit covariance."""
+        """Subtract the prediction at the prior mean from columns (m, k), and whiten the difference."""
         return self.white(values - (self.rows.design @ self.rows.prior_mean)[:, None])
 
 
 @dataclass(frozen=True)
 class Weighed:
-    """Patterns weighed against none.
+    """Log probabilities of each possible fault and of no further fault.
 
     Attributes
     ----------
     none : float
-        ln of the probability that nothing else is wrong, not normalized.
+        ln of the probability of no further fault, not normalized.
     named : mapping of (int, Name) to float
-        Logarithm for each pattern, by its number, under each of its names.
+        Such a logarithm for each pair of a fault, by its number, and one of its names.
     scatter : ScatterPoint
-        The grid's most probable point under the best of them.
+        Most probable point of the grid under the most probable case.
     """
 
     none: float
@@ -199,12 +204,18 @@ class Weighed:
 
     @property
     def likeliest(self) -> tuple[int, Name]:
-        """The most probable pattern and name; there must be one."""
+        """Number of the most probable fault and the most probable name for it.
+
+        Raises `ValueError` if there is no possible fault.
+        """
         return max(self.named, key=self.named.__getitem__)
 
     @property
     def best(self) -> int | None:
-        """Number of the most probable pattern by all its names; None if nothing else is wrong."""
+        """Number of the fault that is most probable in total over its names.
+
+        None if no further fault is more probable.
+        """
         whole: dict[int, float] = {}
         for (k, _), value in self.named.items():
             whole[k] = float(np.logaddexp(whole.get(k, -math.inf), value))
@@ -215,7 +226,10 @@ class Weighed:
 def weigh(
     rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
 ) -> Weighed:
-    """Weigh patterns in addition to known faults, with the gyro and without."""
+    """Compute the probability of each further fault, given the known faults.
+
+    It is the sum of two cases: the gyro works, or the gyro is useless.
+    """
     table, keys = _weighed(rows, grid, patterns, known)
     logs = np.logaddexp.reduce(table, axis=1)
     if len(rows.turn):
@@ -238,7 +252,10 @@ def weigh(
 def _weighed(
     rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
 ) -> tuple[Floats, list[tuple[int, Name]]]:
-    """Ln of prior times likelihood (1 + names, grid): of no pattern, then of each pattern and name."""
+    """Ln of prior times likelihood (1 + names, grid), for no further fault and for each fault and name.
+
+    Also returns the pairs of fault number and name that rows 1, 2, … belong to.
+    """
     m = len(rows.by_error)
     shifted = [rows.observed(known.error_rad + p.error_rad, p.zero_rad) for p in patterns]
     residual = np.stack([known.residual(rows), *shifted], axis=1)
@@ -267,7 +284,9 @@ def _weighed(
 
 
 def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
-    """Ln of the prior and of the gain in likelihood by the free directions, over the grid.
+    """Ln of the prior of a fault under a name, plus the gain in ln likelihood by its free sizes.
+
+    The result has one value for each point of the grid.
 
     Parameters
     ----------
@@ -287,7 +306,10 @@ def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
 
 
 def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Floats:
-    """Ln of the likelihood gained by two free directions with Gaussian priors of several sizes."""
+    """Increase of ln likelihood if two amplitudes are free, averaged over several prior sizes.
+
+    The arguments are scalar products of the whitened directions v and w and the residual z.
+    """
     inverse = (1000.0 / np.array(PUSH_MG)[:, None]) ** 2
     # Two by two normal equations for each prior size, solved by hand.
     a, d = vv + inverse, ww + inverse
@@ -300,14 +322,14 @@ def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Float
 POWER = 0.99
 """Share of sessions that show a detectable error."""
 SIZES_DEG = np.geomspace(0.02, 90.0, 120)
-"""Sizes of the errors."""
+"""Sizes in degrees of the simulated errors, from which the smallest detectable one is chosen."""
 _DRAWN = 200
 """Number of simulated sessions."""
 
 
 @dataclass(frozen=True)
 class Detectability:
-    """A session without its accepted faults, into which faults of each size are put.
+    """Simulates faults of several sizes in a session, from which the accepted faults are removed.
 
     Attributes
     ----------
@@ -321,7 +343,9 @@ class Detectability:
     known: KnownFaults
 
     def detectable_deg(self, name: Name, certain: float) -> dict[int, float]:
-        """Smallest error at each position with a posterior of `certain` in 99 % of sessions, in degrees.
+        """Smallest error in degrees at each position that 99 % of simulated sessions show clearly.
+
+        Clearly means that the probability of a fault, given the session, exceeds `certain`.
 
         An error of each size is put into sessions simulated with the scatter of this one. Only names with
         one free size count, and only one fault at a time.
@@ -350,7 +374,10 @@ class Detectability:
         return found
 
     def _odds(self, pattern: Pattern, name: Name, drawn: list[tuple[Whitened, Floats]]) -> Floats:
-        """Log odds (sizes, sessions) of the pattern under the name against none."""
+        """Log odds (sizes, sessions) of a fault with this name against no fault, in simulated sessions.
+
+        Each session has this fault in each size; `drawn` are the sessions' ordinary errors and noise.
+        """
         log_prior, amplitude = pattern.names[name]
         assert amplitude is not None
         sizes = np.radians(SIZES_DEG)[:, None]

@@ -1,4 +1,4 @@
-"""Possible faults of a position, as patterns of error with priors: the whole list of hypotheses.
+"""List of all possible faults of positions: the errors that each one causes, and its prior.
 
 | name | the part is at θ + e with |
 |---|---|
@@ -33,7 +33,7 @@ LARGEST_DEG = 360.0
 
 
 def possible_entries(declared_deg: float, others_deg: Iterable[float] = ()) -> tuple[float, ...]:
-    """Angles that become `declared_deg` by one typing error, without itself.
+    """Angles in degrees that one typing error turns into `declared_deg`; this angle is not included.
 
     The errors are a sign, a quarter or half turn (90 for 270), two digits exchanged, one digit wrong,
     dropped or doubled, a misplaced decimal point, and the angle of another position of the session.
@@ -78,7 +78,7 @@ LISTED, WHOLE = 0.9, 0.07
 Of errors in numbers that people copied 79 % were one wrong digit, 10 % two exchanged digits, 9 % another
 error (Verhoeff, Error Detecting Decimal Codes, 1969)."""
 PUSH_MG = (10.0, 50.0, 250.0)
-"""Standard deviations of an acceleration in a reading."""
+"""Prior standard deviations of a wrong reading, such as by an acceleration, in mg."""
 NEAR_RAD = math.radians(6.0)
 """Largest distance of gravity from both angles of a swap, before any calibration, for the swap to be
 considered."""
@@ -90,22 +90,22 @@ Names = dict[Name, tuple[float, AmplitudePrior | None]]
 
 @dataclass(frozen=True)
 class Pattern:
-    """One pattern of error, with the names that may cause it.
+    """Errors that one fault causes at the positions, with the possible names of the fault.
 
     Attributes
     ----------
     dwells : tuple of int
-        Rows of the accused dwells; for a gyro the dwell in which the turn ends.
+        Rows of the affected dwells; for a fault of the gyro, the dwell in which the turn ends.
     error_rad : (n,) float
-        e at which the pattern is linearised.
+        Error of each position at which the model is linearised.
     columns : (m, q) float
-        Directions of the rows in which it is free; q is 0, 1 or 2.
+        Change of the rows of the model by each free size of the fault; q is 0, 1 or 2.
     unit : (n,) float
-        e per unit of the one free amplitude.
+        Error of each position for a size of 1, if one size is free.
     amplitude : float
-        Amplitude that is already in `error_rad`.
+        Size of the fault that is already in `error_rad`.
     names : mapping of Name to (float, AmplitudePrior or None)
-        ln of the prior, and of the amplitude; None without a free amplitude.
+        ln of the prior of each name, and the prior of the size; None without a free size.
     """
 
     dwells: tuple[int, ...]
@@ -118,12 +118,15 @@ class Pattern:
 
     @property
     def name(self) -> Name:
-        """The first of the names."""
+        """First name of a cause in `names`."""
         return next(iter(self.names))
 
 
 def patterns_of(rows: Rows, before_rad: Floats) -> list[Pattern]:
-    """All patterns in addition to known errors (n,)."""
+    """All patterns of error that one further fault can cause.
+
+    `before_rad` (n,) are the errors of the positions by the faults already accepted.
+    """
     seen = wrap_radians(rows.seen_rad + before_rad)
     zero = common_zero(seen[rows.declared])
     found = list(_single(rows, seen, zero))
@@ -230,7 +233,10 @@ def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
 
 
 def _any_size(estimate: Floats, u: Floats) -> Floats:
-    """Each order of magnitude of a slip is equally probable, up to half a turn."""
+    """Ln of the evidence of a slip without a known size, from its estimate and u in rad.
+
+    Each order of magnitude of the slip is equally probable, up to half a turn.
+    """
     # Density 1/size up to half a turn, constant below the least slip.
     size = np.maximum(np.maximum(np.abs(wrap_radians(estimate)), u), LEAST_SLIP_RAD)
     density = 1 / (2 * size * (1 + math.log(math.pi / LEAST_SLIP_RAD)))
@@ -238,12 +244,15 @@ def _any_size(estimate: Floats, u: Floats) -> Floats:
 
 
 def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
-    """Slip of any size, with the evidence of the rests on the way."""
+    """Like `_any_size`, with the evidence from the rests that the gyro recorded during the turn."""
     return _any_size(estimate, u) + halts.log_odds(wrap_radians(estimate), u)
 
 
 def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
-    """On the list, a whole degree, or anywhere."""
+    """Ln of the evidence of a wrongly typed angle, from the estimated error and its u in rad.
+
+    The intended angle is on the list of usual angles, a whole degree, or any angle.
+    """
     spread = u * math.sqrt(2 * math.pi)
     # Mean over the list of Gaussians around each possible entry.
     on_list = np.exp(-0.5 * (wrap_radians(listed_rad[:, None] - estimate) / u) ** 2).mean(axis=0)

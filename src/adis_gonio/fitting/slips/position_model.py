@@ -1,4 +1,4 @@
-"""The three angles as one linear model: rows of gravity and of the gyro against the declared angles.
+"""Linear model of the angles of a session: by gravity and by the gyro, against the declared angles.
 
 ψ = α − φ is the angle of gravity to X. The part is at φ = θ + e, with declared angle θ and its error e.
 The rows are linear around a calibration of the session that is near the truth:
@@ -36,7 +36,7 @@ second."""
 LEAST_S = 0.15
 """Shortest rest; a hand that changes its grip, or looks at a mark, takes longer."""
 AFTERWARDS = 0.5
-"""Prior share of slips after the stage has arrived."""
+"""Prior probability that a slip happens after the stage has stopped, so with a rest before it."""
 NEAR_MARK, ASTRAY = 0.05, 0.1
 """Distance from the mark at which hands rest to correct themselves, and the farthest overshoot, both in
 lengths of the move."""
@@ -48,12 +48,12 @@ REST_GAIN, LEAST_RAD = 0.02, math.radians(0.1)
 
 @dataclass(frozen=True)
 class Halts:
-    """Rests on the way of one turn.
+    """Rests of the sensor during one turn from a position to the next.
 
     Attributes
     ----------
     left_rad : (m,) float
-        Further rotation of the part after each, in the direction of declared angles.
+        Rotation of the sensor after each rest until the end, in the direction of declared angles.
     turned_rad : float
         The whole turn.
     """
@@ -62,7 +62,7 @@ class Halts:
     turned_rad: float
 
     def log_odds(self, error_rad: Floats, u_rad: Floats) -> Floats:
-        """Ln (g,) of the ratio of probabilities of these rests with a slip in this turn and without.
+        """Ln (g,) of the likelihood ratio: these rests if a slip occurred in this turn, against no slip.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class Halts:
         return np.asarray(np.log(1 - AFTERWARDS + AFTERWARDS * ratio))
 
     def _ordinary(self) -> Floats:
-        """Density (m,) of rests of a move without a slip."""
+        """Probability density (m,) of each rest if the move has no slip."""
         size = max(abs(self.turned_rad), LEAST_RAD)
         left = self.left_rad * np.sign(self.turned_rad) if self.turned_rad else self.left_rad
         sd = math.hypot(NEAR_MARK * size, LEAST_RAD)
@@ -93,7 +93,7 @@ class Halts:
 
 
 def halts_of(path: Path, sampling: Sampling) -> Halts:
-    """Rests between the first and the last movement of a path, about z."""
+    """Find the rests between the first and the last movement of a recorded turn about z."""
     rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
     steps = np.diff(path.time_s, append=path.time_s[-1])
     means = (rate + np.append(rate[1:], rate[-1])) / 2
@@ -116,7 +116,7 @@ def halts_of(path: Path, sampling: Sampling) -> Halts:
 
 @dataclass(frozen=True)
 class Increments:
-    """Rotation of the part from each dwell to the next, by the gyro about the axis of rotation.
+    """Rotation of the sensor from each dwell to the next, measured by the gyro along the axis of rotation.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class Increments:
 
 @dataclass(frozen=True)
 class Angles:
-    """n dwells of a turn in the plane, in the order of the recording.
+    """Input of the diagnosis: n dwells of a turn in the plane, in the order of the recording.
 
     Attributes
     ----------
@@ -179,9 +179,9 @@ class Angles:
 
 
 GAIN = 0.02
-"""Standard deviation of a gain (CHIP, B: ±2 %)."""
+"""Prior standard deviation of the relative error of a scale factor (CHIP, B: ±2 %)."""
 SKEW_RAD = math.radians(0.75)
-"""Standard deviation of the misalignment (CHIP, B: ±0.25° and ±0.5°)."""
+"""Prior standard deviation of the misalignment (CHIP, B: ±0.25° and ±0.5°)."""
 GYRO_GAIN = 0.01
 """Standard deviation of a gyro's gain (D: the sheets at hand state none)."""
 GYRO_FORCE_RAD = math.radians(0.1)
@@ -189,39 +189,39 @@ GYRO_FORCE_RAD = math.radians(0.1)
 TYPICAL = 3.0
 """Standard deviation of an effect that may be present, in typical magnitudes of the catalogue."""
 BASE = 5
-"""Parameters of the calibration itself: gains, misalignment, biases."""
+"""Number of calibration parameters: two scale factors, the misalignment, two biases."""
 _LOOKED_FOR = {"dwell", "cycles"}
 """Choices of effects that the patterns themselves look for: in one dwell, or by cycles of the stage."""
 ROUNDS = 4
 
 
 NOMINAL = np.array([1.0, 1.0, 0.0, 0.0, 0.0])
-"""Calibration of a perfect part: K_x, K_y, Δφ in rad, b_x and b_y in mg."""
+"""Calibration of a perfect sensor: K_x, K_y, Δφ in rad, b_x and b_y in mg."""
 TURNED_AWAY = 4.0
 """Length in robust standard deviations above which a reading hardly counts in the first calibration."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of the linear model: n angles, n lengths, then the g turns with a complete record.
+    """Linear model of a session: rows for n angles, n lengths, and g turns with a complete record.
 
     Attributes
     ----------
     seen_rad : (n,) float
-        y of each dwell, within ±π.
+        y of each dwell: the start angle α that its reading shows at its declared angle, within ±π.
     length : (n,) float
     gyro_rad : (g,) float
-        γ of each turn.
+        γ of each turn: the angle measured by the gyro.
     turn : (g,) int
         Dwell in which each turn ends.
     design : (2n + g, p) float
         Columns: α, the calibration, effects, the gyro's.
     prior_sd, prior_mean : (p,) float
-        Of δ about the calibration of the rows.
+        Prior of the values of the columns, as differences from the calibration of the linear model.
     effect : (p,) bool
-        Columns of effects, with a guessed size.
+        True for columns of effects of the catalogue, which have a guessed size.
     by_error : (2n + g, n) float
-        ∂row/∂e.
+        Derivative of the rows by the error e of each position.
     noise : (2n + g, 2n + g) float
     reading : (2n + g, 2) float
         ∂row/∂reading of its dwell on each axis, per G.
@@ -254,7 +254,7 @@ class Rows:
         return len(self.declared)
 
     def without_gyro(self) -> Rows:
-        """The rows without the turns."""
+        """Copy of the linear model without the rows for turns measured by the gyro."""
         n = 2 * len(self)
         return replace(
             self, gyro_rad=self.gyro_rad[:0], turn=self.turn[:0], design=self.design[:n],
@@ -262,14 +262,17 @@ class Rows:
         )  # fmt: skip
 
     def observed(self, error_rad: Floats, zero_rad: float) -> Floats:
-        """Residuals (m,) of the rows if the part is at θ + `error_rad` (n,) and α is `zero_rad`."""
+        """Residual (m,) of each row if the positions have these errors and the start angle α is `zero_rad`.
+
+        The sensor is then at the declared angle plus `error_rad` (n,).
+        """
         angle = wrap_radians(self.seen_rad + error_rad - zero_rad)
         asked = (self.declared_rad + error_rad)[self.turn] - (self.declared_rad + error_rad)[self.turn - 1]
         return np.concatenate([angle, self.length, wrap_radians(self.gyro_rad - asked)])
 
 
 def common_zero(angle_rad: Floats) -> float:
-    """Angle with the least sum of distances from all others (a median on the circle); 0 without angles."""
+    """Median of angles (n,) on the circle: the angle with the least sum of distances; 0 if n is 0."""
     if not len(angle_rad):
         return 0.0
     apart = np.abs(wrap_radians(angle_rad[:, None] - angle_rad[None, :])).sum(axis=0)
@@ -278,7 +281,7 @@ def common_zero(angle_rad: Floats) -> float:
 
 @dataclass(frozen=True)
 class _Local:
-    """A reading model near the readings: directions along and across the circle."""
+    """Model of the readings, linearised at each reading, along and across the circle of readings."""
 
     psi_rad: Floats
     along: Floats
@@ -310,7 +313,10 @@ def _base_sd(angles: Angles) -> Floats:
 
 
 def calibrate_by_length(angles: Angles) -> Floats:
-    """First calibration (5,), by the lengths of the readings alone, without any declared angle."""
+    """First estimate (5,) of the calibration, which uses no declared angle.
+
+    Each calibrated reading must have the length of gravity.
+    """
     calibration = NOMINAL
     sd = _base_sd(angles)
     for _ in range(ROUNDS if len(angles) > 1 else 1):
@@ -329,7 +335,7 @@ def calibrate_by_length(angles: Angles) -> Floats:
 
 
 def rows_at(angles: Angles, calibration: Floats) -> Rows:
-    """The linear model about a calibration (5,)."""
+    """Linear model of readings and gyro turns, linearised at a calibration (5,)."""
     near, n = _local(angles, calibration), len(angles)
     seen_by = near.psi_rad + (near.along * near.left_mg).sum(axis=1)
     declared = np.isfinite(angles.declared_rad)
@@ -389,7 +395,7 @@ def rows_at(angles: Angles, calibration: Floats) -> Rows:
 
 
 def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
-    """Dwells in which completely recorded turns end, with angle, u and force."""
+    """Turns with a complete gyro record: the dwell in which each ends, its angle, u and force."""
     if angles.turns is None:
         return np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros((0, 2))
     watched = np.flatnonzero(np.isfinite(angles.turns.angle_rad))
@@ -402,7 +408,11 @@ def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
 
 
 def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
-    """Effects of the catalogue: columns on readings (n, 2, q) in mg and on ψ (n, r), sizes (q + r,)."""
+    """Derivatives of the readings by each effect of the catalogue that may act in addition.
+
+    Returns columns (n, 2, q) in mg of effects on readings, columns (n, r) of effects on the angle ψ, and
+    the prior size (q + r,) of each effect.
+    """
     conditions = _by_gravity(angles.conditions, near, angles)
     added: list[Floats] = []
     turned: list[Floats] = []
@@ -432,7 +442,10 @@ def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Float
 
 
 def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditions:
-    """Conditions at the angles of gravity, because a declared angle may be wrong."""
+    """Replace the declared angles in `conditions` by the angles from gravity.
+
+    A declared angle may be wrong.
+    """
     zero = common_zero(wrap_radians(near.psi_rad + angles.declared_rad))
     angle = zero - near.psi_rad
     before = np.concatenate([angle[:1], angle[:-1]])

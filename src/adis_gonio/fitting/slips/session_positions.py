@@ -1,4 +1,4 @@
-"""The three angles of a session: readings as every fit has them, and the gyro between the dwells."""
+"""Input of the diagnosis of positions: a session's declared angles, its readings, and its gyro turns."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ BIAS_MG = 60.0
 INSTABILITY_DPS = 0.015
 """Drift of a gyro's zero between dwells if no figure is known (the simulator's default, D)."""
 BLOCK_S = 0.25
-"""Means over this length are independent with every filter."""
+"""Length of blocks in s: their means are independent with every filter setting."""
 UNKNOWN_MG = 1.0
 """Standard uncertainty assumed for a reading without one."""
 
 
 def positions_of(session: Session) -> Diagnosis:
-    """Diagnose a session's positions by the three angles; computed once and kept with the session.
+    """Diagnose a session's positions from declared angles, gravity and gyro; the result is kept for reuse.
 
     There are no findings for sessions in space, without declared angles, or with more than `LARGEST`
     dwells.
@@ -53,13 +53,13 @@ def _diagnosed(session: Session) -> Diagnosis:
 
 
 def failure_message(session: Session, error: Exception) -> str:
-    """Message of a failed fit with its file, and with faults of positions, which may be the cause."""
+    """Message for a failed fit, with the file's name and suspected positions as a possible cause."""
     text = "; ".join((str(error), *positions_of(session).sentences))
     return f"{session.source}: {text}" if session.source else text
 
 
 def angles_of(session: Session) -> Angles | None:
-    """Declared angles, readings and increments; None if no declared angle can be wrong."""
+    """Input of the diagnosis: declared angles, readings and turns; None if no angle can be wrong."""
     if session.plane != "xy" or session.free_attitudes or not 2 <= len(session.dwells) <= LARGEST:
         return None
     readings = readings_of(session)
@@ -106,7 +106,7 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
 
 
 def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
-    """Angle about z and its u in degrees between two dwells, as the bench recorded them during the session.
+    """Turn about z and its u, in degrees, by the numbers of the two dwells, as `bench` recorded it.
 
     The u includes the g-sensitivity.
     """
@@ -120,7 +120,7 @@ def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
 
 
 def _sampling(session: Session, dwells: Sequence[Dwell]) -> tuple[Sampling, float]:
-    """How the gyros were sampled, and the variance of the mean of a dwell about z."""
+    """Describe the sampling of the gyros, and compute the variance of the mean rate about z in a dwell."""
     configuration = session.facts.get("configuration") or {}
     variant = VARIANTS.get(session.sensor)
     range_dps = configuration.get("gyro_range_dps") or (math.inf if variant is None else 300.0)
@@ -135,7 +135,10 @@ def _sampling(session: Session, dwells: Sequence[Dwell]) -> tuple[Sampling, floa
 
 
 def _density(session: Session, dwells: Sequence[Dwell], period_s: float) -> Floats:
-    """Spectral density (3, 3) of the noise at frequency zero, by the scatter of blocks within dwells."""
+    """Spectral density (3, 3) of the gyro noise at frequency zero, per sample, in (°/s)².
+
+    It is estimated from the scatter of block means within dwells.
+    """
     block = max(1, round(BLOCK_S / period_s)) if period_s > 0 else 1
     squares, count = np.zeros((3, 3)), 0
     for dwell in dwells:
@@ -151,7 +154,7 @@ def _density(session: Session, dwells: Sequence[Dwell], period_s: float) -> Floa
 
 
 def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, float, float, float] | None:
-    """Angle about z and its u in degrees, and the force minus that at rest in g·s.
+    """Turn about z and its u in degrees, and the integral of the force minus the force at rest, in g·s.
 
     None if the record of the turn has a gap.
     """
@@ -175,7 +178,7 @@ def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, fl
 
 
 def _stayed(path: Path, sampling: Sampling) -> bool:
-    """True if the record of the part has no gap and shows no turn."""
+    """True if the gyro record between two dwells has no gap and shows no turn."""
     if float(np.diff(path.time_s).max()) > LONGEST_GAP_S:
         return False
     window = min(sampling.window, len(path.time_s))

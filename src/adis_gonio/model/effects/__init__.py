@@ -49,7 +49,7 @@ BUILT_IN: dict[str, type[Effect]] = {
 
 
 def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
-    """All installed effects by name: the built-in effects, then the effects of other packages.
+    """Classes of all installed effects by name: built-in effects, then effects of other packages.
 
     Parameters
     ----------
@@ -94,12 +94,12 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
 
 @cache
 def _installed(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """Entry points of the packages on a path, cached because reading them takes longer than a fit."""
+    """Entry points of effects in the packages on a path; cached, because reading them takes long."""
     return tuple(entry_points(group=ENTRY_POINT_GROUP))
 
 
 def effect(name: str, axes: Sequence[str] = ("x", "y"), **choices: int) -> Effect:
-    """Effect by name.
+    """Create an effect by its name, with its axes and choices.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def _kind(name: str) -> type[Effect]:
 
 
 def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, Floats]:
-    """Effect and its values from a word of a command line.
+    """Create an effect and its parameter values from a word of a command line.
 
     `quadratic` has all parameters at their typical size. `quadratic:k2_x=2.5` sets the named parameters;
     other amplitudes are zero, shapes (such as time constants) stay typical. Choices belong to this list:

@@ -6,7 +6,7 @@ from its rivals. The simulated world and the fit run the same objects, both with
 calls them for single samples, the fit for whole readings.
 
 Place of an effect in the model
-    `Enters.ATTITUDE`: it turns the part against the stage (an angle in the plane, added to the true
+    `Enters.ATTITUDE`: it turns the sensor against the stage (an angle in the plane, added to the true
     angle ψ = α − θ); `Enters.READING`: it adds to the reading of an axis, as a function of the ideal
     reading and of the conditions; `Enters.SAMPLES`: it changes the samples of a dwell (noise,
     quantization, a tone, saturation). The world applies it sample by sample, and the trace finds it
@@ -42,7 +42,7 @@ from adis_gonio.base.errors import UsageError
 
 
 def _scan(factor: Floats, term: Floats) -> Floats:
-    """Solve x_k = factor_k · x_{k−1} + term_k, x_{−1} = 0, for all k; (m,) → (m,).
+    """Solve the recurrence x_k = factor_k · x_{k−1} + term_k with x_{−1} = 0; return all x_k, (m,).
 
     By doubling (each pass joins the recurrences of twice as many steps): log₂ m passes over arrays, and no
     growing exponentials, since factors are at most 1.
@@ -57,7 +57,7 @@ def _scan(factor: Floats, term: Floats) -> Floats:
 
 
 def lagged(record_s: Floats, record: Floats, time_s: Floats, tau_s: float) -> tuple[Floats, Floats]:
-    """Lagged series y with τ dy/dt = x − y and its derivative by τ.
+    """Series y that follows x with a lag, τ dy/dt = x − y, and the derivative of y with respect to τ.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ COVARIATES = (
     "angle", "approach", "force", "order", "previous_angle", "reading", "rotation", "supply",
     "temperature", "temperature_rate", "time", "variance",
 )  # fmt: skip
-"""Covariates of effects; the trace compares effects and unnamed functions by these words."""
+"""Names of quantities on which an effect may depend; the trace compares effects by these names."""
 CYCLE = "repeat a few positions about 10 °C warmer, and again after it has cooled"
 ONE_TURN = "remount the part turned by 180° and repeat some angles"
 MEMORY = "depends on the history before the reading, which a single reading does not show"
@@ -134,7 +134,7 @@ _OF_CONDITION = {
 
 
 class Enters(StrEnum):
-    """Place of an effect in the model."""
+    """The quantity that an effect changes: the sensor's attitude, its readings, or its samples."""
 
     ATTITUDE = "attitude"
     READING = "reading"
@@ -143,7 +143,7 @@ class Enters(StrEnum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect.
+    """A parameter of an effect: its name, unit, bounds and typical value.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ class Parameter:
     shape: bool = False
 
     def check(self, value: float) -> float:
-        """`value`, or `UsageError` if it lies outside the physical bounds (or is no number)."""
+        """Return `value`; raise `UsageError` if it is not a number within the physical bounds."""
         if not self.low <= value <= self.high:
             raise UsageError(
                 f"{self.name} = {value:g} {self.unit} is outside its physical bounds "
@@ -175,7 +175,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Conditions:
-    """Circumstances of each of n rows (samples or readings); None if not recorded.
+    """Circumstances of each of n rows (samples or readings); a field that was not recorded is None.
 
     Attributes
     ----------
@@ -244,11 +244,11 @@ class Conditions:
         return {name: rows for name, rows in every.items() if rows is not None}
 
     def lacks(self, needs: Sequence[str]) -> tuple[str, ...]:
-        """Covariates of `needs` that were not recorded."""
+        """Return the names in `needs` of covariates that the session did not record."""
         return tuple(name for name in needs if getattr(self, name) is None)
 
     def covariate(self, name: str) -> Floats:
-        """Covariate (n,) by name; `UsageError` if it was not recorded."""
+        """Return a covariate (n,) or (n, k) by its field name; `UsageError` if it was not recorded."""
         found: Floats | None = getattr(self, name)
         if found is None:
             raise UsageError(f"the session does not record {name}")
@@ -256,11 +256,11 @@ class Conditions:
 
     @cached_property
     def _late(self) -> dict[tuple[int, float], tuple[Floats, Floats]]:
-        """Results of `late_load`, because candidates repeat few time constants for all choices of axes."""
+        """Cache of the results of `late_load` by axis and τ, because a search repeats few values of τ."""
         return {}
 
     def late_load(self, axis: int, tau_s: float) -> tuple[Floats, Floats]:
-        """Load (n,) of an axis in mg after a lag with time constant τ, and its derivative by τ in mg/s."""
+        """Load (n,) of an axis in mg, lagged with time constant τ, and its derivative by τ in mg/s."""
         if self.load_history is None:
             raise UsageError("the session does not record load_history")
         if (axis, tau_s) not in self._late:
@@ -269,7 +269,7 @@ class Conditions:
         return self._late[axis, tau_s]
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Conditions:
-        """Conditions of some of the rows; histories stay whole."""
+        """Return the conditions of the selected rows; the histories are not cut."""
         chosen: dict[str, Any] = {name: rows[index] for name, rows in self._rows().items()}
         return Conditions(
             **chosen, temperature_history=self.temperature_history, load_history=self.load_history
@@ -278,7 +278,7 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Effect(ABC):
-    """Base class of all effects: frozen, without state; parameters are passed in.
+    """Base class of all effects; an effect is immutable, and its parameter values are passed in.
 
     A subclass describes itself by the class attributes below. Fields other than `axes` are choices: whole
     numbers that no gradient can find, such as the number of the dwell that slipped.
@@ -300,9 +300,9 @@ class Effect(ABC):
     cause: ClassVar[str]
     """Cause, in one sentence."""
     formula: ClassVar[str]
-    """Added term as a line of text; i is an axis, p an axis across it, a a reading in mg."""
+    """Added term as a line of text: i is an axis, p another axis, and a_i the reading of axis i in mg."""
     separated_by: ClassVar[str]
-    """Rivals, and the measurement that separates them."""
+    """Other effects that look alike, and the measurement that separates them."""
     covariates: ClassVar[tuple[str, ...]]
     """Covariates in words of `COVARIATES`, the most important first; empty for a constant.
 
@@ -316,21 +316,21 @@ class Effect(ABC):
     one_axis: ClassVar[bool] = False
     """True if a candidate acts on one axis only, because on several axes it includes another cause."""
     within_dwell: ClassVar[bool] = False
-    """True if the samples of a dwell show it, and not the differences between readings."""
+    """True if it shows in the samples within a dwell, and not in differences between dwells."""
     in_base: ClassVar[bool] = False
     """True if it is part of the model that every session fits."""
     prior: ClassVar[str] = ""
-    """Group of common effects: `constant`, `curvature` or `force`; empty for the prior weight 1."""
+    """Group of effects with a larger prior weight: `constant`, `curvature` or `force`; empty: weight 1."""
     remedy: ClassVar[str] = ""
     """Advice to the operator if no further position separates it from its rivals."""
     remedy_in_space: ClassVar[str] = ""
     """Remedy for free attitudes, if `remedy` needs a plane of rotation."""
     correctable: ClassVar[bool] = False
-    """True for a function of the reading, the rate, the force, the temperature or the supply."""
+    """True if later readings can be corrected for it, by reading, rate, force, temperature or supply."""
     not_corrected: ClassVar[str] = ""
     """Reason why later readings cannot be corrected for it."""
     shown_over: ClassVar[str] = ""
-    """Covariate of its figure, if it is not the first of `covariates`."""
+    """Covariate on the x axis of its figure; empty for the first of `covariates`."""
     parts: ClassVar[tuple[str, ...]] = ("accelerometer",)
     """Parts of the sensor that show it, in words of `Measurement.part`."""
     options: ClassVar[dict[str, tuple[int, ...]]] = {}
@@ -357,25 +357,25 @@ class Effect(ABC):
 
     @classmethod
     def choices(cls) -> tuple[str, ...]:
-        """Names of the fields other than `axes`, all whole numbers."""
+        """Names of the fields of the effect other than `axes`; their values are whole numbers."""
         return tuple(f.name for f in fields(cls) if f.init and f.name != "axes")
 
     @classmethod
     def of_part(cls, part: str) -> type[Effect] | None:
-        """Class of the effect for the readings of a part; None if the part does not show it."""
+        """Return the class of the effect for one part of the sensor; None if that part does not show it."""
         return cls if part in cls.parts else None
 
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters in a fixed order; the name of an axis' parameter ends in its letter (`bias_x`)."""
+        """Parameters in a fixed order; a parameter of one axis ends in the axis letter (`bias_x`)."""
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
-        """Angle (n,) in rad that is added to the true angle of the part; `Enters.ATTITUDE` only."""
+        """Angle (n,) in rad that the effect adds to the true angle; zero unless `enters` is ATTITUDE."""
         return np.zeros(len(conditions))
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Terms that are added to the readings, (n, axes) in their unit; `Enters.READING` only.
+        """Terms added to the readings, (n, axes) in their unit; zero unless the effect `enters` by READING.
 
         Parameters
         ----------
@@ -394,11 +394,11 @@ class Effect(ABC):
     def samples_mg(
         self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Changed samples (n, axes) in mg; `Enters.SAMPLES` only."""
+        """Return the samples (n, axes) in mg, changed by the effect if it `enters` by SAMPLES."""
         return samples_mg
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """∂(attitude_rad or reading)/∂parameters.
+        """Derivative of `attitude_rad` or of `reading` with respect to the parameters.
 
         By central differences unless an effect overrides it, as every effect of this package does.
 
@@ -423,7 +423,7 @@ class Effect(ABC):
     def defaults(
         self, given: Mapping[str, float] | None = None, others: Literal["typical", "zero"] = "typical"
     ) -> Floats:
-        """Values in order: given by name, and else typical, or zero for amplitudes.
+        """Parameter values in order: given by name, else typical; with others="zero", amplitudes are zero.
 
         Raises
         ------
@@ -448,7 +448,7 @@ class Effect(ABC):
         )
 
     def columns_of(self, readings: Floats) -> list[int]:
-        """Columns of (n, 2) or (n, 3) readings that belong to `axes`; `UsageError` if one is missing."""
+        """Indices of the columns of readings (n, 2) or (n, 3) for `axes`; `UsageError` if z is missing."""
         columns = [AXES.index(axis) for axis in self.axes]
         if columns and max(columns) >= readings.shape[1]:
             raise UsageError(f"{self.name} acts on {', '.join(self.axes)}, but z was not recorded")
@@ -456,13 +456,16 @@ class Effect(ABC):
 
 
 def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """Part of a message with the nearest match of a name; empty if no name is near."""
+    """Text such as " (did you mean 'bias'?)" with the most similar known name; empty if none is similar."""
     near = get_close_matches(name, known, n=1)
     return f" (did you mean '{near[0]}'?)" if near else ""
 
 
 def by_letters(prototypes: Sequence[Parameter], letters: Sequence[str]) -> tuple[Parameter, ...]:
-    """Each prototype for each of the letters, letters outermost: `k2` becomes `k2_x`, `k2_y`."""
+    """Copies of each prototype, named for each axis letter: `k2` becomes `k2_x`, `k2_y`.
+
+    The order is letter by letter, with all prototypes of one letter together.
+    """
     return _by_letters(tuple(prototypes), tuple(letters))
 
 
@@ -473,16 +476,16 @@ def _by_letters(prototypes: tuple[Parameter, ...], letters: tuple[str, ...]) -> 
 
 @dataclass(frozen=True)
 class AxisEffect(Effect):
-    """An effect of single axes; by default of the two in the plane of rotation."""
+    """An effect on the axes in `axes`, each by itself; by default x and y, the plane of rotation."""
 
     axes: tuple[str, ...] = ("x", "y")
 
 
 class LinearEffect(AxisEffect):
-    """An effect of single axes that is linear in its parameters: its derivative gives the reading."""
+    """An axis effect that is linear in its parameters: the reading is derivative times parameters."""
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Sum of parameters times basis functions, (n, axes) in the unit of the readings."""
+        """Terms added to the readings: sum of parameter times basis function, (n, axes) in their unit."""
         added = np.zeros(ideal.shape)
         for value, rows in zip(
             values, np.moveaxis(self.derivative(values, ideal, conditions), -1, 0), strict=True
@@ -493,26 +496,26 @@ class LinearEffect(AxisEffect):
 
 @dataclass(frozen=True)
 class LinearAxisEffect(LinearEffect):
-    """Reading i gets Σ_k value_ik · basis_k(i): k coefficients an axis, nothing across axes."""
+    """Adds Σ_k value_ik · basis_k(i) to the reading of axis i, with no coupling between axes."""
 
     coefficients: ClassVar[tuple[Parameter, ...]]
     """One prototype for each basis function; the letter of the axis is appended to its name."""
 
     def active(self) -> tuple[Parameter, ...]:
-        """Prototypes in use; a choice of the effect may omit some."""
+        """Prototypes of the coefficients in use; a choice of the effect may leave some out."""
         return self.coefficients
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients axis by axis."""
+        """Coefficients of the first axis, then of the second axis, and so on."""
         return by_letters(self.active(), self.axes)
 
     @abstractmethod
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Basis functions (n,) of column `axis`, one for each coefficient in use."""
+        """Basis functions (n,) for the reading in column `axis`, one for each coefficient in use."""
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Basis functions (n, axes, p) of the readings; `values` do not matter, the effect is linear."""
+        """Derivative of the readings (n, axes, p): the basis functions, independent of `values`."""
         columns = self.columns_of(ideal)
         count = len(self.active())
         design = np.zeros((*ideal.shape, count * len(columns)))
@@ -525,7 +528,7 @@ class LinearAxisEffect(LinearEffect):
 
 @dataclass(frozen=True)
 class CrossEffect(LinearEffect):
-    """Reading i gets Σ_p value_ip · basis(a_i, a_p, conditions) over the axes p across it.
+    """Adds Σ_p value_ip · basis(a_i, a_p, conditions) to the reading of axis i, p being the other axes.
 
     In the plane (`axes` without z) each of x and y has the other as its partner; with z each axis has two
     partners. Names of parameters end in both letters, `name_ip`.
@@ -534,21 +537,21 @@ class CrossEffect(LinearEffect):
     coefficient: ClassVar[Parameter]
 
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs (axis, axis across it) in the order of the parameters."""
+        """Pairs (axis, other axis) of letters in the order of the parameters."""
         reach = AXES if "z" in self.axes else AXES[:2]
         return tuple((axis, other) for axis in self.axes for other in reach if other != axis)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient a pair."""
+        """One coefficient for each pair of axes in `pairs`."""
         return by_letters((self.coefficient,), [axis + other for axis, other in self.pairs()])
 
     @abstractmethod
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Basis function (n,) of the axis' own ideal reading, the one across and the conditions."""
+        """Basis function (n,) from an axis' ideal reading, the reading across it, and the conditions."""
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Basis functions (n, axes, p) of the readings; `values` do not matter, the effect is linear."""
+        """Derivative of the readings (n, axes, p): the basis functions, independent of `values`."""
         self.columns_of(ideal)
         pairs = self.pairs()
         design = np.zeros((*ideal.shape, len(pairs)))
@@ -560,26 +563,26 @@ class CrossEffect(LinearEffect):
 
 @dataclass(frozen=True)
 class CourseEffect(AxisEffect):
-    """Reading i gets value_i · course(shape): an amplitude an axis, one common course with one shape."""
+    """Adds value_i · course(shape) to the reading of axis i: one amplitude an axis, one common shape."""
 
     amplitude: ClassVar[Parameter]
     shape: ClassVar[Parameter]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The amplitudes, then the shape."""
+        """The amplitude of each axis, then the common shape parameter."""
         return (*by_letters((self.amplitude,), self.axes), self.shape)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
-        """Course (n,) that all axes share, and its derivative (n,) with respect to the shape."""
+        """Course (n,) of all axes, and its derivative (n,) with respect to the shape parameter."""
         raise NotImplementedError
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
-        """Course (n,) of each axis in `axes`, and its derivative (n,) with respect to the shape."""
+        """For each axis in `axes`: its course (n,) and the derivative (n,) by the shape parameter."""
         return [self.course(shape, conditions)] * len(self.axes)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Amplitude times course, (n, axes) in the unit of the readings."""
+        """Terms added to the readings: amplitude times course, (n, axes) in the unit of the readings."""
         added = np.zeros(ideal.shape)
         courses = self.courses(float(values[-1]), ideal, conditions)
         for value, column, (course, _) in zip(values[:-1], self.columns_of(ideal), courses, strict=True):
@@ -587,7 +590,7 @@ class CourseEffect(AxisEffect):
         return added
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative (n, axes, p): the course by the amplitudes, its slope by the shape."""
+        """Derivative of the readings (n, axes, p) with respect to the amplitudes and the shape."""
         design = np.zeros((*ideal.shape, len(values)))
         courses = self.courses(float(values[-1]), ideal, conditions)
         for k, (column, (course, slope)) in enumerate(zip(self.columns_of(ideal), courses, strict=True)):
@@ -597,7 +600,7 @@ class CourseEffect(AxisEffect):
 
 
 def decay(time_s: Floats, tau_s: float) -> tuple[Floats, Floats]:
-    """exp(−t/τ) and its derivative by τ, (n,) each."""
+    """Return exp(−t/τ) and its derivative with respect to τ, each (n,)."""
     elapsed = time_s / tau_s
     course = np.exp(-elapsed)
     return course, course * elapsed / tau_s
@@ -605,7 +608,7 @@ def decay(time_s: Floats, tau_s: float) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class StageEffect(Effect):
-    """An effect of the stage: the true angle gets Σ_k value_k · basis_k, in degrees."""
+    """An effect of the stage that adds Σ_k value_k · basis_k, in degrees, to the true angle."""
 
     coefficients: ClassVar[tuple[Parameter, ...]]
     enters = Enters.ATTITUDE
@@ -613,19 +616,19 @@ class StageEffect(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient a basis function."""
+        """One coefficient, in degrees, for each basis function."""
         return self.coefficients
 
     @abstractmethod
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Basis functions (n,), without unit."""
+        """Dimensionless basis functions (n,) of the angle, one for each coefficient."""
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative (n, p) of the angle, in rad per degree of each coefficient."""
+        """Derivative (n, p) of the angle with respect to the coefficients, in rad per degree."""
         return np.deg2rad(np.stack(self.basis(conditions), axis=-1))
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
-        """Angle (n,) in rad that is added to the true angle of the part."""
+        """Angle (n,) in rad that the stage's error adds to the true angle of the sensor."""
         angle = np.zeros(len(conditions))
         for value, rows in zip(values, self.basis(conditions), strict=True):
             angle += np.deg2rad(value) * rows

@@ -32,14 +32,16 @@ WHOLE_TURNS = "turn the part by whole turns about each axis, to both sides (plan
 
 
 def _die_c(axis: int, conditions: Conditions) -> Floats:
-    """Temperature (n,) of the gyro's own die, or of the only thermometer."""
+    """Die temperature (n,) in °C of one gyro, or the mean temperature if the gyros have no own readings."""
     mean = conditions.covariate("temperature_c")
     return mean if conditions.temperatures_c is None else conditions.temperatures_c[:, axis]
 
 
 @dataclass(frozen=True)
 class GyroBiasTemperature(BiasTemperature):
-    """A polynomial of degree 1 to 3 in T − 25 °C; T is the gyro's own die if all three are recorded.
+    """Zero rate as a polynomial of degree 1 to 3 in T − 25 °C.
+
+    T is the temperature of the gyro's own die if all three dies were recorded.
 
     Attributes
     ----------
@@ -64,7 +66,7 @@ class GyroBiasTemperature(BiasTemperature):
     )
 
     def die_c(self, axis: int, conditions: Conditions) -> Floats:
-        """Temperature (n,) of the gyro's own die."""
+        """Die temperature (n,) of the gyro in °C, or the mean temperature if its own is unknown."""
         return _die_c(axis, conditions)
 
 
@@ -107,21 +109,21 @@ class GSensitivity(LinearAxisEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient for each axis of force: the letter of the gyro, then the letter of the force."""
+        """A coefficient for each gyro and force axis, named by both letters, the gyro's letter first."""
         return by_letters(self.coefficients, [own + AXES[k] for own in self.axes for k in self._along])
 
     def active(self) -> tuple[Parameter, ...]:
-        """One coefficient an axis of force."""
+        """Prototypes of the coefficients of one gyro: one for each axis of the force."""
         return self.coefficients * len(self._along)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Components of the force."""
+        """Components (n,) of the force in g along the axes that `force` selects."""
         return tuple(conditions.covariate("force_g")[:, self._along].T)
 
 
 @dataclass(frozen=True)
 class G2Sensitivity(LinearAxisEffect):
-    """The square of the force along one axis only, since the three squares at 1 g add up to 1.
+    """Zero rate shifted by the squared force along one axis; at 1 g the three squares add up to 1.
 
     Attributes
     ----------
@@ -154,16 +156,16 @@ class G2Sensitivity(LinearAxisEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient for each gyro: the letter of the gyro, then the letter of the force."""
+        """One coefficient for each gyro, named by the gyro's letter and then the force's letter."""
         return by_letters(self.coefficients, [axis + AXES[self.force] for axis in self.axes])
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Square of the component."""
+        """Square (n,) of the force component along the axis `force`, in g²."""
         return (conditions.covariate("force_g")[:, self.force] ** 2,)
 
 
 class GyroScale(LinearAxisEffect):
-    """The gain, less 1: `fit` states `gyro_scale_i` = 1 + gyro_scale_error_i."""
+    """Relative error of a gyro's scale factor; `fit` states `gyro_scale_i` = 1 + gyro_scale_error_i."""
 
     name = "gyro_scale"
     cause = "The sensitivity of a gyro differs from its nominal one."
@@ -179,7 +181,7 @@ class GyroScale(LinearAxisEffect):
     coefficients = (Parameter("gyro_scale_error", "1", -0.2, 0.2, 0.01),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """The true rate about the axis."""
+        """True rate of turn (n,) about the gyro's axis in °/s."""
         return (conditions.covariate("rate_dps")[:, axis],)
 
 
@@ -200,7 +202,7 @@ class GyroScaleTemperature(LinearAxisEffect):
     coefficients = (Parameter("gyro_scale_temperature", "ppm/°C", -5000.0, 5000.0, 100.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """The true rate times T − 25 °C, per ppm."""
+        """True rate of turn times (T − 25 °C), (n,), scaled by 10⁻⁶ for a coefficient in ppm/°C."""
         above = _die_c(axis, conditions) - REFERENCE_C
         return (1e-6 * above * conditions.covariate("rate_dps")[:, axis],)
 
@@ -231,11 +233,11 @@ class GyroMisalignment(AxisEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Two angles a gyro."""
+        """Two misalignment angles for each gyro: towards each of the other two axes."""
         return by_letters((self.coefficient,), [AXES[i] + AXES[p] for i, p in self._pairs()])
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Terms of the misalignments, (n, 3) in °/s."""
+        """Change of the gyro readings by the misalignments, (n, 3) in °/s."""
         rate = conditions.covariate("rate_dps")
         self.columns_of(ideal)
         added = np.zeros(ideal.shape)
@@ -249,7 +251,7 @@ class GyroMisalignment(AxisEffect):
         return added
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative (n, 3, p) per degree."""
+        """Derivative of the gyro readings by the misalignment angles, (n, 3, p) in °/s per degree."""
         rate = conditions.covariate("rate_dps")
         design = np.zeros((*ideal.shape, len(values)))
         sines, cosines = np.sin(np.deg2rad(values)), np.cos(np.deg2rad(values))
@@ -302,11 +304,11 @@ class GyroDrift(LinearAxisEffect):
             )
 
     def active(self) -> tuple[Parameter, ...]:
-        """The coefficient by time, or by dwells."""
+        """Prototype of the coefficient in use: drift per minute, or per dwell if `steps` is 1."""
         return (self.coefficients[self.steps],)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Minutes, or the number of the dwell."""
+        """Minutes (n,) since the start of the session, or the number of the dwell if `steps` is 1."""
         return (conditions.covariate("order") if self.steps else conditions.time_s / 60.0,)
 
 
@@ -345,7 +347,7 @@ class GyroSupply(SupplyBias):
 
 
 class GyroAsymmetry(LinearAxisEffect):
-    """Gain 1 + A for positive rates, 1 − A for negative ones."""
+    """Scale factor 1 + A for positive rates of turn, 1 − A for negative rates."""
 
     name = "gyro_asymmetry"
     cause = "The gain of a gyro differs between the two senses of turning."
@@ -361,14 +363,14 @@ class GyroAsymmetry(LinearAxisEffect):
     coefficients = (Parameter("gyro_asymmetry", "1", -0.1, 0.1, 0.001),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Modulus of the true rate about the axis."""
+        """Absolute value (n,) of the true rate of turn about the gyro's axis in °/s."""
         rate = conditions.covariate("rate_dps")
         modulus = np.abs(rate) if conditions.abs_rate_dps is None else conditions.abs_rate_dps
         return (modulus[:, axis],)
 
 
 class GyroOutlierDwell(OutlierDwell):
-    """`outlier_dwell` for the readings of gyros."""
+    """Counterpart of `OutlierDwell` for gyros: the readings of one dwell deviate by any amount."""
 
     coefficients = (Parameter("offset", "dps", -300.0, 300.0, 0.1),)
     parts = GYRO

@@ -39,7 +39,7 @@ _OBLIQUE = (
 
 
 class Bias(LinearAxisEffect):
-    """A constant: mean term K0 of the tumble."""
+    """A constant error of the reading: the term K0 of the usual accelerometer model."""
 
     name = "bias"
     cause = "An axis does not read zero without acceleration along it."
@@ -56,7 +56,7 @@ class Bias(LinearAxisEffect):
     coefficients = (Parameter("bias", "mg", -1000.0, 1000.0, 10.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """One."""
+        """Constant basis function: ones, (n,)."""
         return (np.ones(len(ideal)),)
 
 
@@ -77,7 +77,7 @@ class Scale(LinearAxisEffect):
     coefficients = (Parameter("scale", "1", -0.1, 0.1, 0.001),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """The ideal reading."""
+        """Ideal reading (n,) of the axis in mg."""
         return (ideal[:, axis],)
 
 
@@ -104,7 +104,7 @@ class Misalignment(CrossEffect):
     coefficient = Parameter("misalignment", "deg", -5.0, 5.0, 0.25)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Reading across, per degree."""
+        """Ideal reading (n,) of the axis across, times π/180, for a coefficient in degrees."""
         return np.deg2rad(across_mg)
 
 
@@ -130,12 +130,12 @@ class CrossAxis(CrossEffect):
     coefficient = Parameter("kip", "mg/g²", -100.0, 100.0, 1.0)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Product of the two readings in g²."""
+        """Product (n,) of the ideal readings of the axis and of the axis across it, in g²."""
         return own_mg * across_mg / MG_PER_G**2
 
 
 class Quadratic(LinearAxisEffect):
-    """K2: mg at 1 g along the axis."""
+    """Quadratic nonlinearity: coefficient K2 is the error in mg at 1 g along the axis."""
 
     name = "quadratic"
     covariates = ("reading",)
@@ -153,12 +153,12 @@ class Quadratic(LinearAxisEffect):
     coefficients = (Parameter("k2", "mg/g²", -100.0, 100.0, 1.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Square of the reading in g²."""
+        """Square (n,) of the axis' ideal reading, in g²."""
         return ((ideal[:, axis] / MG_PER_G) ** 2,)
 
 
 class Cubic(LinearAxisEffect):
-    """K3: mg at 1 g along the axis."""
+    """Cubic nonlinearity: coefficient K3 is the error in mg at 1 g along the axis."""
 
     name = "cubic"
     covariates = ("reading",)
@@ -174,12 +174,12 @@ class Cubic(LinearAxisEffect):
     coefficients = (Parameter("k3", "mg/g³", -100.0, 100.0, 0.7),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Cube of the reading in g³."""
+        """Cube (n,) of the axis' ideal reading, in g³."""
         return ((ideal[:, axis] / MG_PER_G) ** 3,)
 
 
 class Asymmetry(LinearAxisEffect):
-    """Gain 1 + A/1000 for positive readings, 1 − A/1000 for negative ones."""
+    """Scale factor 1 + A/1000 for positive readings, 1 − A/1000 for negative readings."""
 
     name = "asymmetry"
     covariates = ("reading",)
@@ -195,12 +195,12 @@ class Asymmetry(LinearAxisEffect):
     coefficients = (Parameter("asymmetry", "mg/g", -100.0, 100.0, 1.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Modulus of the reading in g."""
+        """Absolute value (n,) of the axis' ideal reading, in g."""
         return (np.abs(ideal[:, axis]) / MG_PER_G,)
 
 
 class CrossQuadratic(CrossEffect):
-    """K_pp: mg at 1 g across the axis."""
+    """Bias shift by the square of the acceleration across the axis: K_pp is the shift in mg at 1 g."""
 
     name = "cross_quadratic"
     covariates = ("reading",)
@@ -217,12 +217,12 @@ class CrossQuadratic(CrossEffect):
     coefficient = Parameter("kpp", "mg/g²", -100.0, 100.0, 1.0)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Square of the reading across in g²."""
+        """Square (n,) of the ideal reading of the axis across, in g²."""
         return (across_mg / MG_PER_G) ** 2
 
 
 class VibrationRectification(LinearAxisEffect):
-    """The mean follows the variance of the dwell."""
+    """Shift of the mean reading in proportion to the vibration (variance) during the dwell."""
 
     name = "vibration_rectification"
     cause = "An even nonlinearity turns vibration into a shift of the mean."
@@ -237,19 +237,19 @@ class VibrationRectification(LinearAxisEffect):
     coefficients = (Parameter("vre", "mg/g²", -5000.0, 5000.0, 10.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Variance in g²."""
+        """Variance (n,) of the samples within each dwell (vibration along the axis), in g²."""
         return (conditions.covariate("variance_mg2")[:, axis] / MG_PER_G**2,)
 
 
 REFERENCE_C = 25.0
-"""Temperature at which the terms in temperature are zero: zero of the chip's temperature words."""
+"""Temperature in °C at which temperature effects are zero; the chip's temperature output is then 0."""
 REFERENCE_V = 5.0
-"""Supply at which the terms in the supply are zero: the nominal one."""
+"""Supply in V at which supply effects are zero: the nominal supply."""
 
 
 @dataclass(frozen=True)
 class BiasTemperature(LinearAxisEffect):
-    """A polynomial of degree 1 to 3 in T − 25 °C; by default a line.
+    """Bias as a polynomial of degree 1 to 3 in T − 25 °C; by default a straight line.
 
     Attributes
     ----------
@@ -281,16 +281,16 @@ class BiasTemperature(LinearAxisEffect):
             raise UsageError(f"{self.name}: degree is {self.degree}, it can be 1, 2 or 3")
 
     def active(self) -> tuple[Parameter, ...]:
-        """Coefficients up to `degree`."""
+        """Prototypes of the coefficients of the powers 1 to `degree`."""
         return self.coefficients[: self.degree]
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Powers of T − 25 °C."""
+        """Powers 1 to `degree` of the temperature above 25 °C, each (n,)."""
         above = self.die_c(axis, conditions) - REFERENCE_C
         return tuple(above**power for power in range(1, self.degree + 1))
 
     def die_c(self, axis: int, conditions: Conditions) -> Floats:
-        """Temperature (n,) for an axis."""
+        """Die temperature (n,) in °C that shifts the bias of an axis."""
         return conditions.covariate("temperature_c")
 
 
@@ -310,7 +310,7 @@ class ScaleTemperature(LinearAxisEffect):
     coefficients = (Parameter("scale_tempco", "ppm/°C", -2000.0, 2000.0, 40.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Reading times T − 25 °C, per ppm."""
+        """Ideal reading times (T − 25 °C), (n,), scaled by 10⁻⁶ for a coefficient in ppm/°C."""
         return (1e-6 * (conditions.covariate("temperature_c") - REFERENCE_C) * ideal[:, axis],)
 
 
@@ -337,12 +337,12 @@ class MisalignmentTemperature(CrossEffect):
     coefficient = Parameter("misalignment_tempco", "deg/°C", -0.1, 0.1, 0.002)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Reading across times T − 25 °C, per degree."""
+        """Ideal reading of the axis across times (T − 25 °C), (n,), for a coefficient in °/°C."""
         return np.deg2rad(across_mg * (conditions.covariate("temperature_c") - REFERENCE_C))
 
 
 class ThermalLag(CourseEffect):
-    """The zero follows a part that is warmer or cooler than the sensor of temperature.
+    """The zero follows a component that warms later than the thermometer.
 
     With τ dT_lag/dt = T − T_lag and T_lag = T at the first record of the session, the term is
     lag_i (T_lag − T). It is zero at constant temperature, so that it does not compete with
@@ -364,7 +364,7 @@ class ThermalLag(CourseEffect):
     shape = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
-        """T_lag − T in °C, and its derivative by τ in °C/s."""
+        """Lagged minus present temperature (n,) in °C, and its derivative with respect to τ in °C/s."""
         history = conditions.temperature_history
         if history is None:
             raise UsageError("the session does not record temperature_history")
@@ -388,7 +388,7 @@ class SupplyBias(LinearAxisEffect):
     coefficients = (Parameter("supply", "mg/V", -500.0, 500.0, 5.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """V − 5 V."""
+        """Supply voltage minus 5 V, (n,) in V."""
         return (conditions.covariate("supply_v") - REFERENCE_V,)
 
 
@@ -409,7 +409,7 @@ class SupplyScale(LinearAxisEffect):
     coefficients = (Parameter("supply_scale", "ppm/V", -500000.0, 500000.0, 2000.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Reading times V − 5 V, per ppm."""
+        """Ideal reading times (supply voltage − 5 V), (n,), scaled by 10⁻⁶ for a coefficient in ppm/V."""
         return (1e-6 * (conditions.covariate("supply_v") - REFERENCE_V) * ideal[:, axis],)
 
 
@@ -428,7 +428,7 @@ class BiasDrift(LinearAxisEffect):
     coefficients = (Parameter("drift", "mg/min", -50.0, 50.0, 0.05),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Time in minutes."""
+        """Time (n,) since the start of the session, in minutes."""
         return (conditions.time_s / 60.0,)
 
 
@@ -449,7 +449,7 @@ class ScaleDrift(LinearAxisEffect):
     coefficients = (Parameter("scale_drift", "ppm/min", -50000.0, 50000.0, 50.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Reading times minutes, per ppm."""
+        """Ideal reading times minutes since the start of the session, (n,), scaled by 10⁻⁶ for ppm/min."""
         return (1e-6 * conditions.time_s / 60.0 * ideal[:, axis],)
 
 
@@ -470,12 +470,12 @@ class WarmUp(CourseEffect):
     shape = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
-        """exp(−t/τ) and its derivative by τ."""
+        """Decay exp(−t/τ) since the start of the session, (n,), and its derivative with respect to τ."""
         return decay(conditions.time_s, shape)
 
 
 class Gravity(Effect):
-    """All axes scale alike.
+    """Common relative error of all axes, because local gravity differs from the declared gravity.
 
     With g the local gravity and g′ the declared gravity of the session, the readings are (g/g′) times the
     ideal ones: `gravity` = g/g′ − 1. On the Earth's surface g lies between 9.764 and 9.834 m/s².
@@ -496,13 +496,13 @@ class Gravity(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Relative error of the declared gravity."""
+        """One parameter: the relative error of the declared gravity."""
         return (Parameter("gravity", "1", -0.01, 0.01, 0.001),)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Relative error times the reading, (n, axes) in mg."""
+        """Change of the readings by the error of gravity: error times ideal reading, (n, axes) in mg."""
         return ideal * float(values[0])
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """The readings themselves, (n, axes, 1)."""
+        """Derivative of the readings by the error of gravity: the ideal readings, (n, axes, 1) in mg."""
         return ideal[:, :, None].copy()

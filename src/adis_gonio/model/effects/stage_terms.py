@@ -1,8 +1,8 @@
 """Effects of the stage, of the approach to a position, of single dwells, and of samples within dwells.
 
-The terms of the stage turn the part: they are angles, added to ψ = α − θ, and appear in a reading
-multiplied by its tangential slope. If the part is remounted by an angle on the table, and readings at the
-same direction of gravity in the part are compared, the terms of the sensor are unchanged, but a term of the
+The terms of the stage turn the sensor: they are angles, added to ψ = α − θ, and appear in a reading
+multiplied by its tangential slope. If the sensor is remounted by an angle on the table, and readings at the
+same direction of gravity in the sensor are compared, the sensor's terms are unchanged, but a term of the
 stage with n cycles a turn has advanced by n times that angle. One cycle therefore changes its sign by a
 remounting of 180° (the reversal pair that separates table and sensor), two cycles need 90°.
 """
@@ -40,13 +40,13 @@ _STAGE = "belongs to the stage, not to the sensor"
 LEAST_CYCLES = 3
 """Smallest number of cycles of `stage_periodic`; one and two cycles are other effects."""
 _ROUNDING = 1e-9
-"""Least size of a harmonic: less is the rounding of an angle."""
+"""Smallest value of a harmonic that counts as not zero; smaller values are rounding errors."""
 _SAME_PHASE = 1e-6
-"""Largest difference of a mean phase factor from 1: a scatter of 1.4 mrad, the rounding of angles."""
+"""Tolerance of the mean phase factor's modulus from 1: allows a scatter of 1.4 mrad by rounded angles."""
 
 
 def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
-    """True if two numbers of cycles a turn give equal functions at these angles, except for a phase.
+    """True if, at these angles, waves with the two numbers of cycles a turn are equal except for phase.
 
     If the phase of e^{i(m ∓ n)θ} is constant over the angles, m cycles are an alias of n cycles. A constant
     has 0 cycles.
@@ -55,13 +55,13 @@ def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
 
 
 def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool_]:
-    """True for numbers of cycles a turn (m,) with one phase at all of these angles."""
+    """For each number of cycles a turn (m,): True if the cycle has an equal phase at all the angles."""
     length = np.abs(np.exp(1j * cycles[:, None] * angle_rad).mean(axis=1))
     return np.asarray(length > 1 - _SAME_PHASE)
 
 
 class StageEccentricity(StageEffect):
-    """One cycle a turn: e/R with e the eccentricity and R the radius of the divided circle."""
+    """Angle error with one cycle a turn, of amplitude eccentricity / radius of the divided circle."""
 
     name = "stage_eccentricity"
     cause = "The divided circle of the stage is not centred on its axis: one cycle a turn."
@@ -79,13 +79,13 @@ class StageEccentricity(StageEffect):
     )
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """First harmonic of the declared angle."""
+        """Sine and cosine, each (n,), of the declared angle."""
         angle = conditions.covariate("angle_rad")
         return np.sin(angle), np.cos(angle)
 
 
 class StageEllipticity(StageEffect):
-    """Two cycles a turn."""
+    """Angle error of the stage with two cycles a turn, as from an oval divided circle."""
 
     name = "stage_ellipticity"
     cause = "The divided circle of the stage is oval, or its bearing is: two cycles a turn."
@@ -103,14 +103,14 @@ class StageEllipticity(StageEffect):
     )
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Second harmonic of the declared angle."""
+        """Sine and cosine, each (n,), of twice the declared angle."""
         angle = conditions.covariate("angle_rad")
         return np.sin(2 * angle), np.cos(2 * angle)
 
 
 @dataclass(frozen=True)
 class StagePeriodic(StageEffect):
-    """Any whole number of cycles a turn from three on.
+    """Angle error of the stage with any whole number of cycles a turn, three or more.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class StagePeriodic(StageEffect):
             )
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Harmonic `cycles` of the declared angle."""
+        """Sine and cosine, each (n,), of `cycles` times the declared angle."""
         turned = self.cycles * conditions.covariate("angle_rad")
         # At 2·cycles equally spaced angles one of the two contains only rounding errors.
         waves = (np.sin(turned), np.cos(turned))
@@ -158,7 +158,10 @@ class StagePeriodic(StageEffect):
 
 
 class Backlash(StageEffect):
-    """The play between the two directions of approach; half of it to either side."""
+    """Play of the stage's drive: the two directions of approach lead to angles that differ by it.
+
+    Half of it is added to either side.
+    """
 
     name = "backlash"
     cause = "Play in the drive of the stage: the angle depends on the direction of approach."
@@ -173,7 +176,7 @@ class Backlash(StageEffect):
     coefficients = (Parameter("backlash", "deg", -5.0, 5.0, 0.02),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Half of the direction of approach."""
+        """Direction of approach divided by 2, (n,): +½ from below, −½ from above, or 0."""
         return (0.5 * conditions.covariate("approach"),)
 
 
@@ -202,7 +205,7 @@ class PositionSlip(StageEffect):
     coefficients = (Parameter("slip", "deg", -190.0, 190.0, 0.1),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """One in the dwell, zero elsewhere."""
+        """Indicator (n,): 1 for rows of the slipped dwell, 0 for all other rows."""
         return ((conditions.covariate("order") == self.dwell).astype(float),)
 
 
@@ -222,7 +225,7 @@ class Hysteresis(LinearAxisEffect):
     coefficients = (Parameter("hysteresis", "mg", -200.0, 200.0, 0.5),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Half of the direction of approach."""
+        """Direction of approach divided by 2, (n,): +½ from below, −½ from above, or 0."""
         return (0.5 * conditions.covariate("approach"),)
 
 
@@ -253,13 +256,13 @@ class Creep(CourseEffect):
     shape = Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True)
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
-        """(a_late − a)/1000 (n,) of each axis, and its derivative with respect to τ."""
+        """For each axis: lagged minus present load in g, (n,), and its derivative with respect to τ."""
         late = [(column, *conditions.late_load(column, shape)) for column in self.columns_of(ideal)]
         return [((load - ideal[:, k]) / MG_PER_G, by_tau / MG_PER_G) for k, load, by_tau in late]
 
 
 class AxisTilt(Effect):
-    """The axis of rotation is out of the horizontal by ε.
+    """The axis of rotation is tilted out of the horizontal by ε.
 
     Gravity then has G cos ε in the plane of rotation and G sin ε along the axis of rotation. With ρ the
     modulus of the ideal in-plane reading and a_z the reading along the axis (zero in a planar session),
@@ -286,19 +289,19 @@ class AxisTilt(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Angle ε above the horizontal, towards positive readings of z."""
+        """One parameter: the tilt ε of the axis of rotation, positive if it raises the reading of z."""
         return (Parameter("tilt", "deg", -45.0, 45.0, 0.5),)
 
     @staticmethod
     def _parts(ideal: Floats) -> tuple[Floats, Floats, Floats]:
-        """Unit vector in the plane (n, 2), its modulus (n, 1) and the reading along the axis (n, 1)."""
+        """Split readings into in-plane unit vector (n, 2), in-plane modulus (n, 1) and z reading (n, 1)."""
         rho = np.hypot(ideal[:, 0], ideal[:, 1])[:, None]
         unit = np.divide(ideal[:, :2], rho, out=np.zeros((len(rho), 2)), where=rho > 0)
         along = ideal[:, 2:3] if ideal.shape[1] > 2 else np.zeros_like(rho)
         return unit, rho, along
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Rotated minus ideal readings, (n, axes) in mg."""
+        """Change of the readings by the tilt: rotated minus ideal readings, (n, axes) in mg."""
         tilt = np.deg2rad(values[0])
         unit, rho, along = self._parts(ideal)
         # 2 sin²(ε/2) is 1 − cos ε without its cancellation at small angles.
@@ -308,7 +311,10 @@ class AxisTilt(Effect):
         return seen
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative (n, axes, 1) in mg per degree; zero in x and y at ε = 0 and a_z = 0."""
+        """Derivative of the readings with respect to the tilt, (n, axes, 1) in mg per degree.
+
+        In x and y it is zero at ε = 0 and a_z = 0.
+        """
         tilt = np.deg2rad(values[0])
         unit, rho, along = self._parts(ideal)
         in_plane = unit * (-rho * np.sin(tilt) - along * np.cos(tilt))
@@ -319,7 +325,7 @@ class AxisTilt(Effect):
 
 @dataclass(frozen=True)
 class SampleEffect(AxisEffect):
-    """An effect that changes the samples of its axes, and the readings only through the samples."""
+    """An effect that changes single samples, and thereby the readings."""
 
     enters = Enters.SAMPLES
     within_dwell = True
@@ -327,7 +333,7 @@ class SampleEffect(AxisEffect):
     def samples_mg(
         self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Copy of the samples (n, axes) in mg with changed columns for `axes`."""
+        """Copy of the samples (n, axes) in mg, in which the columns of `axes` are changed by the effect."""
         changed = samples_mg.copy()
         columns = self.columns_of(samples_mg)
         changed[:, columns] = self.change(values, samples_mg[:, columns], conditions, rng)
@@ -337,7 +343,7 @@ class SampleEffect(AxisEffect):
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Changed samples of the axes of the effect, (n, len(axes)) in mg."""
+        """Return the changed samples of the axes in `axes`, (n, len(axes)) in mg."""
 
 
 class Saturation(SampleEffect):
@@ -354,18 +360,21 @@ class Saturation(SampleEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The limit: 1.7 g is the range of the ADIS16354, its word ends at 3.83 g."""
+        """One parameter: the limit in mg at which samples are clipped.
+
+        Typical is 1.7 g, the range of the ADIS16354; its 14-bit numbers end at 3.83 g.
+        """
         return (Parameter("limit", "mg", 1.0, 20000.0, 1700.0, shape=True),)
 
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Clipped samples."""
+        """Samples clipped to ± the limit, (n, len(axes)) in mg."""
         return np.clip(own_mg, -values[0], values[0])
 
 
 class Quantization(SampleEffect):
-    """Samples are multiples of a step."""
+    """Samples are rounded to multiples of a converter's LSB."""
 
     name = "quantization"
     covariates = ("reading",)
@@ -378,19 +387,19 @@ class Quantization(SampleEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The step; 0 is none."""
+        """One parameter: the size of the converter's LSB in mg; 0 leaves the samples unrounded."""
         return (Parameter("lsb", "mg", 0.0, 100.0, 0.4672),)
 
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Rounded samples."""
+        """Samples rounded to multiples of the LSB, (n, len(axes)) in mg."""
         step = float(values[0])
         return np.round(own_mg / step) * step if step > 0 else own_mg
 
 
 class Tone(SampleEffect):
-    """One spectral line, of one phase on all axes."""
+    """A sine wave in the samples (a spectral line), with one phase on all axes."""
 
     name = "tone"
     covariates = ("reading",)
@@ -404,7 +413,7 @@ class Tone(SampleEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitudes, frequency and phase (at time 0 of the session)."""
+        """Amplitude on each axis, frequency, and phase at time 0 of the session."""
         return (
             *by_letters((Parameter("tone", "mg", -2000.0, 2000.0, 5.0),), self.axes),
             Parameter("frequency", "Hz", 1e-3, 2000.0, 50.0, shape=True),
@@ -414,7 +423,7 @@ class Tone(SampleEffect):
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Samples with the line."""
+        """Samples plus the sine wave, (n, len(axes)) in mg."""
         *amplitudes, frequency, phase = values
         turn = 2 * np.pi * frequency * conditions.time_s + np.deg2rad(phase)
         line: Floats = np.sin(turn)[:, None] * np.array(amplitudes)
@@ -422,7 +431,7 @@ class Tone(SampleEffect):
 
 
 class NoiseChange(SampleEffect):
-    """White noise is added to the noise of the sensor from a moment on."""
+    """Additional white noise in the samples from some time of the session on."""
 
     name = "noise_change"
     covariates = ("reading",)
@@ -436,7 +445,7 @@ class NoiseChange(SampleEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Standard deviations of the added noise, and the moment in the time of the session."""
+        """Standard deviation of the added noise on each axis, and the session time at which it starts."""
         return (
             *by_letters((Parameter("extra", "mg", 0.0, 1000.0, 5.0),), self.axes),
             Parameter("start", "s", 0.0, 1e6, 60.0, shape=True),
@@ -445,14 +454,14 @@ class NoiseChange(SampleEffect):
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Samples with the added noise."""
+        """Samples plus the noise that is added from the start time on, (n, len(axes)) in mg."""
         joined = (conditions.time_s >= values[-1])[:, None]
         noise: Floats = joined * rng.standard_normal(own_mg.shape) * values[:-1]
         return own_mg + noise
 
 
 class Settling(CourseEffect):
-    """Each dwell begins with an equal exponential.
+    """Each dwell begins with an exponential decay of equal amplitude and time constant.
 
     For readings of equally long dwells it is a constant, so it is searched within the dwells: rows of
     `Conditions` are then samples. The mean of exp(−t/τ) over a dwell is not exp(−mean t/τ).
@@ -473,13 +482,13 @@ class Settling(CourseEffect):
     shape = Parameter("tau", "s", 1e-3, 3600.0, 1.0, shape=True)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
-        """exp(−t/τ) and its derivative by τ."""
+        """Decay exp(−t/τ) since the end of the move, (n,), and its derivative with respect to τ."""
         return decay(conditions.covariate("time_in_dwell_s"), shape)
 
 
 @dataclass(frozen=True)
 class OutlierDwell(LinearAxisEffect):
-    """One dwell deviates by any amount.
+    """The readings of one dwell deviate by any amount.
 
     Attributes
     ----------
@@ -505,9 +514,9 @@ class OutlierDwell(LinearAxisEffect):
 
     @classmethod
     def of_part(cls, part: str) -> type[Effect] | None:
-        """Class for the readings of a part."""
+        """Return this effect's class for one part of the sensor, which sets the unit; None if none fits."""
         return super().of_part(part) or cls.elsewhere.get(part)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """One in the dwell, zero elsewhere."""
+        """Indicator (n,): 1 for rows of the disturbed dwell, 0 for all other rows."""
         return ((conditions.covariate("order") == self.dwell).astype(float),)

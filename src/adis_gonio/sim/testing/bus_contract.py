@@ -39,7 +39,7 @@ SLACK_S = 2e-9
 
 @dataclass(frozen=True)
 class WireFrame:
-    """A frame as seen by the pins."""
+    """A frame as recorded at the chip's pins."""
 
     word: int
     start_s: float
@@ -49,16 +49,16 @@ class WireFrame:
 
     @property
     def rise_s(self) -> float:
-        """Rise of chip select."""
+        """Time in s at which chip select rises and the frame ends."""
         return self.start_s + 16 / self.clock_hz + self.cs_hold_s
 
     def given_to(self, chip: SimulatedChip) -> int:
-        """Reply of another chip to this frame with its hold: the chip takes the word at the rise."""
+        """Send this frame to another chip with equal timing; return the reply of that chip."""
         return chip.frame(self.word, start_s=self.start_s, clock_hz=self.clock_hz, cs_hold_s=self.cs_hold_s)
 
 
 class WatchedChip(SimulatedChip):
-    """A chip that records every frame."""
+    """A simulated chip that records every frame in the list `seen`."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.seen: list[WireFrame] = []
@@ -67,13 +67,13 @@ class WatchedChip(SimulatedChip):
     def frame(
         self, word: int, *, start_s: float, clock_hz: float, bits: int = 16, cs_hold_s: float = 0.0
     ) -> int:
-        """Take a frame and record it in `seen`."""
+        """Take a frame as `SimulatedChip.frame` does, and record it in `seen`."""
         reply = super().frame(word, start_s=start_s, clock_hz=clock_hz, bits=bits, cs_hold_s=cs_hold_s)
         self.seen.append(WireFrame(word, start_s, clock_hz, reply, cs_hold_s))
         return reply
 
     def frames_at(self, words: Words, starts_s: Floats, *, clock_hz: float) -> Words:
-        """Take the frames one by one, so that each is recorded."""
+        """Take frames at increasing times one by one, so that each is recorded; return the replies."""
         return np.array(
             [
                 self.frame(int(word), start_s=float(start), clock_hz=clock_hz)
@@ -85,7 +85,7 @@ class WatchedChip(SimulatedChip):
 
 @dataclass
 class Rig:
-    """A bus with its chip.
+    """A bus under test with the simulated chip at its pins.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Rig:
 
 
 class BusContract(ABC):
-    """The contract of `adis_gonio.device.bus.contract`, for a subclass with a name that begins with `Test`.
+    """Tests of the bus contract; a subclass has a name that begins with `Test` and implements `make`.
 
     Tests of a capability that the bus lacks, and of a clock limit that the rig does not name, pass without
     a check; another test proves that a missing capability is refused by name.
@@ -117,11 +117,11 @@ class BusContract(ABC):
 
     @abstractmethod
     def make(self) -> Rig:
-        """Make a new rig; the fixture closes its bus."""
+        """Return a new bus with its chips for one test; the fixture `rig` closes the bus."""
 
     @pytest.fixture
     def rig(self) -> Iterator[Rig]:
-        """Rig of one test; its bus is closed after it."""
+        """Fixture: the bus and chips of one test; the bus is closed after the test."""
         rig = self.make()
         yield rig
         rig.bus.close()
@@ -400,7 +400,7 @@ class BusContract(ABC):
 
 
 def random_batches(rng: np.random.Generator, count: int) -> list[list[int]]:
-    """Batches of reads and harmless writes, of all sizes."""
+    """Draw `count` batches of 16-bit frames, of very different lengths: reads and harmless writes."""
     batches = []
     for _ in range(count):
         batch: list[int] = []
@@ -419,7 +419,10 @@ def random_batches(rng: np.random.Generator, count: int) -> list[list[int]]:
 
 
 def assert_timing(frames: list[WireFrame], timing: SpiTiming, clock_from: int = 0) -> None:
-    """Check the timing of every frame relative to the previous frame."""
+    """Assert that each frame keeps the stall and period of `timing` after the frame before it.
+
+    The clock is checked from frame `clock_from` on.
+    """
     assert len(frames) > 1
     assert all(frame.clock_hz <= timing.clock_hz for frame in frames[clock_from:])
     for before, after in pairwise(frames):

@@ -38,7 +38,7 @@ DEFAULT_URL = "sim:?seed=1"
 
 
 class SimulatedSensor(Adis16354):
-    """The driver on a simulated chip; open one by `open_simulated` or by the fixture `simulated_sensor`.
+    """The driver with a simulated chip; `open_simulated` or the fixture `simulated_sensor` opens it.
 
     Host code calls the methods of the driver; a test also uses `stage`, `world`, `chip`, `truth` and
     `faulty`. Time is virtual: moves, dwells and waits cost nothing.
@@ -46,7 +46,7 @@ class SimulatedSensor(Adis16354):
 
     @property
     def faulty(self) -> FaultyBus:
-        """The bus, which corrupts frames by its `faults`; `faulty.seen` counts the faults."""
+        """The bus of the driver, which corrupts frames as its `faults` say; `faulty.seen` counts them."""
         return cast(FaultyBus, self.bus)
 
     @property
@@ -55,26 +55,26 @@ class SimulatedSensor(Adis16354):
 
     @property
     def stage(self) -> SimStage:
-        """Moves the part: `move_to(angle_deg, approach)` in the plane, `orient((x, y, z))` in space."""
+        """Simulated stage: `move_to(angle_deg, approach)` in the plane, `orient((x, y, z))` in space."""
         return self._simulated.stage
 
     @property
     def world(self) -> World:
-        """The world around the part; `bring_to` heats it or sets the supply."""
+        """The simulated world of the sensor; `bring_to` heats the sensor or sets the supply."""
         return self._simulated.world
 
     @property
     def chip(self) -> SimulatedChip:
-        """The chip behind the pins."""
+        """The simulated chip, for access without frames."""
         return self._simulated.chip
 
     def truth(self) -> dict[str, float]:
-        """Hidden parameters by the names that a fit uses; units as `World.truth`."""
+        """True parameters of the simulated sensor by the names that a fit uses; units: `World.truth`."""
         return self.world.truth()
 
 
 def simulated_bus(url: str = DEFAULT_URL) -> SimBus:
-    """Open a simulated bus.
+    """Open a simulated bus by a URL of the simulator.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def simulated_bus(url: str = DEFAULT_URL) -> SimBus:
 def open_simulated(
     url: str = DEFAULT_URL, *, check: bool = True, bus_faults: BusFaults = NO_FAULTS
 ) -> SimulatedSensor:
-    """Open a simulated sensor; use it as a context manager.
+    """Open a driver with a simulated chip; use it as a context manager.
 
     Parameters
     ----------
@@ -128,7 +128,9 @@ _UNREAD = 1 << 20
 
 
 class SimulatedBoard(Closing):
-    """The firmware behind a pty or a TCP port, at work in a thread; use it as a context manager.
+    """A simulated board: firmware that a thread runs behind a pseudo-terminal or a TCP port.
+
+    Use it as a context manager.
 
     Parameters
     ----------
@@ -149,7 +151,7 @@ class SimulatedBoard(Closing):
     host, port : str, int
         Address for plain sockets; empty for a pty.
     stage : BoardStage
-        Moves the part.
+        Moves the sensor.
 
     Raises
     ------
@@ -190,32 +192,35 @@ class SimulatedBoard(Closing):
 
     @property
     def url(self) -> str:
-        """Bus URL that opens it with this package: `open_sensor(board.url)`."""
+        """Bus URL of the board for this package, as in `open_sensor(board.url)`."""
         return f"serial:{self.path}"
 
     @property
     def chip(self) -> SimulatedChip:
-        """The chip on the board."""
+        """The simulated chip that is connected to the board."""
         return self.firmware.pins.chip
 
     @property
     def world(self) -> World:
-        """The world around the chip."""
+        """The simulated world of the board's chip."""
         if self._world is None:
             raise UsageError("this board was made without its world; open_board brings one")
         return self._world
 
     def truth(self) -> dict[str, float]:
-        """Hidden parameters by the names that a fit uses; units as `World.truth`."""
+        """True parameters of the simulated sensor by the names that a fit uses; units: `World.truth`."""
         with self.lock:
             return self.world.truth()
 
     def now_s(self) -> float:
-        """The board's time in s, not before the time of the chip. Hold `lock` if the two must agree."""
+        """Time in s on the clock of the board, or the time of its chip if that is later.
+
+        Take `lock` first if clock and chip must not run on meanwhile.
+        """
         return max(self._clock.now_s(), self.chip.time_s)
 
     def close(self) -> None:
-        """Remove the port; may be called twice."""
+        """Close the board's port and stop its thread; may be called twice."""
         self._stop.set()
         self._thread.join(_END_S)
         self._line.close()
@@ -247,7 +252,10 @@ class SimulatedBoard(Closing):
         return min([_LONGEST_WAIT_S, *(max(0.0, t - now) for t in times)])
 
     def _work(self, there: FaultyStream, back: FaultyStream) -> None:
-        """Run the firmware up to the present time."""
+        """Run the firmware up to the present time and move bytes between firmware and line.
+
+        `there` has the bytes from the host, `back` the bytes to the host.
+        """
         now, firmware = self._clock.wall_s(), self.firmware
         firmware.run(now)
         data = there.take(now, _BUFFER)
@@ -261,25 +269,28 @@ class SimulatedBoard(Closing):
 
 
 class BoardStage:
-    """The stage under a board: a call returns when its move ends on the wall clock."""
+    """The simulated stage of a board; each call waits in real time until its move has ended."""
 
     def __init__(self, board: SimulatedBoard) -> None:
         self._board = board
 
     @property
     def angle_deg(self) -> float:
-        """Declared angle; NaN after a move in space."""
+        """Declared angle of the stage in degrees; NaN after a move in space."""
         return self._board.world.stage.angle_deg
 
     def move_to(self, angle_deg: float, approach: int = 0) -> None:
-        """Turn to a declared angle in degrees, arriving from below (+1), above (-1) or the short way."""
+        """Turn the stage to a declared angle in degrees; return when it rests.
+
+        It arrives from below if `approach` is +1, from above if -1, or the short way if 0.
+        """
         board = self._board
         with board.lock:
             end_s = board.world.stage.move_to(board.now_s(), angle_deg, approach)
         self._wait_until(end_s)
 
     def orient(self, vector: Sequence[float]) -> None:
-        """Turn until an ideal sensor reads along a vector (3,); level with Z up is (0, 0, -1)."""
+        """Turn the sensor until an ideal one reads along a vector (3,); level with Z up is (0, 0, -1)."""
         import numpy as np
 
         board = self._board
@@ -300,17 +311,17 @@ def open_board(
     line_faults: Faults | None = None,
     boot_s: float = 0.0,
 ) -> SimulatedBoard:
-    """A board with a chip in the world that a URL of the simulator describes.
+    """Open a simulated board; a URL of the simulator describes the chip and its world.
 
     Parameters
     ----------
     url : str
-        Such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`; the same URL gives `open_simulated` a part
+        Such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`; the same URL gives `open_simulated` a sensor
         with the same hidden parameters.
     transport : {"pty", "tcp"}
         By default a pseudo-terminal if the system has them.
     line_faults : Faults
-        See `SimulatedBoard`; each board takes a copy with new dice, because a mark may apply to many tests.
+        See `SimulatedBoard`; each board draws from its own copy, because a mark may apply to many tests.
     boot_s : float
         Silence at the beginning, like a board that boots.
 
@@ -329,7 +340,7 @@ def open_board(
 
 
 class _Pty:
-    """The board's end of a pseudo-terminal; its methods raise `OSError` if the line is gone."""
+    """The board's end of a pseudo-terminal; its methods raise `OSError` if the terminal was closed."""
 
     host, port = "", 0
 
@@ -342,12 +353,15 @@ class _Pty:
         self.path = os.ttyname(self._slave)
 
     def receive(self, wait_s: float, *, writes: bool) -> bytes:
-        """Bytes that have arrived; waits at most so long for input, or with `writes` for room."""
+        """Return the bytes that have arrived, after waiting at most `wait_s` seconds for some.
+
+        With `writes` it also returns as soon as bytes can be sent.
+        """
         ready = select.select([self._master], [self._master] if writes else [], [], wait_s)
         return os.read(self._master, 4096) if ready[0] else b""
 
     def send(self, data: bytes) -> int:
-        """Send as many bytes as possible; return their number."""
+        """Send as many of the bytes as the terminal accepts; return their number."""
         if not data:
             return 0
         try:
@@ -363,7 +377,7 @@ class _Pty:
 
 
 class _Tcp:
-    """A port of this machine; one host at a time, and the next when that has gone."""
+    """The board's end of a TCP port on this machine, which serves one host after another."""
 
     def __init__(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0))

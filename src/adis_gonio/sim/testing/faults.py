@@ -1,4 +1,4 @@
-"""Seeded faults between a host and a device: of bytes and USB packets, and of SPI frames.
+"""Simulated faults between host and device, drawn from a seed: of bytes, USB packets and SPI frames.
 
 `Faults` draws the faults, `FaultyStream` applies them to the bytes of a serial line; a model of USB packets
 asks `Faults` for each packet. The rates are probabilities: `drop`, `duplicate`, `flip`, `delay` and `chunk`
@@ -7,8 +7,8 @@ work), `stuck`, `short` and `unplug` to a packet. A serial line knows `drop`, `d
 `chunk` and `hang`.
 
 `FaultyBus` is a bus around another bus that corrupts its frames, for drivers and host code that have to
-notice. Each kind of fault has its own generator, so that the same frames meet the same faults, independent
-of their grouping into batches and of the other kinds.
+notice. Each kind of fault has its own generator, so the faults of a frame do not depend on the grouping
+into batches or on the other kinds.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ from adis_gonio.device.bus.contract import FRAME_BITS, FrameBlock, FrameStream, 
 
 @dataclass
 class Faults:
-    """Rates and the dice; `seen` counts the faults that happened."""
+    """Probabilities of faults of a serial line or device, and the random draws from them.
+
+    `seen` counts the faults that happened, by kind.
+    """
 
     seed: int = 0
     drop: float = 0.0
@@ -52,7 +55,7 @@ class Faults:
         self.hung_until_s = -math.inf
 
     def happens(self, kind: str) -> bool:
-        """Draw whether a kind of fault happens now."""
+        """Draw whether a fault of this kind happens now, and count it in `seen` if it does."""
         rate = getattr(self, kind)
         if rate and self.dice.random() < rate:
             self.seen[kind] += 1
@@ -60,13 +63,13 @@ class Faults:
         return False
 
     def hangs(self, now_s: float) -> bool:
-        """True while the device does not react; a hang may begin now."""
+        """True while the device hangs, that is, does not react; each call may start a hang."""
         if now_s >= self.hung_until_s and self.happens("hang"):
             self.hung_until_s = now_s + self.hang_s
         return now_s < self.hung_until_s
 
     def flipped(self, data: bytes, first: int, last: int) -> bytes:
-        """Bytes with one flipped bit in some of the bytes from first to last (exclusive)."""
+        """Copy of `data` in which bytes `first` to `last` (exclusive) may each have one flipped bit."""
         out = bytearray(data)
         for k in range(first, min(last, len(out))):
             if self.happens("flip"):
@@ -74,17 +77,17 @@ class Faults:
         return bytes(out)
 
     def delayed_s(self) -> float:
-        """Additional delay in s, or 0."""
+        """Draw the additional delay of a transfer in s; 0 if no delay happens."""
         return self.delay_s * self.dice.random() * 2 if self.happens("delay") else 0.0
 
     @property
     def total(self) -> int:
-        """Number of faults so far."""
+        """Number of faults of all kinds so far."""
         return sum(self.seen.values())
 
 
 class FaultyStream:
-    """Bytes in transit, each with its time of arrival, in order."""
+    """One direction of a serial line: bytes that are under way, in order, each with its time of arrival."""
 
     def __init__(self, faults: Faults, byte_s: float = 0.0) -> None:
         self.faults = faults
@@ -94,7 +97,7 @@ class FaultyStream:
         self._last_s = -math.inf
 
     def put(self, data: bytes, now_s: float) -> None:
-        """Add bytes to the line."""
+        """Send bytes into the line at a time in s; faults may lose, double, change or delay them."""
         faults = self.faults
         for byte in data:
             if faults.happens("drop"):
@@ -108,11 +111,11 @@ class FaultyStream:
                 self._queue.append((self._last_s, byte))
 
     def next_s(self) -> float | None:
-        """Time at which the next byte arrives; None if no byte is in transit."""
+        """Time in s at which the next byte arrives; None if no byte is under way."""
         return self._queue[self._at][0] if self._at < len(self._queue) else None
 
     def take(self, now_s: float, size: int) -> bytes:
-        """Up to `size` bytes that have arrived."""
+        """Remove and return up to `size` bytes that have arrived by a time in s."""
         end = self._at
         while end < len(self._queue) and end - self._at < size and self._queue[end][0] <= now_s:
             end += 1
@@ -124,7 +127,7 @@ class FaultyStream:
         return data
 
     def waiting(self, now_s: float) -> int:
-        """Number of bytes that have arrived and were not taken."""
+        """Number of bytes that have arrived by a time in s and were not taken yet."""
         count = 0
         for k in range(self._at, len(self._queue)):
             if self._queue[k][0] > now_s:
@@ -133,7 +136,7 @@ class FaultyStream:
         return count
 
     def clear(self) -> None:
-        """Discard all bytes in transit."""
+        """Discard all bytes that are under way."""
         self._queue.clear()
         self._at = 0
 
@@ -143,12 +146,12 @@ _KINDS = ("bit_errors", "lost_frames", "stuck_words", "busy", "silent")
 
 @dataclass(frozen=True)
 class BusFaults:
-    """Faults of frames, as probabilities from 0 to 1.
+    """Probabilities (0 to 1) of faults of SPI frames, and the properties of these faults.
 
     Attributes
     ----------
     seed : int
-        Seed of all dice.
+        Seed of all random draws.
     bit_errors : float
         Probability that a bit of a reply is flipped, as by noise on the data line; SPI cannot detect it.
     lost_frames : float
@@ -190,7 +193,7 @@ NO_FAULTS = BusFaults()
 
 
 class FaultyBus(SpiBus):
-    """A bus that corrupts the frames of another bus.
+    """A bus that passes frames to another bus and corrupts the replies.
 
     Parameters
     ----------
@@ -216,7 +219,7 @@ class FaultyBus(SpiBus):
 
     @property
     def faults(self) -> BusFaults:
-        """Probabilities of the faults; setting them resets the dice."""
+        """Probabilities of the faults; assigning new ones restarts the random draws from their seed."""
         return self._faults
 
     @faults.setter
@@ -231,32 +234,32 @@ class FaultyBus(SpiBus):
 
     @property
     def stage(self) -> Any:
-        """Stage of the inner bus; None if it has none."""
+        """Stage of the wrapped bus; None if that bus has no stage."""
         return getattr(self.inner, "stage", None)
 
     @property
     def world(self) -> Any:
-        """World of the inner bus; None if it has none."""
+        """Simulated world of the wrapped bus; None if that bus has no world."""
         return getattr(self.inner, "world", None)
 
     def now_s(self) -> float:
-        """Time of the inner bus."""
+        """Time in s on the clock of the wrapped bus."""
         return self.inner.now_s()
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait on the inner bus's clock."""
+        """Wait on the clock of the wrapped bus."""
         self.inner.sleep_s(seconds)
 
     def hard_reset(self) -> None:
-        """Pull the RST line of the inner bus."""
+        """Reset the chip by the RST line of the wrapped bus."""
         self.inner.hard_reset()
 
     def read_event_counter(self) -> int:
-        """Edges that the inner bus has counted."""
+        """Data-ready edges that the wrapped bus has counted since the last call."""
         return self.inner.read_event_counter()
 
     def count_events(self) -> tuple[int, float]:
-        """Edges and time of the inner bus."""
+        """Data-ready edges since the last call, and the time in s, from the wrapped bus."""
         return self.inner.count_events()
 
     def _configure(self, timing: SpiTiming) -> SpiTiming:
@@ -268,7 +271,7 @@ class FaultyBus(SpiBus):
     # -- faulty calls --------------------------------------------------------------------------------
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream of the inner bus, with faults in its words."""
+        """Start a stream of the wrapped bus, with faults in the words of its scans."""
         return _FaultyFrames(self, self.inner.stream(frames, block_scans=block_scans))
 
     def _exchange(self, frames: Words) -> Words:
@@ -291,7 +294,7 @@ class FaultyBus(SpiBus):
         return replies
 
     def _spoilt(self, words: Words) -> Words:
-        """Replies (n,) with repeated words and flipped bits."""
+        """Copy of replies (n,), of which some repeat an earlier reply and some have flipped bits."""
         words = words.copy()
         sticks = self._struck("stuck_words", len(words))
         if self._stuck_left or sticks.any():
@@ -305,7 +308,7 @@ class FaultyBus(SpiBus):
         return words ^ (turned @ (1 << np.arange(FRAME_BITS))).astype(np.uint16)
 
     def _struck(self, kind: str, count: int) -> NDArray[np.bool_]:
-        """Draw which of `count` items a kind of fault hits, (count,)."""
+        """Draw for each of `count` items whether a fault of this kind hits it, (count,); count the hits."""
         rate = getattr(self._faults, kind)
         if not rate:
             return np.zeros(count, bool)
@@ -318,7 +321,7 @@ class FaultyBus(SpiBus):
 
 
 class _FaultyFrames(FrameStream):
-    """A stream with faults in its words."""
+    """A stream of the wrapped bus, with flipped bits, repeated words and lost scans."""
 
     def __init__(self, bus: FaultyBus, inner: FrameStream) -> None:
         self._bus = bus
@@ -332,5 +335,5 @@ class _FaultyFrames(FrameStream):
         return FrameBlock(words[~lost], block.time_s[~lost], block.lost + int(lost.sum()))
 
     def close(self) -> None:
-        """End the inner stream."""
+        """Close the stream of the wrapped bus."""
         self._inner.close()

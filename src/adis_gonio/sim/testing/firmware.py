@@ -26,12 +26,12 @@ TRIGGER_S = 4e-6
 
 
 def crc(data: bytes) -> int:
-    """CRC-32/ISO-HDLC, as in zlib."""
+    """CRC-32 of the bytes (CRC-32/ISO-HDLC, as in zlib)."""
     return zlib.crc32(data)
 
 
 def stuff(data: bytes) -> bytes:
-    """Encode bytes by COBS."""
+    """Encode bytes by COBS, so that the result has no zero byte."""
     out, run = bytearray(), bytearray()
     for k, byte in enumerate(data):
         if byte:
@@ -45,7 +45,7 @@ def stuff(data: bytes) -> bytes:
 
 
 def unstuff(data: bytes) -> bytes | None:
-    """Decode COBS; None for invalid bytes."""
+    """Decode bytes encoded by COBS; None if they are invalid."""
     out, k = bytearray(), 0
     while k < len(data):
         size = data[k]
@@ -59,7 +59,7 @@ def unstuff(data: bytes) -> bytes | None:
 
 
 class SimulatedFirmware:
-    """The board's firmware with a chip on its pins.
+    """The firmware of a simulated board, connected to a simulated chip.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class SimulatedFirmware:
     # -- life -------------------------------------------------------------------------------------------
 
     def restart(self) -> None:
-        """Start as after power-on or a reset by DTR."""
+        """Start again, as after power-on or a reset by the DTR line."""
         self.awake_s = self.pins.clock.now_s() + self.boot_s
         self._buffer = bytearray()
         self._session = False
@@ -122,11 +122,11 @@ class SimulatedFirmware:
         self.out.clear()
 
     def now_us(self, time_s: float) -> int:
-        """The board's clock."""
+        """Reading of the board's 32-bit microsecond clock at a time in s, including its drift."""
         return (self.start_us + round(time_s * 1e6 * (1 + self.drift))) & 0xFFFF_FFFF
 
     def feed(self, data: bytes) -> None:
-        """Take bytes that arrive now."""
+        """Receive bytes from the host at the present time and execute each complete packet."""
         if self.pins.clock.now_s() < self.awake_s:
             return
         for byte in data:
@@ -139,13 +139,13 @@ class SimulatedFirmware:
                 self._packet(taken)
 
     def next_event_s(self) -> float | None:
-        """Time of the next event without input; None if there is none."""
+        """Time in s of the firmware's next action without a request; None if it only waits."""
         if self._stream is None:
             return None
         return self._stream.next_trigger_s()
 
     def run(self, time_s: float) -> None:
-        """Simulate until a time."""
+        """Make all scans of the stream that are due up to a time in s."""
         while self._stream is not None:
             trigger = self._stream.next_trigger_s()
             if trigger is None or trigger > time_s:
@@ -155,7 +155,7 @@ class SimulatedFirmware:
     # -- packets ----------------------------------------------------------------------------------------
 
     def send(self, kind: int, request_id: int, body: bytes) -> None:
-        """Send a packet."""
+        """Queue a packet to the host: its type, the id of the request, and its body."""
         self._put(self._packed(kind, request_id, body))
 
     @staticmethod
@@ -272,7 +272,7 @@ class SimulatedFirmware:
             self.send(0x83, request_id, struct.pack(f"<{count}H", *words))
 
     def frame(self, word: int, not_before_s: float = -math.inf) -> int:
-        """Send one frame on the pins as soon as the timing allows."""
+        """Send a frame to the chip as soon as the timing allows; return the word received."""
         clock, stall, period = self._timing
         start = max(
             self.pins.clock.now_s() if math.isinf(not_before_s) else not_before_s,
@@ -351,7 +351,7 @@ class SimulatedFirmware:
 
 
 class _Stream:
-    """A running stream; scans are made when the firmware runs past their trigger."""
+    """A running stream of scans; `scan` makes each scan when the firmware has passed its trigger."""
 
     def __init__(
         self,
@@ -379,7 +379,7 @@ class _Stream:
         self._blocked_s = -math.inf
 
     def next_trigger_s(self) -> float | None:
-        """Next trigger that gives a scan."""
+        """Time in s of the next trigger that starts a scan; None if no data-ready edge follows."""
         if self._period_s is not None:
             return self._after_s + self._period_s * self.decimation
         chip = self.firmware.pins.chip
@@ -389,7 +389,7 @@ class _Stream:
         return None if first is None else first + (self.decimation - 1) * chip.update_period_s
 
     def scan(self, trigger_s: float) -> None:
-        """Run the list and the idle frame; triggers during the scan are lost."""
+        """Make the scan of a trigger: send the read frames and an idle frame; count missed triggers."""
         firmware = self.firmware
         if trigger_s < self._blocked_s:
             self._lose(1)
@@ -416,7 +416,7 @@ class _Stream:
         self.firmware.all_lost += count
 
     def flush(self, now_s: float) -> None:
-        """Close the packet."""
+        """Send the scans collected so far to the host as a packet."""
         if not self._times:
             return
         firmware = self.firmware

@@ -13,46 +13,46 @@ from adis_gonio.sim.chip import SimulatedChip
 
 
 class VirtualClock:
-    """Clock that advances only by waits and work; a time-out costs nothing."""
+    """Clock that advances only by simulated waits and work, so that a time-out takes no real time."""
 
     def __init__(self, now_s: float = 0.0) -> None:
         self._now_s = now_s
 
     def now_s(self) -> float:
-        """Time in s."""
+        """Present time in s."""
         return self._now_s
 
     def sleep_s(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the clock by `seconds`, without waiting."""
         if seconds > 0:
             self._now_s += seconds
 
     def advance_to(self, time_s: float) -> None:
-        """Advance to the time at which work ends."""
+        """Advance the clock to the time in s at which a piece of work ends, unless it is later already."""
         self._now_s = max(self._now_s, time_s)
 
 
 class DeviceClock:
-    """Wall clock that starts at 0, for device models in real time (pty, USB/IP)."""
+    """Real-time clock that starts at 0, for models of devices that a host opens (pty, USB/IP)."""
 
     def __init__(self) -> None:
         self._zero_s = time.monotonic()
 
     def now_s(self) -> float:
-        """Time since it was made, in s."""
+        """Time in s since the clock was created."""
         return time.monotonic() - self._zero_s
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait."""
+        """Wait in real time."""
         time.sleep(max(0.0, seconds))
 
     def advance_to(self, time_s: float) -> None:
-        """Wait until the work is done."""
+        """Wait in real time until a time in s at which a piece of work ends."""
         self.sleep_s(time_s - self.now_s())
 
 
 class WorkClock(DeviceClock):
-    """Wall clock for a model that marks its answers with the time at which they are ready.
+    """Real-time clock of a device model that computes each answer with the time at which it is ready.
 
     Work advances it at once, ahead of the wall clock; the sender of an answer waits for its time. A model
     that slept for every frame would be late by as many wake-ups of a busy machine.
@@ -63,15 +63,15 @@ class WorkClock(DeviceClock):
         self._done_s = 0.0
 
     def wall_s(self) -> float:
-        """The wall's clock."""
+        """Real time in s since the clock was created, regardless of simulated work."""
         return super().now_s()
 
     def now_s(self) -> float:
-        """Time of the wall, or the time of the finished work if that is later."""
+        """Time in s of the simulated device: real time, or the end of its work if that is later."""
         return max(self.wall_s(), self._done_s)
 
     def advance_to(self, time_s: float) -> None:
-        """Note that work is done until a time."""
+        """Record that the device works until a time in s, without waiting."""
         self._done_s = max(self._done_s, time_s)
 
 
@@ -79,17 +79,17 @@ RIGHT_MODE = 3
 
 
 class PinClock(Protocol):
-    """A clock on which work takes its time (see `adis_gonio.sim.testing.pins`)."""
+    """Clock of a simulated device, advanced by the time that its work takes; see the module's text."""
 
     def now_s(self) -> float:
-        """Time in s."""
+        """Present time in s."""
 
     def advance_to(self, time_s: float) -> None:
-        """Work goes on until a time."""
+        """Advance the clock to the time in s at which a piece of work ends."""
 
 
 class ChipPins:
-    """A chip on the pins of a bridge; a wrong use of the pins gives wrong replies.
+    """The SPI and RST pins of a simulated chip, for models of bridges; wrong use gives wrong replies.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class ChipPins:
         selected: bool = True,
         start_s: float | None = None,
     ) -> bytes:
-        """One chip-select period; returns as many bytes as it was given.
+        """Clock bytes to the chip during one low phase of chip select; return as many bytes.
 
         It starts now, or at `start_s` if the bridge times its frames itself.
         """
@@ -135,9 +135,9 @@ class ChipPins:
         return reply.to_bytes(2, "big").ljust(len(data), b"\xff")[: len(data)]
 
     def hard_reset(self) -> None:
-        """Release RST."""
+        """Pulse the RST line of the chip; its start-up follows."""
         self.chip.hard_reset(max(self.clock.now_s(), self.chip.time_s))
 
     def data_ready_edges(self) -> int:
-        """Number of data-ready edges so far."""
+        """Number of data-ready pulses of the chip since power-on."""
         return self.chip.data_ready_edges(max(self.clock.now_s(), self.chip.time_s))

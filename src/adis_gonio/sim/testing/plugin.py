@@ -31,7 +31,7 @@ OPTIONS = {
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the mark."""
+    """Register the mark that gives the options of a simulated sensor or board with pytest."""
     config.addinivalue_line(
         "markers", f"{MARK}({', '.join(OPTIONS)}): how a simulated sensor or board of adis-gonio is made"
     )
@@ -39,7 +39,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def simulated_sensor(request: pytest.FixtureRequest) -> Iterator[SimulatedSensor]:
-    """An open driver over a simulated chip, with `stage`, `world`, `truth()` and `faulty`; virtual time."""
+    """Fixture: an open driver of a simulated chip, in virtual time.
+
+    In addition to the driver's methods it has `stage`, `world`, `truth()` and `faulty`.
+    """
     from adis_gonio.sim.testing.doubles import open_simulated
 
     with _made(open_simulated, request, ("url", "check", "bus_faults")) as sensor:
@@ -48,7 +51,10 @@ def simulated_sensor(request: pytest.FixtureRequest) -> Iterator[SimulatedSensor
 
 @pytest.fixture
 def simulated_board(request: pytest.FixtureRequest) -> Iterator[SimulatedBoard]:
-    """A board with the project's firmware behind a serial port, `path` or `host` and `port`; real time."""
+    """Fixture: a simulated board with the project's firmware, in real time.
+
+    Open it by its serial port `path`, or by `host` and `port`.
+    """
     from adis_gonio.sim.testing.doubles import open_board
 
     with _made(open_board, request, ("url", "line_faults", "transport", "boot_s")) as board:
@@ -56,7 +62,7 @@ def simulated_board(request: pytest.FixtureRequest) -> Iterator[SimulatedBoard]:
 
 
 def _made(make: Any, request: pytest.FixtureRequest, names: tuple[str, ...]) -> Any:
-    """Call `make` with the marks of a test; a mistake in them fails the test in one line."""
+    """Call `make` with the options of the test's marks; a wrong option fails the test with one line."""
     from adis_gonio.base.errors import AdisGonioError
 
     options = _options(request)

@@ -37,9 +37,9 @@ LEAST_DWELLS = 4
 LEAST_SAMPLES = 6
 _TAUS = 12
 _LONGEST = 0.5
-"""Longest time constant in lengths of a dwell; a longer one is a line."""
+"""Longest time constant in lengths of a dwell; with a longer one the course is a straight line."""
 _BENT = 9.0
-"""Gain, in units of the noise, that an exponential needs over a line."""
+"""Least decrease of the squares, in units of the noise variance, by an exponential instead of a line."""
 _POINTS = 120
 _ROUNDING_MG = 1e-9
 """Least scatter of a projection. Constant samples project on their rounding, equal in all dwells."""
@@ -47,7 +47,7 @@ _ROUNDING_MG = 1e-9
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A course on one axis (a line if `tau` is None), and the regressor of its amplitude."""
+    """A course of the samples that dwells share on one axis: an exponential, or a line if no `tau`."""
 
     axis: int
     tau: float | None
@@ -60,7 +60,7 @@ class _Candidate:
 
 
 def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Samples]:
-    """Find the courses that the dwells share, and subtract them from the samples."""
+    """Find slopes and settling that all dwells share; return the findings and the samples without them."""
     found: list[WithinFinding] = []
     while len(found) < most:
         usable = samples.counts >= LEAST_SAMPLES
@@ -75,13 +75,16 @@ def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Sampl
 
 
 def _regressors(samples: Samples) -> Floats:
-    """Return possible regressors of amplitudes (2, d, axes): one; the change of the axis's reading in g."""
+    """Return possible factors of a course's amplitude in each dwell and axis, (2, d, axes).
+
+    The first is 1, the second the change of the axis's reading in g since the dwell before.
+    """
     change = np.diff(samples.reading, axis=0, prepend=samples.reading[:1]) / MG_PER_G
     return np.stack([np.ones_like(change), change])
 
 
 def grid(samples: Samples, usable: Usable) -> list[float | None]:
-    """Return time constants in s to try; None is a line."""
+    """Return the time constants in s to try; None represents a straight line."""
     lengths = [float(samples.elapsed_s(k)[-1]) for k in np.flatnonzero(usable).tolist()]
     longest = float(np.median(lengths))
     shortest = 3 * samples.period_s
@@ -91,12 +94,15 @@ def grid(samples: Samples, usable: Usable) -> list[float | None]:
 
 
 def _course(elapsed_s: Floats, tau: float | None) -> Floats:
-    """Course (n,): elapsed time in s, or an exponential."""
+    """Return the course (n,): the elapsed time in s, or an exponential decay if `tau` is given."""
     return elapsed_s if tau is None else np.exp(-elapsed_s / tau)
 
 
 def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Floats, Floats]:
-    """Return amplitudes of each dwell times the norm of the course (d, axes), and that norm (d,)."""
+    """Return the projections (d, axes) of each dwell's samples on the course, and its norms (d,).
+
+    A projection is the amplitude times the norm.
+    """
     z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
     for k in np.flatnonzero(usable).tolist():
         course = _course(samples.elapsed_s(k), tau)
@@ -108,7 +114,7 @@ def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Fl
 
 
 def _best(samples: Samples, usable: Usable) -> _Candidate | None:
-    """Return the significant course that explains most."""
+    """Return the significant course that explains most of the samples' variance; None if none is."""
     taus = grid(samples, usable)
     kinds = _regressors(samples)
     tests = len(taus) * 2 * samples.axes
@@ -138,7 +144,7 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
                     best = own
                 if tau is None and (line is None or explained > line.explained):
                     line = own
-    # An exponential has a free shape: a line is preferred unless the exponential explains much more.
+    # An exponential has one more parameter: a line is preferred unless the exponential explains much more.
     if best is not None and line is not None and best.explained - line.explained < _BENT * best.noise:
         return line
     return best
@@ -202,7 +208,7 @@ def _fit_course(samples: Samples, usable: Usable, best: _Candidate) -> tuple[Wit
 
 
 def _significant_axes(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
-    """Return the axes that share the course: the first, and those on which it is significant alone."""
+    """Return the axes with the course: the axis of `best`, and others on which it is significant."""
     z, norm = projections(samples, usable, best.tau)
     g = norm[:, None] * _regressors(samples)[int(best.by_move)]
     energy = np.maximum((g**2).sum(axis=0), 1e-300)
@@ -279,7 +285,10 @@ def _finding(
 
 
 def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
-    """Time in s until settling moves a mean by less than a third of its noise (white, n samples)."""
+    """Return the time in s to wait until settling shifts a dwell's mean by a third of its noise.
+
+    The noise of the mean is that of white noise over the samples.
+    """
     sizes = []
     for k in range(len(samples)):
         n = len(samples.values[k])
@@ -293,7 +302,7 @@ def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
 def _view(
     samples: Samples, best: _Candidate, tau: float | None, slope: float, weight: Floats, dwells: list[int]
 ) -> View:
-    """Weighted mean course of the dwells, as at most `_POINTS` means of neighbours."""
+    """Return the figure of a course: its weighted mean over the dwells, in at most `_POINTS` points."""
     length = min(len(samples.values[k]) for k in dwells)
     norm = float((weight[dwells] ** 2).sum())
     # Least-squares course: each dwell weighted by its regressor.

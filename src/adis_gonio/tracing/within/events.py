@@ -37,7 +37,8 @@ from adis_gonio.tracing.within.samples import (
 _SHORTEST = 8
 _LEAST_SAMPLES = 6
 _MANY = 300
-"""Independent places above which the median absolute deviation is used as scale."""
+"""With more independent differences the scatter is the median absolute deviation, else from other
+dwells."""
 _RARE, _FEW = 1e-3, 0.15
 _LEAST_DWELLS = 6
 _EFFICIENCY = 0.37
@@ -45,20 +46,24 @@ _EFFICIENCY = 0.37
 _LIVELY = 0.6
 _TAUS = 8
 _CLEAR = 4.0
-"""Standard uncertainties that a form must reach to describe a dwell."""
+"""A form (step, drift, settling) describes a dwell only if its size is this many standard uncertainties."""
 _POINTS = 300
 
 
 @dataclass(frozen=True)
 class _Scale:
-    """Differences of neighbouring means over stretches of one length (or one share of the dwell)."""
+    """Differences between the means of adjacent stretches of samples, for one length of a stretch.
+
+    On one scale the length is half of the dwell.
+    """
 
     differences: list[Floats]
-    """For each dwell (m, axes), in units of their value for white noise of the dwell's scatter."""
+    """For each dwell (m, axes), divided by their standard deviation for white noise with the dwell's
+    scatter."""
     places: list[Floats]
-    """First sample of the later stretch (m,)."""
+    """For each dwell, the first sample (m,) of the later of the two stretches."""
     independent: Floats
-    """Independent places of each dwell (d,)."""
+    """Number of independent differences in each dwell, (d,)."""
 
 
 _Form = Literal["step", "drift", "settling", "disturbance"]
@@ -66,7 +71,7 @@ _Form = Literal["step", "drift", "settling", "disturbance"]
 
 @dataclass(frozen=True)
 class _Look:
-    """Largest difference of each dwell and axis over all scales, and the noise of each scale."""
+    """The most significant difference of each dwell and axis over all scales, and their noise."""
 
     place: Floats
     stretch: Floats
@@ -77,7 +82,7 @@ class _Look:
     unit: Floats
 
     def u_mg(self, dwell: int, axis: int, stretch: float) -> float:
-        """Standard uncertainty of a difference of two means over stretches of this length."""
+        """Return the standard uncertainty in mg of the difference of two means over such stretches."""
         best = min(self.noise, key=lambda one: abs(np.log(max(one[0][dwell], 1e-9) / stretch)))
         return float(best[1][dwell, axis] * np.sqrt(2 / max(best[0][dwell], 1.0)) * self.unit[dwell, axis])
 
@@ -90,9 +95,9 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     samples : Samples
         Samples without the courses that all dwells share.
     unlike : list of int
-        Axes with different scatter in the dwells; there each dwell is scaled by its own scatter.
+        Axes on which the scatter differs between dwells; on these each dwell is scaled by its scatter.
     reach : int
-        Samples over which neighbours are correlated.
+        Number of samples over which neighbours are correlated.
     """
     unit = np.ones((len(samples), samples.axes))
     for axis in unlike:
@@ -160,7 +165,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
 
 
 def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Lower the p-values (d, axes) to the values of this scale if these are smaller."""
+    """Test the differences of one scale; lower the p-values (d, axes) if they are more significant."""
     noise = np.zeros_like(p)
     look.noise.append((np.array([float(own[0]) if len(own) else 0.0 for own in scale.places]), noise))
     every = np.concatenate(scale.differences)
@@ -198,7 +203,7 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
 
 
 def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Return mean squares and weights, with weight 0 for dwells far above most of the others.
+    """Return the mean squares and weights of dwells, with weight 0 for outliers far above the others.
 
     With a coarse converter many dwells have no difference at all, so the upper quartile is the reference.
     If more than a few dwells are far above it, none is excluded.
@@ -215,7 +220,9 @@ def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
 
 
 def _independent(nominal: Floats, squares: Floats) -> Floats:
-    """Return independent places of each dwell (d,), limited by the scatter of the dwells' mean squares.
+    """Return the number (d,) of independent differences in each dwell.
+
+    It is limited by the scatter of the dwells' mean squares.
 
     A filter longer than the stretches correlates neighbouring places. The median absolute deviation of the
     mean squares is used, so that a few unusual dwells do not matter.
@@ -239,7 +246,7 @@ def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, 
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     elapsed = samples.elapsed_s(k)
     n = len(rows)
-    # Step: the sum of squares falls by n1 n2/n times the squared difference of the means.
+    # Step: the sum of squares decreases by n1 n2/n times the squared difference of the means.
     total = np.cumsum(rows)[:-1]
     first = np.arange(1, n)
     # `total` is the sum of the first part; the sum of all rows is zero.
@@ -340,7 +347,7 @@ def _finding(
 
 
 def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> View:
-    """Course of one dwell as at most `_POINTS` means of neighbours."""
+    """Return the figure of an event: samples of a dwell averaged to at most `_POINTS`, and the fit."""
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     time = samples.elapsed_s(k)
     x, y, shown = neighbour_means(_POINTS, time, rows, model)

@@ -52,11 +52,12 @@ _NEIGHBOURS = 15
 _LEAST_SAMPLES = 2 * _NEIGHBOURS
 _LEAST_RUN = 8
 _LIVELY = 0.6
-"""Noise in steps of the converter below which runs are no evidence; as in `estimation.screening`."""
+"""If the noise is smaller, in steps of the converter, runs of equal values are normal (as in
+`estimation.screening`)."""
 _LONG_QUANTILE = 0.9
 _LEAST_LONG = 20
 _SAFETY = 1.5
-"""Factor on the mean excess of long runs, which is an estimate itself."""
+"""Safety factor on the mean excess of long runs, since this is only an estimate."""
 
 
 def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding | None, Samples]:
@@ -108,9 +109,13 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
 
 
 def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats]:
-    """Return distances (n,) from the nearer median before or after, that median, distances from one (m,).
+    """Return each sample's distance (n,) from the medians of its neighbours, and that median (n,).
 
-    The scale is estimated from the last, since the nearer of two medians is never farther.
+    Of the medians before and after a sample the nearer counts. The third result (m,) are distances from
+    the median before.
+
+    The scatter is estimated from these, since the distance to the nearer of two medians is too small on
+    average.
     """
     half = _NEIGHBOURS // 2
     n = len(column)
@@ -126,7 +131,7 @@ def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats
 
 
 def _groups(flags: NDArray[np.bool_], gap: int) -> list[tuple[int, int]]:
-    """Return stretches (first, last + 1) of flagged samples that are at most `gap` apart."""
+    """Group flagged samples that are at most `gap` apart; return (first, last + 1) of each group."""
     at = np.flatnonzero(flags)
     cuts = np.flatnonzero(np.diff(at) > gap)
     firsts, lasts = np.concatenate([[0], cuts + 1]), np.concatenate([cuts, [len(at) - 1]])
@@ -172,7 +177,7 @@ def _spikes_finding(
 
 
 def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None:
-    """Find runs of equal values that noise and converter do not explain."""
+    """Find runs of equal samples that are too long for noise and converter; None if there are none."""
     places: list[Place] = []
     least_p = 1.0
     tests = len(samples) * samples.axes
@@ -230,7 +235,7 @@ def _run_lengths(column: Floats) -> NDArray[np.intp]:
 
 
 def _tail(lengths: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the length at which the exponential tail begins, and the mean excess beyond it."""
+    """Return the length at which the exponential tail of run lengths begins, and its mean excess."""
     if not lengths.size:
         return 1.0, 0.0
     start = float(np.quantile(lengths, _LONG_QUANTILE))
@@ -239,7 +244,7 @@ def _tail(lengths: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def saturation(session: Session, data: Readings) -> WithinFinding | None:
-    """Find limits of the range that samples have reached; None without any."""
+    """Find the ends of the sensor's range that samples have reached; None if no sample has."""
     if data.converter is None or not data.converter.limits:
         return None
     limits = data.converter.limits
@@ -275,7 +280,7 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
 
 
 def quantization(session: Session, samples: Samples, reach: int) -> WithinFinding | None:
-    """Find a step of the converter that the noise does not dither; None without any.
+    """Find axes on which the converter's step is too coarse for the noise; None if there is no such axis.
 
     Parameters
     ----------
@@ -310,7 +315,10 @@ def quantization(session: Session, samples: Samples, reach: int) -> WithinFindin
 
 
 def _coarse(samples: Samples, axis: int, reach: int) -> float:
-    """Probability that dithering noise scatters as little as the samples; 1 if the noise dithers."""
+    """Return the p-value of the hypothesis that the noise is large enough to dither the converter.
+
+    It is 1 if the samples scatter enough.
+    """
     step = float(samples.quantum[axis])
     if not step > 0:
         return 1.0
@@ -332,7 +340,10 @@ def _coarse(samples: Samples, axis: int, reach: int) -> float:
 
 
 def _lost_bits(session: Session, samples: Samples, axis: int) -> float:
-    """Probability that all differences of codes share their divisor; 1 if it is 1 or codes are unknown."""
+    """Return the probability that all codes differ by multiples of a number by chance.
+
+    It is 1 if this number is 1 or the sensor's codes are unknown.
+    """
     if session.accel_unit != "lsb" or session.sensor not in VARIANTS:
         return 1.0
     words = round(float(samples.quantum[axis]) / VARIANTS[session.sensor].accel_mg_per_lsb)

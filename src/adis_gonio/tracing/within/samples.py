@@ -51,28 +51,28 @@ class Samples:
 
     @property
     def axes(self) -> int:
-        """Axes of a sample."""
+        """Number of axes of a sample."""
         return len(self.quantum)
 
     @property
     def letters(self) -> tuple[str, ...]:
-        """Letters of the axes."""
+        """Letters of the axes of a sample, such as x and y."""
         return AXES[: self.axes]
 
     @property
     def counts(self) -> NDArray[np.intp]:
-        """Samples of each dwell (d,)."""
+        """Number of samples of each dwell, (d,)."""
         return np.array([len(rows) for rows in self.values], dtype=np.intp)
 
     @property
     def period_s(self) -> float:
-        """Median time between samples; nan if all times are equal."""
+        """Median time between samples in s; nan if all times are equal."""
         steps = np.concatenate([np.diff(time) for time in self.time_s])
         steps = steps[steps > 0]
         return float(np.median(steps)) if steps.size else float("nan")
 
     def elapsed_s(self, dwell: int) -> Floats:
-        """Time since the first sample of a dwell (n,)."""
+        """Return the time (n,) in s of each sample of a dwell since its first sample."""
         return np.asarray(self.time_s[dwell] - self.time_s[dwell][0], dtype=np.float64)
 
     def place(
@@ -85,17 +85,17 @@ class Samples:
         at: int | None = None,
         shift: float | None = None,
     ) -> Place:
-        """Make a place from the numbers of its dwell, its axis and its sample `at`."""
+        """Make the record of a place in the samples, from the numbers of dwell, axis and sample (`at`)."""
         time = None if at is None else float(self.time_s[dwell][at])
         size = Value(float(value), u, unit)
         return Place(int(self.position[dwell]), self.letters[axis], time, size, shift)
 
     def with_values(self, values: list[Floats]) -> Samples:
-        """Return the dwells with other samples."""
+        """Return the dwells with their samples replaced by `values`."""
         return replace(self, values=tuple(values))
 
     def rows(self, chosen: NDArray[np.bool_]) -> Samples:
-        """Return some of the dwells."""
+        """Return the samples of the selected dwells."""
         kept = np.flatnonzero(chosen).tolist()
         return replace(
             self,
@@ -107,7 +107,7 @@ class Samples:
 
 
 def samples_of(session: Session, data: Readings) -> Samples | None:
-    """Return samples in mg of the dwells with at least two samples; None without any.
+    """Return the samples in mg of all dwells with at least two samples; None if there is no such dwell.
 
     Parameters
     ----------
@@ -132,7 +132,10 @@ def samples_of(session: Session, data: Readings) -> Samples | None:
 
 
 def deviation(rows: Floats, axis: int = 0) -> Floats:
-    """Standard deviation from the median absolute deviation, which is robust against outliers."""
+    """Return a standard deviation that is robust against outliers.
+
+    It is computed from the median absolute deviation.
+    """
     middle = np.median(rows, axis=axis, keepdims=True)
     spread: Floats = MAD_TO_SD * np.median(np.abs(rows - middle), axis=axis)
     return spread
@@ -159,13 +162,13 @@ Kind = Literal[
 ]
 
 SEARCHES = 6
-"""Searches that share `FOUND_WITHIN`: spikes, stuck values, tones, variance, courses shared by the dwells,
-events in single dwells."""
+"""Number of searches that share the error probability `FOUND_WITHIN`: spikes, stuck values, tones,
+variance, courses shared by the dwells, events in single dwells."""
 
 
 @dataclass(frozen=True)
 class Place(JsonRecord):
-    """One dwell and axis of a finding.
+    """A dwell and axis in which a finding occurs.
 
     The JSON document is one entry of `places`.
 
@@ -234,12 +237,12 @@ class WithinFinding(JsonRecord):
         Numbers of the affected dwells.
     parameters : mapping of str to Value
     p_value : float
-        Times the number of tests of its search and the number of searches, at most 1.
+        p-value times the number of tests of its search and the number of searches, at most 1.
     sentence : str
     places : tuple of Place
         Single dwells and axes; empty if all of `positions` share the parameters.
     advice : str
-        Action against it; empty if none is needed.
+        Recommended action against the cause; empty if none is needed.
     aliases_hz : tuple of float or None
         Other frequencies that would appear at this line; None if this is not a tone.
     view : View or None
@@ -260,17 +263,20 @@ class WithinFinding(JsonRecord):
 
 
 def corrected(p_value: float, tests: float) -> float:
-    """Multiply a p-value by the tests of its search and the number of searches, at most 1."""
+    """Return a p-value corrected for multiple tests (Bonferroni), at most 1.
+
+    It is multiplied by the number of tests of its search and by the number of searches.
+    """
     return min(1.0, float(p_value) * max(tests, 1.0) * SEARCHES)
 
 
 def axes_and_positions(places: Sequence[Place]) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Return the axes and positions of places, sorted and without repetition."""
+    """Return the sorted axes and the sorted positions of some places, each without repetition."""
     return tuple(sorted({p.axis for p in places})), tuple(sorted({p.position for p in places}))
 
 
 def neighbour_means(most: int, *columns: Floats) -> list[Floats]:
-    """Average columns (n,) over neighbours to at most `most` points each."""
+    """Average neighbouring values of each column (n,), so that at most `most` points remain."""
     n = len(columns[0])
     cuts = np.unique(np.linspace(0, n, min(n, most), endpoint=False).astype(np.intp))
     counts = np.diff(np.append(cuts, n))
@@ -278,7 +284,7 @@ def neighbour_means(most: int, *columns: Floats) -> list[Floats]:
 
 
 def positions_text(positions: tuple[int, ...], dwells: int, most: int = 12) -> str:
-    """`all 24 dwells`, `position 7` or `positions 3, 4, 9`."""
+    """Name positions in a text, such as `all 24 dwells`, `position 7` or `positions 3, 4, 9`."""
     if len(positions) == dwells and dwells > 1:
         return f"all {dwells} dwells"
     return name_positions(positions, most)

@@ -21,8 +21,9 @@ Probability
     American Statistician 55:62, 2001). The prior share is equal for all effects.
 
 Sensitivity
-    The smallest `tone`, `noise_change` and `settling` that these samples would have shown: the amplitude
-    that the search finds with a probability of 90 %, at its own level and noise, on the worst axis.
+    The smallest detectable `tone`, `noise_change` and `settling`: the amplitude that the search would find
+    in these samples with a probability of 90 %, with its error level and the noise present, on the worst
+    axis.
 
 All other findings remain in `TraceResult.within`, with their sentence and advice.
 """
@@ -60,7 +61,7 @@ from adis_gonio.tracing.within.variances import TESTS, heterogeneous, levels_of,
 _CLAIMED_DWELLS = 4
 """Smallest number of dwells of a finding that counts among `found`."""
 _MOST_OUT = 0.2
-"""Largest share of deviating dwells; beyond it the model is wrong, and not the dwells."""
+"""If a larger share of the dwells deviates, the model is assumed to be wrong, and not the dwells."""
 
 
 def with_second_pass(session: Session, data: Readings, result: TraceResult) -> TraceResult:
@@ -98,7 +99,7 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
 
 
 def counts_as_found(finding: WithinFinding) -> bool:
-    """Whether a finding inside separately recorded dwells counts among `found`; see the module."""
+    """Return True if a finding inside the dwells is certain enough for `TraceResult.found`."""
     return (
         finding.effect is not None
         and probability(finding.p_value) >= limits.certain
@@ -107,7 +108,7 @@ def counts_as_found(finding: WithinFinding) -> bool:
 
 
 def probability(p_value: float) -> float:
-    """Posterior probability of a finding with this p-value; see the module."""
+    """Return the posterior probability that a finding with this p-value is real (see the module)."""
     depth = -math.log(max(p_value, 1e-300))
     # ∫ ξ p^(ξ−1) dξ from 0 to 1, against the uniform density under the null hypothesis.
     evidence = (math.expm1(depth) - depth) / depth**2 if depth > 1e-6 else 0.5
@@ -116,7 +117,7 @@ def probability(p_value: float) -> float:
 
 
 def _first_of_each(within: tuple[WithinFinding, ...]) -> list[WithinFinding]:
-    """Return one finding for each effect: the most significant one of several lines."""
+    """Return one finding for each named effect: the most significant, for example of several lines."""
     best: dict[str | None, WithinFinding] = {}
     for finding in within:
         if finding.effect not in best or finding.p_value < best[finding.effect].p_value:
@@ -138,7 +139,7 @@ def _finding_of(finding: WithinFinding) -> Finding:
 
 
 def _of_single_dwells(data: Readings, result: TraceResult) -> list[str]:
-    """Return advice to repeat dwells that the model explains by an effect of a single dwell."""
+    """Return advice to repeat each dwell that the model explains by an effect of this dwell alone."""
     lines = []
     training = data.rows(~data.check)
     orders = training.conditions.order
@@ -188,12 +189,12 @@ _FARTHEST = 64
 
 
 def search_within(samples: Samples) -> tuple[WithinFinding, ...]:
-    """Return the findings inside the dwells, as in `TraceResult.within`."""
+    """Search the samples inside the dwells for effects; return the list for `TraceResult.within`."""
     return look_within(samples)[0]
 
 
 def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, Detectable]]:
-    """Return the findings inside the dwells, and the smallest amplitudes that would have shown."""
+    """Search inside the dwells; return the findings and the smallest detectable amplitudes by effect."""
     spread = scatter(samples)
     reach = correlation_reach(samples)
     frozen = stuck(samples, spread, reach)
@@ -207,7 +208,10 @@ def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, 
 
 
 def correlation_reach(samples: Samples) -> int:
-    """Number of samples after which the correlation is below `_CORRELATED`; at most `_FARTHEST`."""
+    """Return the lag in samples beyond which samples are hardly correlated (less than `_CORRELATED`).
+
+    The result is at most `_FARTHEST`.
+    """
     longest = min(_FARTHEST, int(samples.counts.max()) // 4)
     total = np.zeros(longest + 1)
     for rows in samples.values:
@@ -233,14 +237,14 @@ _LARGEST = 1e6
 
 
 def sensitivity(samples: Samples, density: Density | None) -> dict[str, Detectable]:
-    """Return the smallest visible amplitude of each effect inside the dwells, by name.
+    """Return by name the smallest amplitude of each effect inside the dwells that would be found.
 
     Parameters
     ----------
     samples : Samples
-        Samples without their findings.
+        Samples with the effects of all findings subtracted.
     density : Density or None
-        Density of their noise.
+        Spectral density of their noise.
     """
     return {
         "tone": _tone(samples, density),
@@ -259,7 +263,9 @@ def sensitivity(samples: Samples, density: Density | None) -> dict[str, Detectab
 
 
 def _tone(samples: Samples, density: Density | None) -> Detectable:
-    """Return the visible amplitude of a line in all dwells, from the F-test of the pooled ordinates.
+    """Return the smallest amplitude of a sine in all dwells that the search would have found.
+
+    The limit comes from the F-test of the spectrum pooled over the dwells.
 
     An amplitude A adds c A² n/4S to an ordinate of n samples, with density S and loss c by the taper, so
     that the sum of d ordinates is half a noncentral χ² variable with 2d degrees of freedom.
@@ -289,7 +295,11 @@ def _tone(samples: Samples, density: Density | None) -> Detectable:
 
 
 def _noise_change(samples: Samples, density: Density | None) -> Detectable:
-    """Return the visible white noise that starts mid-session, from the F- and t-tests of one change."""
+    """Return the smallest additional white noise, starting mid-session, that the search would have found.
+
+    Two tests look for one change of the noise between dwells: the F-test of the variance and the t-test
+    of the level.
+    """
     if density is None or len(density.dwells) < LEAST_LOUD:
         return Detectable(None, "mg", "extra", f"needs {LEAST_LOUD} dwells long enough for a spectrum")
     dwells = len(density.dwells)
@@ -309,7 +319,7 @@ def _noise_change(samples: Samples, density: Density | None) -> Detectable:
 
 
 def _joining(quiet: Floats, away: float) -> float:
-    """Variance of white noise in mg² that raises the log level of half of the dwells by `away`.
+    """Return the variance in mg² of white noise that raises the log level of half the dwells by `away`.
 
     The level is in units of the density (points,) of all dwells, which the added noise changes too.
     """
@@ -326,7 +336,10 @@ def _joining(quiet: Floats, away: float) -> float:
 
 
 def _settling(samples: Samples) -> Detectable:
-    """Return the visible settling of a middle time constant in all dwells, from the t-test of dwells."""
+    """Return the smallest amplitude of settling, shared by all dwells, that the search would have found.
+
+    The time constant is the middle of the searched grid; the limit comes from the t-test over the dwells.
+    """
     usable = samples.counts >= LEAST_SAMPLES
     constants = [tau for tau in grid(samples, usable) if tau is not None] if usable.any() else []
     dwells = int(usable.sum())
@@ -346,7 +359,10 @@ def _settling(samples: Samples) -> Detectable:
 
 
 def _noncentral(p: float, dof: int) -> float:
-    """Size of a t variable, in its standard deviations, that exceeds its one-sided limit with 90 %."""
+    """Return the true value, in standard uncertainties, that a t-test detects with 90 % probability.
+
+    The test is one-sided, at significance level `p`.
+    """
     limit = float(stats.t.isf(p, dof))
 
     def missing(size: float) -> float:

@@ -54,7 +54,7 @@ _MOST_POINTS = 600
 
 @dataclass(frozen=True)
 class _Peak:
-    """A point of the grid with a significant line."""
+    """A frequency on the grid of the spectrum at which there is a significant line."""
 
     at: int
     p_value: float
@@ -63,7 +63,7 @@ class _Peak:
 
 
 def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | None]:
-    """Return lines, the samples without them, and the density of the remaining noise."""
+    """Find spectral lines; return them, the samples without them, and the remaining noise density."""
     found: list[WithinFinding] = []
     density = density_of(samples)
     while density is not None and len(found) < MOST:
@@ -78,7 +78,7 @@ def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | Non
 
 
 def _highest(density: Density) -> _Peak | None:
-    """Return the most significant line; None without any."""
+    """Return the most significant line of the spectrum; None if no line is significant."""
     searched, relative = density.searched, density.relative
     d, points, axes = relative.shape
     if points < 1:
@@ -108,7 +108,10 @@ def _highest(density: Density) -> _Peak | None:
 
 
 def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:
-    """Fit a line at a peak and subtract it; None if it does not exist at the times of the samples."""
+    """Fit a sine near a peak and subtract it; return the finding and the samples without it.
+
+    None if the sine is not significant at the real times of the samples.
+    """
     period = samples.period_s
     dwells = density.dwells
     times = [samples.elapsed_s(int(k)) for k in dwells]
@@ -189,7 +192,10 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
 
 
 def _dwells_with(density: Density, peak: _Peak) -> list[int]:
-    """Return the numbers of the dwells with the peak: all, if it was found in all of them together."""
+    """Return the rows of the dwells that show a peak.
+
+    These are all dwells if the peak was found in the average over all.
+    """
     if peak.dwell is None:
         return list(range(len(density.dwells)))
     near = slice(peak.at - PADDING, peak.at + PADDING + 1)
@@ -200,14 +206,17 @@ def _dwells_with(density: Density, peak: _Peak) -> list[int]:
 
 
 def aliases_hz(frequency_hz: float, rate_hz: float) -> tuple[float, ...]:
-    """Return the frequencies k f_s ± f up to `HIGHEST_HZ` that appear at f, in ascending order."""
+    """Return the frequencies that sampling at `rate_hz` folds to a frequency, in ascending order.
+
+    They are k f_s ± f, up to `HIGHEST_HZ`.
+    """
     orders = np.arange(1, int((HIGHEST_HZ + frequency_hz) / rate_hz) + 1)
     folding = np.concatenate([orders * rate_hz - frequency_hz, orders * rate_hz + frequency_hz])
     return tuple(np.sort(folding[folding <= HIGHEST_HZ]).tolist())
 
 
 def _alias_text(folding: tuple[float, ...]) -> str:
-    """Text about the aliases of a line."""
+    """Return the text that names the aliases of a spectral line; empty if there are none."""
     if not folding:
         return ""
     named = ", ".join(format_number(f, 4) for f in folding[:MOST_ALIASES])
@@ -218,7 +227,10 @@ def _alias_text(folding: tuple[float, ...]) -> str:
 def _amplitudes(
     frequency: float, times: list[Floats], rows: list[Floats]
 ) -> tuple[Floats, list[tuple[Floats, Floats]]]:
-    """Squared amplitudes (d, axes) and quadratures of each dwell by least squares."""
+    """Fit a sine of this frequency to each dwell; return squared amplitudes (d, axes) and quadratures.
+
+    The quadratures are the amplitudes of cosine and sine.
+    """
     squares, quadratures = [], []
     for time, own in zip(times, rows, strict=True):
         turn = 2 * np.pi * frequency * time
@@ -230,7 +242,7 @@ def _amplitudes(
 
 
 def _sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return amplitude and standard uncertainty of each axis (axes,), and whether it is significant.
+    """Return a line's amplitude on each axis (axes,), its standard uncertainty and its significance.
 
     Noise adds to the square of an amplitude. Noise and a change of the line's strength both appear in the
     scatter of the squares over dwells.
@@ -251,7 +263,7 @@ def _sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floa
 
 
 def _view(density: Density, period: float, axis: int, letter: str, frequency: float) -> View:
-    """Pooled amplitude density near a line, in mg/√Hz, one-sided."""
+    """Return the figure of a line: the noise density over all dwells in mg/√Hz, one-sided."""
     level = float(density.level[:, axis].mean())
     pooled = (density.power / density.level[:, None, :]).mean(axis=0)[:, axis] * level
     inside = slice(density.searched.start, density.searched.stop)
@@ -276,7 +288,7 @@ def _view(density: Density, period: float, axis: int, letter: str, frequency: fl
 
 
 PADDING = 2
-"""Points of the grid per independent ordinate."""
+"""Number of frequencies on the grid per independent value of the spectrum."""
 LOWEST = 6
 """Cycles per dwell below which a line cannot be distinguished from slow noise or drift."""
 LEAST_SAMPLES = 32
@@ -287,15 +299,15 @@ _KNEES = (np.inf, 0.2, 0.07, 0.025, 0.0)
 """Corner frequencies of the floor in cycles per sample, above which it falls with the square. A slow signal
 crosses codes the more rarely the slower it is."""
 _FLICKERS = (0.0, *np.geomspace(0.01, 300.0, 10).tolist())
-"""1/f noise at the lowest searched frequency, in the same unit."""
+"""Density of the 1/f noise at the lowest searched frequency, in the unit of `_FLOORS`."""
 _ROUNDING = 1e-30
-"""Power in mg² that counts as zero, for an axis with one code only."""
+"""Smallest power in mg²; an axis that repeats a single value has no noise at all."""
 _CELLS = 120
 _LENGTHS = 5
 _LINE = 2.0
 """Ordinates on each side that a line covers under Hann's taper."""
 _STEEP = 1.5
-"""Ordinates on each side over which the largest shape counts."""
+"""The fitted shape is replaced by its largest value within this many ordinates on each side."""
 TAPER_LOSS = 1.944
 """n Σw⁴ / (Σw²)² of Hann's taper, the loss of degrees of freedom."""
 _WIDTHS = (6, 16, 40)
@@ -318,13 +330,14 @@ class Density:
     power : (d, k, axes) float
         Periodograms in mg² (two-sided density per sample).
     level : (d, axes) float
-        Level of each dwell, at least the median level. The density of a dwell is about `level · base`.
+        Loudness of each dwell relative to `base`, at least the median. The density of a dwell is about
+        `level · base`.
     base : (k, axes) float
         Pooled density for a level of 1.
     bound : (k, axes) float
         Threshold density for a line: `base` or, if larger, the density on either side.
     width : (k,) float
-        Independent ordinates of the running median.
+        Number of independent ordinates in the running median.
     """
 
     dwells: NDArray[np.intp]
@@ -338,15 +351,16 @@ class Density:
 
     @property
     def relative(self) -> Floats:
-        """Ordinates (d, searched, axes) in units of `bound`."""
+        """Power of each dwell at each searched frequency and axis, in units of its threshold density."""
         return self.power[:, self.searched] / self.level[:, None, :] / self.bound[None, self.searched]
 
     @cached_property
     def effective(self) -> Floats:
-        """Effective number of dwells (axes,), at most all, from the scatter of the pooled ordinates.
+        """Effective number of independent dwells in the pooled spectrum of each axis, (axes,).
 
-        Independent ordinates of so many dwells would scatter about the density as the pooled ones do. The
-        flanks in `bound` are not used, since they scatter themselves.
+        The average over this many independent spectra would scatter about the density as much as the pooled
+        spectrum does; it is at most the number of dwells. `bound` is not used for this, since it scatters
+        too.
         """
         part = self.searched
         pooled = (self.power[:, part] / self.level[:, None, :]).mean(axis=0) / self.base[part]
@@ -359,7 +373,7 @@ class Density:
 
 
 def density_of(samples: Samples) -> Density | None:
-    """Return the density of the dwells with at least `LEAST_SAMPLES`; None without any."""
+    """Return the spectral density of dwells with at least `LEAST_SAMPLES` samples; None if none has."""
     counts = samples.counts
     dwells = np.flatnonzero(counts >= LEAST_SAMPLES)
     if not dwells.size:
@@ -421,9 +435,10 @@ def density_of(samples: Samples) -> Density | None:
 
 
 def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, int], Floats]:
-    """Return a function that bridges the highest point of an axis above its neighbours.
+    """Return a function that removes the highest peak of an axis from a density.
 
-    The density (k,) there is replaced by the geometric mean of both sides.
+    The peak is the highest point relative to its neighbours. The density (k,) there is replaced by the
+    geometric mean of the densities on both sides.
     """
     above = (pooled / np.maximum(_flanks(pooled, each), 1e-300))[searched]
     peaks = searched.start + above.argmax(axis=0)
@@ -441,7 +456,9 @@ def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, i
 
 
 def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool_]) -> float:
-    """Log likelihood gain of a shape with a peak over a line there, per dwell and independent point.
+    """Return how much more likely a peak is a part of the noise's shape than a spectral line.
+
+    The result is a difference of log likelihoods, per dwell and independent point of the spectrum.
 
     Whittle likelihood with fitted scale: a shape fitted with the peak, against a shape fitted without it
     plus a line at the peak.
@@ -456,7 +473,10 @@ def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool
 
 
 def _flanks(pooled: Floats, each: float) -> Floats:
-    """Larger of the mean densities (k, axes) on both sides, outside the width of a line."""
+    """Return at each frequency the larger of the mean densities below and above it, (k, axes).
+
+    The width of a line around the frequency is left out.
+    """
     near, far = round(_LINE * each), round(2 * _LINE * each)
     sums = np.concatenate([np.zeros((1, pooled.shape[1])), np.cumsum(pooled, axis=0)])
     at = np.arange(len(pooled))
@@ -470,7 +490,7 @@ def _flanks(pooled: Floats, each: float) -> Floats:
 
 
 def without_line(rows: Floats) -> Floats:
-    """Return samples (n, axes) without their mean and slope."""
+    """Return samples (n, axes) with their mean and linear trend subtracted."""
     place = np.arange(len(rows)) - (len(rows) - 1) / 2
     centred = rows - rows.mean(axis=0)
     slope = place @ centred / max(float(place @ place), 1e-300)
@@ -479,7 +499,10 @@ def without_line(rows: Floats) -> Floats:
 
 
 def _widths(points: int, each: float) -> Floats:
-    """Half width (k,) of the running median at each point of the grid, in independent ordinates."""
+    """Return the half width (k,) of the running median at each frequency.
+
+    The unit is the number of independent values of the spectrum (ordinates).
+    """
     ordinate = np.arange(points) / each
     width = np.full(points, float(_WIDTHS[0]))
     for half in _WIDTHS[1:]:
@@ -488,7 +511,7 @@ def _widths(points: int, each: float) -> Floats:
 
 
 def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats:
-    """Running median of a density over the searched part, continued beyond it."""
+    """Smooth a density by a running median; outside the searched frequencies it is constant."""
     smooth = np.empty_like(flat)
     # The parts outside contain drift and the last ordinate, which must not influence the rest.
     inside = flat[searched]
@@ -508,10 +531,11 @@ def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats
 
 
 def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Floats:
-    """Fit a shape (k,): white noise behind a filter (`responses`), a floor and 1/f noise.
+    """Fit the shape (k,) of a noise density: white noise behind a filter, a floor and 1/f noise.
 
-    Whittle likelihood with fitted scale, over cells of neighbouring frequencies. The model is averaged over
-    the same cells, so that a cell may be wider than a notch of the filter.
+    The `responses` (k,) are the possible filters. The fit maximises the Whittle likelihood with a fitted
+    scale, over cells of neighbouring frequencies. The model is averaged over these cells too, so that a
+    cell may be wider than a notch of the filter.
     """
     # Cells grow with frequency, since the passband of a long filter has few ordinates.
     edges = np.unique((len(frequency) * np.linspace(0, 1, _CELLS, endpoint=False) ** 2).astype(np.intp))
@@ -526,7 +550,7 @@ def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Fl
     falls = {knee: _falling(frequency, knee) for knee in _KNEES}
 
     def deviance(own: Floats) -> Floats:
-        """−2 log likelihood up to a constant, of models (…, cells) with fitted scale."""
+        """Return −2 log likelihood, except for a constant, of models (…, cells) with fitted scale."""
         return np.asarray(np.log(own) @ weight + weight.sum() * np.log((seen / own) @ weight))
 
     best, chosen, start = np.inf, np.ones_like(pooled), (0.0, 0.0, 0.0)
@@ -559,14 +583,20 @@ def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Fl
 
 
 def _falling(frequency: Floats, knee: float) -> Floats:
-    """A density (k,) that falls with the square above a corner frequency; 1 at the lowest frequency."""
+    """Return a density (k,) that falls with the square of the frequency above a corner frequency.
+
+    It is 1 at the lowest frequency.
+    """
     if np.isinf(knee):
         return np.ones_like(frequency)
     return np.asarray((knee**2 + frequency[0] ** 2) / (knee**2 + frequency**2))
 
 
 def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
-    """Expected periodogram of filtered white noise under the taper, with its leakage and resolution."""
+    """Return the expected periodogram of white noise behind the sensor's filter.
+
+    It includes the leakage and resolution of the taper, averaged over lengths of the dwells.
+    """
     taps = 2**filter_m
     window = np.convolve(np.ones(taps), np.ones(taps)) / taps**2
     covariance = np.correlate(window, window, "full")[len(window) - 1 :]
@@ -585,7 +615,7 @@ def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
 
 
 def _taper(n: int) -> Floats:
-    """Hann taper (n,) of mean square 1/n, which preserves the density of white noise."""
+    """Return a Hann taper (n,), scaled so that its squares add up to 1."""
     taper = signal.windows.hann(n + 2)[1:-1]
     result: Floats = taper / np.sqrt(taper @ taper)
     return result

@@ -30,9 +30,10 @@ from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, without_line
 
 LEAST_DWELLS = 3
 _LIVELY = 0.6
-"""Noise in steps of the converter below which the variance shows only the position of the mean."""
+"""If the noise is smaller, in steps of the converter, the variance depends only on the mean's position
+between two codes."""
 TESTS = 4
-"""Number of tests that share the level of an axis."""
+"""Number of tests per axis that share its error probability."""
 
 
 @dataclass(frozen=True)
@@ -48,22 +49,22 @@ class Levels:
     level_dof: Floats
 
     def rows(self, chosen: NDArray[np.bool_]) -> Levels:
-        """Return some of the dwells."""
+        """Return the variances and levels of the selected dwells."""
         return Levels(self.variance[chosen], self.dof[chosen], self.level[chosen], self.level_dof[chosen])
 
     @cached_property
     def course(self) -> Floats:
-        """Log level (d,), corrected for the bias of the logarithm at these degrees of freedom."""
+        """Logarithm of each dwell's level, (d,), corrected for the bias of the logarithm."""
         half = self.level_dof / 2
         return np.log(np.maximum(self.level, 1e-300)) - special.digamma(half) + np.log(half)
 
     @property
     def common(self) -> float:
-        """Pooled variance of all dwells."""
+        """Pooled variance of all dwells in mg²."""
         return float(self.dof @ self.variance / self.dof.sum())
 
     def alike(self) -> float:
-        """p-value of Bartlett's test of equal variances."""
+        """Return the p-value of Bartlett's test that all dwells have equal variances."""
         d = len(self.variance)
         if d < 2:
             return 1.0
@@ -73,7 +74,7 @@ class Levels:
         return float(special.chdtrc(d - 1, max(statistic, 0.0)))
 
     def changed(self) -> float:
-        """p-value of the t-test of one change of the level, for the best of all places."""
+        """Return the p-value of the t-test for a single change of the level, at the best of all places."""
         d = len(self.level)
         p = 1.0
         for cut in range(1, d):
@@ -83,7 +84,7 @@ class Levels:
 
 
 def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
-    """Return the step of a course (d,) at `cut`, and its standard uncertainty from the scatter."""
+    """Return the change of the mean of a series (d,) at `cut`, and its standard uncertainty."""
     parts = [(course[own], weight[own]) for own in (slice(cut), slice(cut, None))]
     means = [float(np.average(x, weights=w)) for x, w in parts]
     squares = sum(float(w @ (x - mean) ** 2) for (x, w), mean in zip(parts, means, strict=True))
@@ -92,7 +93,10 @@ def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
 
 
 def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
-    """Find a change of the scatter between dwells; None without any, or with fewer than three dwells."""
+    """Find a change of the samples' scatter from dwell to dwell; None if there is no change.
+
+    At least three dwells are needed.
+    """
     if density is None or len(density.dwells) < LEAST_DWELLS:
         return None
     dwells = density.dwells
@@ -114,12 +118,12 @@ def noise_change(samples: Samples, density: Density | None) -> WithinFinding | N
 
 
 def heterogeneous(finding: WithinFinding | None, samples: Samples) -> list[int]:
-    """Return the axes whose scatter differs between dwells."""
+    """Return the numbers of the axes on which the scatter differs between dwells."""
     return [] if finding is None else [samples.letters.index(axis) for axis in finding.axes]
 
 
 def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
-    """Return variances and levels of the dwells above the lowest frequencies."""
+    """Return the variance and level of each dwell on one axis, without the lowest frequencies."""
     searched = density.searched
     band = density.power[:, searched, axis]
     base = density.base[searched, axis]
@@ -164,7 +168,10 @@ def _ratio_p(one: Levels, other: Levels) -> float:
 
 
 def _best_cut(levels: list[Levels]) -> int | None:
-    """Return the first dwell of the louder part by least squares over all axes; None if it is quieter."""
+    """Return the first dwell after the best single increase of the noise; None if it decreases.
+
+    The best place is found by least squares over all axes.
+    """
     best: tuple[float, int] | None = None
     for cut in range(1, len(levels[0].level)):
         steps = [step_of(own.course, own.level_dof, cut) for own in levels]
@@ -177,7 +184,10 @@ def _best_cut(levels: list[Levels]) -> int | None:
 
 
 def _explained(own: Levels, cut: int) -> bool:
-    """Whether one change, at `cut` or within an adjacent dwell, leaves equal variances on each side."""
+    """Return True if a single change of the noise explains the variances of an axis.
+
+    The change is at `cut` or within the dwell before; the variances on each side must agree.
+    """
     at = np.arange(len(own.variance))
     parts = [own.rows(at < cut - 1), own.rows(at > cut)]
     p = [part.alike() for part in parts if len(part.variance) > 1]
@@ -230,7 +240,7 @@ def _joining(
 def _joined(
     density: Density, axis: int, own: Levels, quiet: NDArray[np.bool_], loud: NDArray[np.bool_]
 ) -> Value:
-    """Standard deviation in mg of the added noise.
+    """Return the standard deviation in mg of the noise that was added at the change.
 
     It follows from the variance of the samples or, if white noise describes the change of the spectrum
     better than the spectrum of the noise does, from the spectrum: behind a long filter the variance
@@ -262,7 +272,7 @@ def _joined(
 def _varying(
     samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int], p_value: float
 ) -> WithinFinding:
-    """Return a finding for variances that differ other than by one change."""
+    """Return the finding for variances that differ between dwells in another way than by one change."""
     d = len(dwells)
     unusual = np.zeros(d, dtype=bool)
     places: list[Place] = []
@@ -309,7 +319,7 @@ def _varying(
 
 
 def _rectification(levels: list[Levels]) -> str:
-    """Text on the possible use of different variances: the means may depend on them."""
+    """Return a text that the different variances could reveal a rectification of vibration."""
     spread = max(float(np.ptp(own.variance)) for own in levels)
     return (
         f"; variances differ by up to {format_number(spread)} mg², in which a vibration_rectification could"
@@ -326,7 +336,9 @@ def _start(
     quiet: NDArray[np.bool_],
     loud: NDArray[np.bool_],
 ) -> tuple[float, float]:
-    """Return the time of the change and its standard uncertainty, from the posterior over all places.
+    """Return the time of the change of the noise, and its standard uncertainty.
+
+    Both come from the posterior over all places of the change.
 
     Squares of neighbouring samples are correlated, so the likelihood is scaled to the degrees of freedom.
     """

@@ -36,7 +36,7 @@ PRODUCT = "adis-gonio"
 
 
 def load() -> Any:
-    """Module of pyserial.
+    """Import pyserial and return its module.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def load() -> Any:
 
 
 class SerialPort:
-    """An open port of pyserial as `adis_gonio.device.bus.serial.link.Port`.
+    """Adapter from an open port of pyserial to `adis_gonio.device.bus.serial.link.Port`.
 
     Ports without modem lines (a pty, many sockets) are as good as others: none is needed.
     """
@@ -73,7 +73,7 @@ class SerialPort:
         self._whole = not type(port).__module__.endswith(".protocol_socket")
 
     def receive(self, wait_s: float, /) -> bytes:
-        """Bytes that have arrived; waits at most `wait_s` for the first byte."""
+        """Return the bytes that have arrived, after waiting at most `wait_s` seconds for the first."""
         end_s = time.monotonic() + wait_s
         try:
             while True:
@@ -86,7 +86,7 @@ class SerialPort:
             raise gone(self._url) from error
 
     def _rest(self) -> bytes:
-        """Further bytes at a socket, for which another time-out costs nothing."""
+        """Return the further bytes that a socket has ready, without waiting."""
         self._port.timeout = 0
         try:
             rest: bytes = self._port.read(BUFFER)
@@ -95,7 +95,7 @@ class SerialPort:
         return rest
 
     def send(self, data: bytes, /) -> None:
-        """Send all bytes."""
+        """Send all the bytes."""
         try:
             self._port.write(data)
         except self._serial.SerialTimeoutException as error:
@@ -110,7 +110,7 @@ class SerialPort:
 
 
 def open_port(place: str, baud: int, url: str) -> SerialPort:
-    """Open a port for this program alone.
+    """Open a serial port, locked against other programs.
 
     Parameters
     ----------
@@ -136,18 +136,18 @@ def open_port(place: str, baud: int, url: str) -> SerialPort:
 
 
 def list_boards() -> list[Any]:
-    """USB serial ports, as pyserial lists them."""
+    """Ports of pyserial's list that are USB serial ports."""
     ports = load().tools.list_ports.comports()
     return sorted((port for port in ports if port.vid is not None), key=lambda port: str(port.device))
 
 
 def names_itself(port: Any) -> bool:
-    """True if the USB strings of a port name this firmware, as on the Pico."""
+    """True if a port's USB strings identify this package's firmware, as on the Raspberry Pi Pico."""
     return str(port.product or "").startswith(PRODUCT)
 
 
 def devices(ports: list[Any]) -> list[Device]:
-    """Rows for a list of devices. Ports are not opened: that would reset many boards."""
+    """Convert ports to devices for a list. Ports are not opened, because that would reset many boards."""
     rows = []
     for port in ports:
         name = port.product or port.description or "serial port"
@@ -178,7 +178,7 @@ _OPTIONS = ("baud", "edge", "boot_ms", "serial_number")
 
 
 def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL) -> SerialBus:
-    """Open a board (see the module's text).
+    """Open a board with the project's firmware by its URL (see the module's text).
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
 
 
 def find_devices() -> list[Device]:
-    """USB serial ports; only opening a port shows if a board has the firmware."""
+    """List the USB serial ports; opening one shows if its board runs the firmware."""
     return devices(list_boards())
 
 

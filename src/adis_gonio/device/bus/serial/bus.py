@@ -31,7 +31,7 @@ from adis_gonio.device.bus.wire import protocol as wire
 
 _WRAP_US = 1 << 32
 _WHILE_S = 1.0
-"""Period of arrivals for one point, the earliest arrival."""
+"""Time in s from which the earliest arrival makes one point of the fit."""
 _POINTS = 32
 _LEAST_POINTS = 4
 _STEEPEST = 0.02
@@ -39,7 +39,7 @@ _STEEPEST = 0.02
 
 
 class ClockMap:
-    """Map from the firmware's µs (u32) to the bus's clock.
+    """Converts times of the firmware's 32-bit microsecond clock to times of the bus's clock in s.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class ClockMap:
         self._fitted: tuple[float, float, float] | None = None
 
     def times(self, first_us: int, span_us: int, count: int, arrival_s: float) -> NDArray[np.float64]:
-        """Times (count,) of evenly spaced scans on the bus's clock.
+        """Times (count,) in s of the evenly spaced scans of a packet, on the bus's clock.
 
         Parameters
         ----------
@@ -79,7 +79,10 @@ class ClockMap:
         return at_host_s + rate * (np.linspace(first_s, end_s, count) - at_s)
 
     def _unwrap(self, us: int) -> float:
-        """Seconds since the start, for a time at most half a wrap from the previous time."""
+        """Convert a 32-bit microsecond time of the board to seconds since the start.
+
+        It must be less than half a wrap from the previous time.
+        """
         step = (us - self._us + _WRAP_US // 2) % _WRAP_US - _WRAP_US // 2
         self._us = us
         self._s += step * 1e-6
@@ -97,7 +100,7 @@ class ClockMap:
             del points[:-_POINTS]
 
     def _fit(self) -> None:
-        """Fit a straight line through the points, which are all complete."""
+        """Fit a straight line to the delays of arrival against the board's time."""
         at, late = np.array(self._points).T
         middle = float(at.mean())
         slope = float((at - middle) @ late / ((at - middle) @ (at - middle)))
@@ -114,13 +117,13 @@ SILENCE_S = 3.0
 """The chip is not sampling if no edge comes for so long; its slowest period is 2.42 s."""
 _POLL_S = 0.5
 _PACKETS_MISSED = 4
-"""Expected packets by the count of edges; if none of them arrives, the line is faulty."""
+"""Number of packets due by the count of edges; if none of so many arrives, the line is faulty."""
 _AROUND = wire.HEADER_SIZE + wire.CRC_SIZE + 2
 """Bytes on the line in addition to the body of a packet: header, CRC, COBS, delimiter."""
 
 
 class SerialStream(FrameStream):
-    """Blocks of a running firmware stream.
+    """A running stream of the firmware, as an iterator of blocks.
 
     Parameters
     ----------
@@ -135,7 +138,7 @@ class SerialStream(FrameStream):
     block_scans : int
         Minimum number of scans in a block.
     clock : ClockMap
-        For times.
+        Converts the times of scans.
     byte_s : float
         Time of a byte on the line.
     stop : callable
@@ -167,7 +170,7 @@ class SerialStream(FrameStream):
         self._lost = 0
 
     def __next__(self) -> FrameBlock:
-        """Next block.
+        """Return the next block of scans.
 
         Raises
         ------
@@ -194,13 +197,13 @@ class SerialStream(FrameStream):
         )
 
     def close(self) -> None:
-        """Stop; the bus is free again."""
+        """Stop the stream, so that the bus accepts other requests again."""
         if self._open:
             self._open = False
             self._stop()
 
     def _part(self) -> FrameBlock | None:
-        """Scans of the next packet; None if it is invalid or belongs to another stream."""
+        """Wait for a packet and return its scans; None if it is invalid or belongs to another stream."""
         packet, arrival_s = self._packet()
         if packet.id != self._id:
             return None
@@ -222,7 +225,10 @@ class SerialStream(FrameStream):
         return FrameBlock(scans.words.reshape(count, self._width), times, lost)
 
     def _packet(self) -> tuple[Packet, float]:
-        """Wait for the next packet of scans, and read the edge counter while none comes."""
+        """Wait for the next packet of scans; return it and its time of arrival in s.
+
+        While none comes, the edge counter shows why.
+        """
         owner = self._owner
         first: int | None = None
         edges: int | None = None
@@ -259,7 +265,7 @@ _GATHER_S = 0.01
 
 
 class SerialBus(HostBus):
-    """A bus over an open serial port.
+    """A bus over an open serial port to a board with the project's firmware.
 
     Parameters
     ----------
@@ -270,7 +276,7 @@ class SerialBus(HostBus):
     clock : Clock
         The bus's clock.
     boot_s : float
-        How long the firmware is waited for.
+        Longest wait for the firmware in s.
     trigger : Trigger
         Edge of data-ready that starts a scan of a stream; the chip's pulse is low unless MSC_CTRL[1].
     baud : int
@@ -403,7 +409,7 @@ class SerialBus(HostBus):
         return self.count_events()[0]
 
     def count_events(self) -> tuple[int, float]:
-        """Data-ready edges since the last call, and the time by the firmware's clock in s."""
+        """Data-ready edges since the last call, and the present time in s on the firmware's clock."""
         with self._lock:
             self._require(Capability.EVENT_COUNTER)
             now = self._ask(wire.StatisticsRequest(), wire.StatisticsReply)
@@ -415,7 +421,7 @@ class SerialBus(HostBus):
     # -- for streams ------------------------------------------------------------------------------------
 
     def next_scans(self, wait_s: float) -> tuple[Packet, float] | None:
-        """Next packet of scans and its arrival; None if none came in time."""
+        """Return the next packet of scans and its time of arrival in s; None if none comes in time."""
         with self._lock:
             self._require_open()
             scans = self._link.scans
@@ -429,7 +435,7 @@ class SerialBus(HostBus):
             return scans.popleft()
 
     def count_edges(self) -> int:
-        """Data-ready edges that the firmware has counted (u32)."""
+        """Data-ready edges that the firmware has counted since power-on (u32, wraps)."""
         with self._lock:
             self._require_open()
             return self._ask(wire.StatisticsRequest(), wire.StatisticsReply).edges
@@ -472,7 +478,7 @@ class SerialBus(HostBus):
             raise ProtocolError(f"{self.url}: {refused}") from refused
 
     def _renew(self) -> None:
-        """Open a new session and set the present timing again, because a hello resets it."""
+        """Open a new session with the firmware and set the timing again, which the hello resets."""
         self.firmware = self._link.hello(AGAIN_S)
         timing = self.timing
         request = wire.ConfigureRequest(

@@ -19,7 +19,7 @@ from adis_gonio.device.bus.wire import protocol as wire
 
 RETRY_S = wire.RETRY_MS / 1000
 TRIES = 5
-"""Times that a request is sent before the firmware is called silent."""
+"""Number of times that a request is sent before the firmware counts as silent."""
 HELLO_EVERY_S = 0.3
 
 # Opening a port resets many boards. Their boot loader then listens at another baud rate (Optiboot: 115 200)
@@ -46,25 +46,25 @@ B = TypeVar("B", bound=Body)
 
 
 class Port(Protocol):
-    """A serial port as the link needs it; failures are typed errors already."""
+    """A serial port as the link uses it; its failures are errors of this package."""
 
     def receive(self, wait_s: float, /) -> bytes:
-        """Bytes that have arrived; waits at most `wait_s` for the first byte."""
+        """Return the bytes that have arrived, after waiting at most `wait_s` seconds for the first."""
 
     def send(self, data: bytes, /) -> None:
-        """Send all bytes."""
+        """Send all the bytes."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
 
 
 class RefusedError(Exception):
-    """The firmware refused a request and executed nothing of this copy.
+    """The firmware refused a request and did not execute the refused copy.
 
     Attributes
     ----------
     code : int
-        Of `wire.Refusal`.
+        Reason of the refusal, one of `wire.Refusal`.
     once : bool
         The request was sent only once, so no earlier copy can have been executed.
     """
@@ -81,7 +81,7 @@ class RefusedError(Exception):
 
 @dataclass
 class LinkCounts:
-    """Counts of requests, retries and late replies."""
+    """Numbers of requests, repeated requests and late replies on a serial link."""
 
     requests: int = 0
     retries: int = 0
@@ -90,14 +90,14 @@ class LinkCounts:
 
 @dataclass(frozen=True)
 class _Answer(Generic[B]):
-    """A reply or a refusal, and the number of copies of the request sent until then."""
+    """Reply or refusal from the firmware, and the number of copies of the request sent until it came."""
 
     body: B | wire.Error
     sent: int
 
 
 class SerialLink:
-    """The host's side of the protocol.
+    """The host's side of the serial protocol: sends requests and sorts the packets that arrive.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class SerialLink:
     # -- requests ---------------------------------------------------------------------------------------
 
     def hello(self, wait_s: float) -> wire.HelloReply:
-        """Open a session; repeat the request for `wait_s`, because a board may be booting.
+        """Open a session with the firmware; try for `wait_s` seconds, because a board may be booting.
 
         Zeros are sent before each hello, so that a listening boot loader leaves instead of reading it.
 
@@ -215,11 +215,11 @@ class SerialLink:
 
     @property
     def last_id(self) -> int:
-        """Id of the last request."""
+        """Id of the request that was sent last."""
         return self._id
 
     def pump(self, wait_s: float) -> bool:
-        """Receive packets; False if nothing arrived in time."""
+        """Receive packets and sort them into scans and replies; return False if nothing arrived in time."""
         data = self.port.receive(wait_s)
         if not data:
             return False
@@ -232,7 +232,7 @@ class SerialLink:
         return True
 
     def _listen(self, wait_s: float) -> None:
-        """Receive packets and send nothing."""
+        """Receive packets for `wait_s` seconds without sending."""
         end_s = self._clock.now_s() + wait_s
         while (left := end_s - self._clock.now_s()) > 0:
             self.pump(left)
@@ -259,7 +259,10 @@ class SerialLink:
         *,
         nonce: int | None = None,
     ) -> _Answer[B] | None:
-        """Send a request until it is answered; `again(copies sent)` decides if one more may be sent."""
+        """Send a request repeatedly until it is answered; return the answer, or None without one.
+
+        `again(copies sent)` decides if one more copy may be sent.
+        """
         sent = 0
         while again(sent):
             self.port.send(packet)
@@ -286,7 +289,7 @@ class SerialLink:
             self.pump(left)
 
     def _judge(self, packet: Packet, reply: type[B]) -> B | wire.Error | None:
-        """The reply in a packet; None if it is invalid or belongs to another request."""
+        """Decode a packet as the reply to the last request; None if it is invalid or not that reply."""
         if packet.id != self._id:
             return None
         try:

@@ -22,7 +22,7 @@ _KINDS = frozenset(int(kind) for kind in PacketType)
 
 @dataclass(frozen=True)
 class Packet:
-    """A sound packet: type, id (u16) and body."""
+    """A valid packet: its type, the id (u16) of its request, and its body."""
 
     type: int
     id: int
@@ -30,13 +30,13 @@ class Packet:
 
     @classmethod
     def of(cls, body: Body, request_id: int) -> Packet:
-        """Packet that carries a body."""
+        """Create the packet that carries a body."""
         return cls(body.TYPE, request_id, body.pack())
 
 
 @dataclass
 class ReceiverCounts:
-    """Counts of valid and discarded packets."""
+    """Numbers of valid packets and of discarded packets by reason."""
 
     packets: int = 0
     crc_errors: int = 0
@@ -46,13 +46,13 @@ class ReceiverCounts:
 
     @property
     def bad(self) -> int:
-        """Number of discarded packets."""
+        """Number of discarded packets of all kinds."""
         return self.crc_errors + self.cobs_errors + self.length_errors + self.unknown
 
 
 @functools.cache
 def load_cobs() -> Any:
-    """Module of package cobs.
+    """Import package cobs and return its module.
 
     Raises
     ------
@@ -67,12 +67,12 @@ def load_cobs() -> Any:
 
 
 def crc32(data: bytes) -> int:
-    """CRC-32/ISO-HDLC, as in Ethernet and zlib."""
+    """CRC-32 of the bytes (CRC-32/ISO-HDLC, as in Ethernet and zlib)."""
     return binascii.crc32(data)
 
 
 def encode(packet: Packet) -> bytes:
-    """A packet on the wire, with a delimiter on both sides.
+    """Encode a packet as bytes for the line, with a delimiter before and after it.
 
     The first delimiter ends any invalid bytes that the other side has collected.
 
@@ -92,7 +92,7 @@ def encode(packet: Packet) -> bytes:
 
 
 class Receiver:
-    """Extracts the valid packets from a stream of bytes and counts the rest."""
+    """Extracts valid packets from a stream of bytes and counts the invalid ones."""
 
     def __init__(self) -> None:
         self.counts = ReceiverCounts()
@@ -101,7 +101,7 @@ class Receiver:
         self._too_long = False
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Packets that are complete with these bytes; never raises on their content."""
+        """Return the packets that these bytes complete; invalid bytes never raise an error."""
         parts = (self._rest + data).split(_DELIMITER)
         self._rest = parts.pop()
         packets = []
@@ -116,7 +116,7 @@ class Receiver:
         return packets
 
     def reset(self) -> None:
-        """Forget a packet that is not complete."""
+        """Discard the bytes of a packet that is not complete."""
         self._rest, self._too_long = b"", False
 
     def _take(self, part: bytes) -> Packet | None:

@@ -14,7 +14,7 @@ from adis_gonio.base.errors import ProtocolError
 
 @dataclass_transform(frozen_default=True)
 class Body:
-    """A packet's body: fixed fields, then perhaps a tail of words or of text.
+    """Body of a packet: fixed fields, followed by words, by text or by nothing.
 
     A subclass is a frozen dataclass; it names its packet type, layout and tail as it is declared.
 
@@ -25,7 +25,7 @@ class Body:
     LAYOUT : struct.Struct
         The fixed fields, little endian.
     COUNTS : tuple of int
-        Elements of each fixed field; more than one is a tuple.
+        Number of elements of each fixed field; a field with more than one is a tuple.
     TAIL : str
         `words`, `text` or nothing.
     """
@@ -41,7 +41,7 @@ class Body:
         dataclass(frozen=True)(cls)
 
     def pack(self) -> bytes:
-        """Bytes of the body."""
+        """Encode the body as bytes."""
         values = [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
         tail = b""
         if self.TAIL == "words":
@@ -55,7 +55,7 @@ class Body:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """Take a body apart.
+        """Decode the body from bytes.
 
         Raises
         ------
