@@ -213,7 +213,10 @@ def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linea
     """
     first, second = weights @ (chosen.mean / chosen.gravity_mg)
     if min(abs(first[0]), abs(second[1])) < _LEAST_READING:
-        raise SingularError("method paper is singular here: U_x1 or U_y2 is zero; use method two-position")
+        raise SingularError(
+            "method paper divides by the first reading of X and the second of Y, and one is zero here; "
+            "use method two-position"
+        )
     values, derivative = _paper(first, second, weights)
     beta = exact.beta.copy()
     beta[DELTA_PHI] = values[1]

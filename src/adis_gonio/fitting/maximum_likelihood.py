@@ -58,8 +58,8 @@ def fit_ml(readings: Readings) -> FitResult:
     if not any(o.name in wanted for o in reported):
         directions = "; ".join(format_directions(null, names))
         raise SingularError(
-            f"{counted(len(readings), 'position')} cannot determine {' or '.join(wanted[:2])}: without "
-            f"information is {directions}; {_advice(lost)}"
+            f"{counted(len(readings), 'position')} cannot determine {' or '.join(wanted[:2])}: they "
+            f"contain no information on {directions}; {_advice(lost)}"
         )
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
     sources = _sources(readings, settled)

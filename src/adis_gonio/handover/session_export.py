@@ -24,6 +24,7 @@ from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.loading import Overrides, load_session
 from adis_gonio.record.provenance import changed_registers
 from adis_gonio.record.samples_writer import session_dict
+from adis_gonio.record.session_reader import describe_later_writes
 from adis_gonio.tracing.trace_calibrations import (
     gyro_calibration_of,
     gyros_alone,
@@ -175,8 +176,11 @@ class ExportSource:
         chosen = BY_NAME[kind]
         if chosen.holds == "coefficients":
             options = {"name": self.name} if chosen.named else {}
-            write_utf8(path, chosen.function()(self._calibration(), **options))
-            return []
+            session = (
+                None if calibration_in(self.path) is not None else load_session(self.path, self.overrides)
+            )
+            write_utf8(path, chosen.function()(self._calibration(session), **options))
+            return [] if session is None else list(describe_later_writes(session.facts))
         session = self._session(kind)
         if chosen.holds == "document":
             write_utf8(path, self._json(session))
@@ -189,10 +193,8 @@ class ExportSource:
             raise DataError(f"{self.path}: is a calibration without samples: {kind} needs a session")
         return load_session(self.path, self.overrides)
 
-    def _calibration(self) -> Calibration:
-        calibration = calibration_in(self.path)
-        if calibration is None:
-            session = load_session(self.path, self.overrides)
+    def _calibration(self, session: Session | None) -> Calibration:
+        if session is not None:
             changed = changed_registers(session)
             if changed:
                 raise FitError(
@@ -208,7 +210,7 @@ class ExportSource:
             raise UsageError(
                 f"{self.path}: is a calibration already: --method and --trace go with a session"
             )
-        return self._with_gyros(calibration)
+        return self._with_gyros(Calibration.load(self.path))
 
     def _with_gyros(self, calibration: Calibration, session: Session | None = None) -> Calibration:
         if self.gyros is not None:

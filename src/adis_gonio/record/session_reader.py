@@ -263,17 +263,17 @@ def _session(
         accel_unit="mg" if header.variant == GENERIC else "lsb",
         **{n: getattr(header, n) for n in ("gravity_mps2", "fixture_sigma_deg", "title", *METADATA)},
         source=str(path),
-        notes=(*notes, *_of_writes(facts)),
+        notes=(*notes, *describe_later_writes(facts)),
         facts=facts,
         **found,
     )
 
 
-def _of_writes(facts: JsonDict) -> tuple[str, ...]:
-    """Remarks on offsets that were written to the sensor after the recording; empty if none were."""
-    recorded = facts["registers"]["configured"]
-    if not facts["offset_writes"] or not recorded:
+def describe_later_writes(facts: JsonDict) -> tuple[str, ...]:
+    """Remarks on offsets that were written to the sensor after the recording; empty if there were none."""
+    if not facts.get("offset_writes") or not facts["registers"]["configured"]:
         return ()
+    recorded = facts["registers"]["configured"]
     from adis_gonio.record.write_journal import describe_writes, operations
 
     return describe_writes(operations(facts["offset_writes"]), recorded)

@@ -88,7 +88,7 @@ def fit_command(
             raise UsageError("--gyros goes with the accelerometers: leave out --sensor-part gyro")
         if everything or trials is not None:
             raise UsageError(
-                "--all and --monte-carlo are of the accelerometers' methods: gyros have one, gyro"
+                "--all and --monte-carlo work for accelerometers only: gyros have one method, gyro"
             )
         show_gyro_fit(option.load(session, overrides), method, as_json=as_json, calibration=calibration)
         return

@@ -27,7 +27,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
@@ -292,6 +291,8 @@ def _moves(share: float, n: int) -> bool:
     """
     if share >= 0.5:
         return True
+    from scipy import stats  # late: it takes half a second, and a bench that only records needs none
+
     z = float(stats.norm.isf(share))
     cut = float(stats.norm.pdf(z)) - z * share  # in standard deviations of a sample
     return cut > _HARMLESS / math.sqrt(n)
