@@ -72,8 +72,8 @@ def test_a_plan_foresees_what_the_fit_states(name, fixture_deg):
 def test_of_few_positions_a_wide_stage_makes_the_gains_less_sure_and_the_plan_says_so():
     exact, wide = (predict_uncertainty(plan("four-position"), Bench(deg)) for deg in (0.01, 8.0))
     assert wide.parameters["delta_k"].u > 10 * exact.parameters["delta_k"].u
-    assert any("depends on how the stage is off" in note for note in wide.notes)
-    assert not any("depends on how the stage is off" in note for note in exact.notes)
+    assert any("depends on the errors of the stage" in note for note in wide.notes)
+    assert not any("depends on the errors of the stage" in note for note in exact.notes)
 
 
 def test_a_plan_takes_a_stage_as_wide_as_a_hand_and_no_wider():

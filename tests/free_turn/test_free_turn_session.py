@@ -224,8 +224,8 @@ def test_nothing_recorded_is_said(tmp_path):
     [
         (["--plan", "free-turn", "--positions", "4"], "no positions"),
         (["--plan", "free-turn", "--trace"], "no positions"),
-        (["--plan", "tumble", "--duration", "30"], "that of a free turn"),
-        (["--plan", "tumble", "--turns", "2"], "those of a free turn"),
+        (["--plan", "tumble", "--duration", "30"], "a free turn"),
+        (["--plan", "tumble", "--turns", "2"], "a free turn"),
         (["--plan", "free-turn", "--turns", "0"], "take 1 or more"),
         (["--plan", "free-turn", "--turns", "8"], "8 turns in 60 s, rests included, cannot be slow"),
     ],

@@ -92,4 +92,4 @@ def test_the_mark_and_the_fixtures_explain_themselves(tmp_path):
     assert "@pytest.mark.adis_gonio(url, check, bus_faults, line_faults, transport, boot_s)" in shown
     fixtures = run(tmp_path, "", "--fixtures").stdout
     assert "simulated_sensor" in fixtures
-    assert "An open driver over a simulated chip" in fixtures
+    assert "driver of a simulated chip" in fixtures

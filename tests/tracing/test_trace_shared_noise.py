@@ -129,7 +129,7 @@ def test_slow_noise_is_believed_for_what_it_is() -> None:
 def test_without_shared_noise_whitening_is_dwell_by_dwell() -> None:
     data = observations()
     at = Fit.begin(data)
-    expected = np.einsum("nrk,nk->nr", at.whitener, at.left)
+    expected = np.einsum("nrk,nk->nr", at.whitener, at.declared_misfit)
     np.testing.assert_allclose(at.residual, expected, rtol=1e-12, atol=1e-12)
     none = replace(data, slow=np.zeros((len(data), 2, 0)))
     np.testing.assert_array_equal(Fit.begin(none).residual, at.residual)
