@@ -155,7 +155,7 @@ class RunningFit:
         self._fitted = 0
 
     def add(self, place: int, position: Position, scans: Block) -> None:
-        """Add the mean of a dwell; it replaces an earlier dwell of its place."""
+        """Add the mean of a dwell; it replaces the mean of an earlier dwell at the same position."""
         # The scatter of the means of the parts gives the variance of the mean of the dwell.
         parts = np.array([part.mean(axis=0) for part in np.array_split(scans.accel_mg, PARTS)])
         variance = float(parts.var(axis=0, ddof=1).mean()) / PARTS

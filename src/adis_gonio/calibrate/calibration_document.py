@@ -223,7 +223,7 @@ def _checked(calibration: Calibration) -> Calibration:
         if len(term.parameters) != wanted or not set(term.parameters) <= names:
             raise ValueError(f"effect {term.effect.name} needs {wanted} of the parameters")
     if calibration.provenance.counts != (calibration.counts_per_mg is not None):
-        raise ValueError("counts_per_mg goes with unit counts")
+        raise ValueError("counts_per_mg is needed with unit counts, and allowed with no other unit")
     if calibration.counts_per_mg is not None and len(calibration.counts_per_mg) != calibration.axes:
         raise ValueError(f"counts_per_mg has to hold {calibration.axes} numbers")
     for one in calibration.parameters:

@@ -114,7 +114,7 @@ def limits(data: Readings) -> Floats:
 
 
 def information(fit: Fit) -> Floats:
-    """Fisher information (p, p) of the readings without priors, in natural units."""
+    """Fisher information (p, p) of the readings, no priors, for parameters scaled by `natural_units`."""
     scaled = fit.jacobian * natural_units(fit.data)
     return np.asarray(scaled.T @ scaled)
 

@@ -402,7 +402,8 @@ def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estim
 def angle_errors(fit: Fit) -> Floats | None:
     """Angle by the calibrated goniometer minus declared angle (m,) in rad; None without declared angles.
 
-    With free attitudes α is unknown, and the mean difference is used instead.
+    The zero is α. If the attitudes were fitted without declared angles, α is unknown, and the mean
+    difference is subtracted instead.
     """
     data = fit.data
     declared = np.isfinite(data.angle_rad)

@@ -271,7 +271,7 @@ def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, Det
 
 
 def _alike(found: Links, links: Links) -> Links:
-    """Select the links in `found` that connect the poses of one of the `links`."""
+    """Select the links in `found` that connect the same two poses as any of the `links`."""
     wanted = set(zip(links.before.tolist(), links.after.tolist(), strict=True))
     pairs = zip(found.before.tolist(), found.after.tolist(), strict=True)
     return found.only(np.array([pair in wanted for pair in pairs]))

@@ -193,7 +193,7 @@ class Series:
         Half length of the error bars, in the unit of y.
     role : str, optional
         `before` (hollow circle), `after` (disc), `third` (square), `fourth` (triangle) or `model` (thin
-        dashed line); by default in this order.
+        dashed line). Series without a role take these roles one after another.
     style : {"points", "line", "steps"}
     """
 

@@ -311,8 +311,8 @@ def positions_in(bench: Bench, minutes: float) -> int:
         return count
     least, most = (number * bench.each_s / 60 for number in (LEAST, MOST))
     raise UsageError(
-        f"minutes is {minutes:g}: a search takes {LEAST} to {counted(MOST, 'position')}, {least:.2g} to "
-        f"{most:.3g} min at {bench.each_s:.3g} s each; take a time between, or another --dwell"
+        f"minutes is {minutes:g}: a plan of {LEAST} to {counted(MOST, 'position')} lasts {least:.2g} to "
+        f"{most:.3g} min at {bench.each_s:.3g} s each; give a time in between, or change --dwell"
     )
 
 

@@ -209,9 +209,9 @@ class Products:
         self._of: dict[int, Floats] = {}
 
     def of_model(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
-        """Return the χ² of a model's residual, and products of all columns with residual and basis.
+        """Return the χ² of a model's residual, and the products of all P candidate columns with two things.
 
-        The products have the shapes (P,) and (k, P) for a model with k columns.
+        These are the model's residual, (P,), and an orthonormal basis of the model's k columns, (k, P).
         """
         problem = self._problem
         if not len(model):

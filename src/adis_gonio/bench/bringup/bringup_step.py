@@ -262,7 +262,7 @@ class Findings:
         self.answers[question] = Answer(outcome, text, figures)
 
     def settle(self, question: str, text: str, *, differs: bool) -> StepResult:
-        """Answer the only question of a step with all its figures, and return the result of the step."""
+        """Record all figures of the step as the answer to its only question; return the step's result."""
         self.answer(question, Outcome.CONTRADICTS if differs else Outcome.CONFIRMS, text, *self.figures)
         return self.differs(text) if differs else self.ok(text)
 

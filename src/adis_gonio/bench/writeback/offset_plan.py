@@ -314,7 +314,7 @@ def offsets_in_force(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floa
 def bias_left_mg(session: Session, result: FitResult) -> dict[str, float]:
     """Biases of the sensor in mg with its present offsets, by name (`bias_x` …).
 
-    If the session does not have the registers, nothing was written, and the biases of the fit are returned.
+    If the session records no write to the offset registers, these are the biases of the fit.
 
     Raises
     ------

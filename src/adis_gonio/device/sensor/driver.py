@@ -272,7 +272,7 @@ class Adis16354(Closing):
         """Return words that agree in two successive readings, with SENS_AVG read before and after them.
 
         SENS_AVG is never 0x0000 or 0xFFFF (its range code is 4, 2 or 1), so such replies come from a stuck
-        line. Use it for registers that a program relies on, such as SMPL_PRD and ENDURANCE.
+        line. Use this method for registers that a program relies on, such as SMPL_PRD and ENDURANCE.
 
         Raises
         ------

@@ -214,7 +214,7 @@ def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
 def _show_registers(
     rows: list[tuple[Register, Any]], wanted: Mapping[str, OffsetWord], *, fields: bool, as_json: bool
 ) -> None:
-    """Show registers with their numbers and quantities; a quantity of None was not read."""
+    """Show registers with their physical values; None means that a register was not read."""
     if as_json:
         documents = []
         for row, quantity in rows:

@@ -355,7 +355,7 @@ def _fitted(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
 
 
 def _kinds(m: int) -> Sequence[Kind]:
-    """Noise processes to fit; the chip's filter (m > 0) excludes quantization noise of the angle."""
+    """Noise processes to fit; no quantization noise of the angle if the chip's filter is on (m > 0)."""
     return KINDS if m == 0 else KINDS[1:]
 
 

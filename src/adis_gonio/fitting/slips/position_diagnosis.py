@@ -310,7 +310,7 @@ def _search(rows: Rows, grid: Sequence[ScatterPoint]) -> tuple[list[Pattern], We
 def _weigh_others(
     rows: Rows, grid: Sequence[ScatterPoint], accepted: Sequence[Pattern]
 ) -> tuple[list[Pattern], Weighed]:
-    """Compute the probability of each further fault, given the accepted faults; return both."""
+    """Return the faults that are possible in addition to the accepted ones, and their probabilities."""
     known = KnownFaults.of(rows, accepted)
     taken = {(p.name, p.dwells) for p in accepted}
     patterns = [p for p in patterns_of(rows, known.error_rad) if (p.name, p.dwells) not in taken]

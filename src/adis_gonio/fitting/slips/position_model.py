@@ -62,7 +62,7 @@ class Halts:
     turned_rad: float
 
     def log_odds(self, error_rad: Floats, u_rad: Floats) -> Floats:
-        """Ln (g,) of the likelihood ratio: these rests if a slip occurred in this turn, against no slip.
+        """Log likelihood ratio (g,) of a slip in this turn, for g sizes of it, by the gyro's rests.
 
         Parameters
         ----------

@@ -308,7 +308,7 @@ class FaultyBus(SpiBus):
         return words ^ (turned @ (1 << np.arange(FRAME_BITS))).astype(np.uint16)
 
     def _struck(self, kind: str, count: int) -> NDArray[np.bool_]:
-        """Draw for each of `count` items whether a fault of this kind hits it, (count,); count the hits."""
+        """Draw which of `count` items a fault of this kind hits, as a mask (count,); add them to `seen`."""
         rate = getattr(self._faults, kind)
         if not rate:
             return np.zeros(count, bool)

@@ -165,7 +165,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
 
 
 def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Test the differences of one scale; lower the p-values (d, axes) if they are more significant."""
+    """Test the differences at one time scale; lower a dwell's p-value (d, axes) if it is smaller here."""
     noise = np.zeros_like(p)
     look.noise.append((np.array([float(own[0]) if len(own) else 0.0 for own in scale.places]), noise))
     every = np.concatenate(scale.differences)
