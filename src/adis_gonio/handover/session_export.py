@@ -176,11 +176,14 @@ class ExportSource:
         chosen = BY_NAME[kind]
         if chosen.holds == "coefficients":
             options = {"name": self.name} if chosen.named else {}
-            session = (
-                None if calibration_in(self.path) is not None else load_session(self.path, self.overrides)
-            )
-            write_utf8(path, chosen.function()(self._calibration(session), **options))
-            return [] if session is None else list(describe_later_writes(session.facts))
+            given, remarks = calibration_in(self.path), []
+            if given is None:
+                session = load_session(self.path, self.overrides)
+                calibration, remarks = self._fitted(session), list(describe_later_writes(session.facts))
+            else:
+                calibration = self._given(given)
+            write_utf8(path, chosen.function()(calibration, **options))
+            return remarks
         session = self._session(kind)
         if chosen.holds == "document":
             write_utf8(path, self._json(session))
@@ -193,24 +196,25 @@ class ExportSource:
             raise DataError(f"{self.path}: is a calibration without samples: {kind} needs a session")
         return load_session(self.path, self.overrides)
 
-    def _calibration(self, session: Session | None) -> Calibration:
-        if session is not None:
-            changed = changed_registers(session)
-            if changed:
-                raise FitError(
-                    f"{self.path}: {'; '.join(changed)}: a calibration would hold for no state of the"
-                    " registers; record the session again, or export its data (csv, parquet, json)"
-                )
-            try:
-                own = self._result(session).calibration()
-            except FitError as error:
-                raise FitError(f"{error}{gyros_alone(session)}") from None
-            return self._with_gyros(own, session)
+    def _fitted(self, session: Session) -> Calibration:
+        changed = changed_registers(session)
+        if changed:
+            raise FitError(
+                f"{self.path}: {'; '.join(changed)}: a calibration would hold for no state of the"
+                " registers; record the session again, or export its data (csv, parquet, json)"
+            )
+        try:
+            own = self._result(session).calibration()
+        except FitError as error:
+            raise FitError(f"{error}{gyros_alone(session)}") from None
+        return self._with_gyros(own, session)
+
+    def _given(self, calibration: Calibration) -> Calibration:
         if self.method is not None or self.traced:
             raise UsageError(
                 f"{self.path}: is a calibration already: --method and --trace go with a session"
             )
-        return self._with_gyros(Calibration.load(self.path))
+        return self._with_gyros(calibration)
 
     def _with_gyros(self, calibration: Calibration, session: Session | None = None) -> Calibration:
         if self.gyros is not None:
