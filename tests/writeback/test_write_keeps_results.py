@@ -168,3 +168,17 @@ def test_offsets_count_also_on_axes_whose_bias_the_session_does_not_determine(tm
     assert ours.angle_deg == pytest.approx(theirs.angle_deg, abs=1e-9)
     assert ours.u_deg == pytest.approx(theirs.u_deg, rel=1e-3)
     assert load_calibration(path).as_dict() == before.as_dict()
+
+
+def test_an_export_names_offsets_that_a_later_write_did_not_save(tmp_path, capsys):
+    path = tmp_path / "q.session"
+    assert main(["calibrate", URL, "--plan", "four-position", *QUICK, "-o", str(path)]) == 0
+    capsys.readouterr()
+    assert main(["export", str(path), "-o", str(tmp_path / "before.h")]) == 0
+    assert "XACCL_OFF" not in capsys.readouterr().err
+    assert main(["write", str(path), URL, "--yes", "--even-if-inadequate"]) == 0
+    capsys.readouterr()
+    assert main(["export", str(path), "-o", str(tmp_path / "after.h")]) == 0
+    remark = capsys.readouterr().err
+    assert "XACCL_OFF 0 →" in remark
+    assert "not saved to flash" in remark
