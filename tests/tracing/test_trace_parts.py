@@ -31,7 +31,7 @@ from adis_gonio.tracing.averaging import AveragedTerm, average
 from adis_gonio.tracing.credible_sets import CredibleSet, Names
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.linear_problem import LinearProblem, _project_off_base, orthonormal
-from adis_gonio.tracing.model_search import Model, ModelPosterior, Search, _Beam, _present, search, weigh
+from adis_gonio.tracing.model_search import Model, ModelPosterior, _present, search, weigh
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.proposals import _columns, _hypothesis, _prior
 from adis_gonio.tracing.selection import select
@@ -377,38 +377,15 @@ class TestDesign:
 
 
 class TestSearch:
-    def test_more_models_of_a_size_are_extended_than_the_first_six(self) -> None:
+    def test_every_pair_that_scores_near_the_best_one_is_scored(self) -> None:
         rows = np.eye(30)
         terms = [named(letter, 1.0) for letter in "abcdefghi"]
-        target = np.concatenate([np.arange(20.0, 11.0, -1.0), np.zeros(21)])
+        target = np.concatenate([np.linspace(4.0, 3.5, 9), np.zeros(21)])
         problem = single(target, rows[:9], terms)
         pairs = set(itertools.combinations(range(9), 2))
         assert {model for model in search(problem, 2).scores if len(model) == 2} == pairs
         with within(Budget(left_out=["the time is over"])):
             assert set(map(len, search(problem, 2).scores)) == {0, 1}
-
-    def widest(self, count: int, scores: dict[Model, float]) -> list[Model]:
-        """Of models of four functions, two outliers and two curvatures those that are extended."""
-        data = noisy(surroundings(), 43)
-        labels = [*(f"outlier_dwell[x](dwell={k})" for k in (3, 7)), "quadratic[x]", "quadratic[y]"]
-        terms = [*(function(name, lambda c: c.time_s) for name in "abcd"), *labelled(data, *labels)]
-        problem = replace(names_only(*"abcdefgh"), terms=tuple(terms))
-        return _Beam(Search(problem, np.zeros(8)), 1, 3, count)._widest(scores, count)
-
-    def test_of_single_terms_the_best_of_each_name_and_axes_are_extended_however_far_behind(self) -> None:
-        scores: dict[Model, float] = {(k,): -9.0 * k for k in reversed(range(8))}
-        assert self.widest(2, scores) == [(0,), (1,), (4,), (6,), (7,)]
-
-    def test_of_larger_models_a_third_has_names_only(self) -> None:
-        ahead: list[Model] = [(0, 1), (0, 6), (6, 7), (1, 2), (1, 6), (2, 6)]
-        behind: list[Model] = [(2, 7), (4, 6), (3, 7), (4, 7), (0, 2)]
-        scores = {model: -9.0 * k for k, model in enumerate([*ahead, *behind])}
-        assert self.widest(6, scores) == [*ahead, (4, 6)]
-        assert self.widest(9, scores) == [*ahead, *behind[:4]]
-        assert self.widest(3, scores) == ahead[:3]
-        assert self.widest(1, scores) == ahead[:1]
-        named_first = dict(zip([(5, 7), (4, 6), (4, 7), *ahead], np.arange(9.0, 0.0, -1.0), strict=False))
-        assert self.widest(3, named_first) == [(5, 7), (4, 6), (4, 7)]
 
     def exhaustive(self, problem: LinearProblem, prices: np.ndarray, most: int) -> dict[Model, float]:
         """Score of every model by least squares."""
