@@ -176,6 +176,14 @@ class LinearProblem:
         factor = inflation / self.inflation
         return self._with_prior([factor * own for own in self.prior], inflation)
 
+    def with_covariance(self, features: Floats) -> LinearProblem:
+        """Return the problem with the covariance F Fᵀ of features F (rows, k) added to the noise."""
+        values, vectors = np.linalg.eigh(features @ features.T)
+        white = (vectors / np.sqrt(1 + np.maximum(values, 0.0))) @ vectors.T
+        # The prior of an amplitude does not change.
+        moved = replace(self, columns=white @ self.columns, target=white @ self.target)
+        return moved._with_prior(self.prior, self.inflation)
+
     def _with_prior(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
         """Return the problem with other prior Gram matrices, one for each of the M terms."""
         columns = np.empty_like(self.columns)
@@ -185,7 +193,7 @@ class LinearProblem:
             stack = self.columns[:, places].reshape(len(columns), -1, size).transpose(1, 0, 2)
             # Orthonormalise each block again, together with its new prior rows.
             held = np.array(prior[members])
-            gram = np.eye(size) - np.array(self.prior[members]) + held
+            gram = stack.transpose(0, 2, 1) @ stack + held
             turn = np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
             columns[:, places] = (stack @ turn).transpose(1, 0, 2).reshape(len(columns), -1)
             back.extend(own @ half for own, half in zip(self.back[members], turn, strict=True))
