@@ -112,7 +112,7 @@ def _replacements(selection: Selection) -> list[tuple[str, ...]]:
     """Return groups of names that replace each other in probable or equivalent models."""
     verdict = selection.verdict
     best = verdict.best
-    top = verdict.weights[best]
+    top = verdict.weights.get(best, max(verdict.weights.values()))
     out: list[tuple[str, ...]] = []
     rivals = [m for m, w in verdict.weights.items() if m != best and w >= limits.near * top]
     rivals += [m for m in verdict.same.get(best, []) if len(m) <= len(best)]

@@ -150,15 +150,16 @@ class LinearProblem:
 
     def subset(self, chosen: NDArray[np.intp]) -> LinearProblem:
         """Return the problem restricted to the terms with these numbers, in ascending order."""
-        index = np.concatenate(
-            [np.arange(self.first[k], self.first[k] + self.width[k]) for k in chosen]
-        ).astype(np.intp)
+        index = np.array(
+            [column for k in chosen for column in range(self.first[k], self.first[k] + self.width[k])],
+            dtype=np.intp,
+        )
         width = self.width[chosen]
         return replace(
             self,
             terms=tuple(self.terms[k] for k in chosen),
             columns=np.ascontiguousarray(self.columns[:, index]),
-            first=np.concatenate([[0], np.cumsum(width)[:-1]]).astype(np.intp),
+            first=(np.cumsum(width) - width).astype(np.intp),
             width=width,
             back=tuple(self.back[k] for k in chosen),
             cost=self.cost[chosen],

@@ -173,7 +173,8 @@ class _Climb:
             if spent():
                 break
             self.open(model, self.every)
-        self._climb(self.names, 1)
+        if self.named.any():
+            self._climb(self.names, 1)
         self._climb(self.every, self.explored)
 
     def _climb(self, joining: _Joining, explored: int) -> None:

@@ -269,7 +269,7 @@ class TraceRun:
         If the model is not adequate, also list the effects that could explain the unexplained part.
         """
         self.weighed = self.selection
-        if self.scatter is None:
+        if self.scatter is None and not self.final.adequate:
             self.weighed = attempt(
                 "an unknown cause beside the models",
                 lambda: beside_unknown_cause(self.selection, self.max_effects),
