@@ -365,8 +365,7 @@ def test_parsers_take_any_bytes(data):
         r.SpiSettings.parse,
         r.Progress.parse,
         r.Progress.of_poll,
-        r.parse_events,
-        lambda answer: r.parse_pins(answer, r.Command.GET_GPIO_VALUES),
+        lambda answer: r.word_of(answer, r.Command.EVENTS),
     ):
         with contextlib.suppress(ProtocolError):
             parse(data)
@@ -381,12 +380,15 @@ def test_a_progress_never_carries_more_than_a_frame(data):
 
 def test_parsers_refuse_what_is_not_theirs():
     chip = bytes([0x20, 0, 0, 0]) + bytes([0, 1, 2, 0, 0, 0, 0, 0, 0])
-    assert r.ChipSettings.parse(chip.ljust(64, b"\0")).designations[:3] == (0, 1, 2)
+    assert r.ChipSettings.parse(chip.ljust(64, b"\0")).designations[:3] == bytes((0, 1, 2))
     with pytest.raises(ProtocolError, match="designation"):
         r.ChipSettings.parse(chip.replace(b"\x02", b"\x03").ljust(64, b"\0"))
     with pytest.raises(ProtocolError, match=r"0x12 .* 0x42"):
         r.Progress.parse(bytes([0x12]).ljust(64, b"\0"))
-    assert r.parse_pins(bytes([0x31, 0, 0, 0, 0xFF, 0xFF]).ljust(64), r.Command.GET_GPIO_VALUES) == 0x1FF
+    word = bytes([0x31, 0, 0, 0, 0xFE, 0x01]).ljust(64)
+    assert r.word_of(word, r.Command.GET_GPIO_VALUES) == 0x1FE
+    with pytest.raises(ProtocolError, match="GET_GPIO_VALUES is refused: the SPI engine is busy"):
+        r.word_of(word.replace(b"\x31\x00", b"\x31\xf8"), r.Command.GET_GPIO_VALUES)
     assert r.is_mark(bytes([0x50, 0, 7]).ljust(64), 7)
     assert not r.is_mark(bytes([0x12, 0, 7]).ljust(64), 7)
 

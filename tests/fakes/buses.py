@@ -6,22 +6,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adis_gonio.device.bus import FrameStream, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus import FrameStream, SpiBus, SpiTiming, Words, WrappedBus
 
 SLOW = SpiTiming(250_000, 75.0, 160.0)
 
 
-class RecordingBus(SpiBus):
+class RecordingBus(WrappedBus):
     """Passes everything on to another bus and keeps each batch with the timing in force.
 
     `inner` may be any bus; what it raises goes through.
     """
 
     def __init__(self, inner: SpiBus) -> None:
-        super().__init__(inner.timing)
-        self.inner = inner
-        self.url = inner.url
-        self.capabilities = inner.capabilities
+        super().__init__(inner)
         self.batches: list[tuple[SpiTiming, Words]] = []
         self.streamed: list[int] = []
 
@@ -35,34 +32,13 @@ class RecordingBus(SpiBus):
         """Frames with the write bit."""
         return [frame for frame in self.frames if frame & 0x8000]
 
-    def now_s(self) -> float:
-        return self.inner.now_s()
-
-    def sleep_s(self, seconds: float) -> None:
-        self.inner.sleep_s(seconds)
-
-    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
+    def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
         self.streamed += list(frames)
-        return self.inner.stream(frames, block_scans=block_scans)
-
-    def hard_reset(self) -> None:
-        self.inner.hard_reset()
-
-    def read_event_counter(self) -> int:
-        return self.inner.read_event_counter()
-
-    def count_events(self) -> tuple[int, float]:
-        return self.inner.count_events()
+        return super()._start_stream(frames, block_scans)
 
     def _exchange(self, frames: Words) -> Words:
         self.batches.append((self.timing, frames.copy()))
-        return self.inner.exchange_array(frames)
-
-    def _configure(self, timing: SpiTiming) -> SpiTiming:
-        return self.inner.configure(timing)
-
-    def _close(self) -> None:
-        self.inner.close()
+        return super()._exchange(frames)
 
 
 class ScriptedBus(SpiBus):

@@ -1,6 +1,14 @@
 """Buses that carry 16-bit frames: the contract, its errors, opening by URL."""
 
-from adis_gonio.device.bus.contract import Capability, FrameBlock, FrameStream, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus.contract import (
+    Capability,
+    FrameBlock,
+    FrameStream,
+    SpiBus,
+    SpiTiming,
+    Words,
+    WrappedBus,
+)
 from adis_gonio.device.bus.opening import BusUrl, Device, bus_schemes, find_devices, open_bus
 
 __all__ = [
@@ -12,6 +20,7 @@ __all__ = [
     "SpiBus",
     "SpiTiming",
     "Words",
+    "WrappedBus",
     "bus_schemes",
     "find_devices",
     "open_bus",

@@ -33,7 +33,6 @@ import ctypes
 import errno
 import os
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -49,11 +48,11 @@ from adis_gonio.device.bus.host import (
     HostBus,
     UrlOptions,
     busy,
+    choose,
     gone,
     missing,
     no_permission,
     readable_and_writable,
-    several,
 )
 from adis_gonio.device.bus.opening import BusUrl, Device
 
@@ -220,8 +219,6 @@ class SpidevBus(HostBus):
         System calls.
     fd : int
         The open device file.
-    release : callable
-        Called when the bus is closed.
     url : str
         For messages.
     cs_high_us : float
@@ -243,14 +240,12 @@ class SpidevBus(HostBus):
         self,
         system: Kernel,
         fd: int,
-        *,
-        release: Callable[[], object],
-        url: str = "spidev:",
-        cs_high_us: float = CS_HIGH_US,
-        reset_fd: int | None = None,
+        url: str,
+        cs_high_us: float,
+        reset_fd: int | None,
         clock: Clock = WALL,
     ) -> None:
-        super().__init__(url, clock, release)
+        super().__init__(url, clock)
         self._system = system
         self._fd = fd
         self._cs_high_us = cs_high_us
@@ -395,12 +390,9 @@ def open_from_url(
     line = _line(url, options)
     path = url.place
     if not path:
-        devices = find_devices(folder=folder)
-        if len(devices) > 1:
-            raise several(url.text, devices)
-        if not devices:
-            raise missing(url.text, "SPI device file (on a Raspberry Pi: dtparam=spi=on)")
-        path = BusUrl.parse(devices[0].url).place
+        found = find_devices(folder=folder)
+        only = choose(url, "SPI device file (on a Raspberry Pi: dtparam=spi=on)", found, [], list)
+        path = BusUrl.parse(only.url).place
     if system is None:
         try:
             system = LinuxKernel()
@@ -417,18 +409,7 @@ def open_from_url(
         if line is not None:
             reset_fd = _request_line(system, url.text, f"{folder}/{line[0]}", line[1], folder)
             stack.callback(system.close, reset_fd)
-        kept = contextlib.ExitStack()
-        bus = SpidevBus(
-            system,
-            fd,
-            release=kept.close,
-            url=url.text,
-            cs_high_us=cs_high_us,
-            reset_fd=reset_fd,
-            clock=clock,
-        )
-        kept.push(stack.pop_all())
-    return bus
+        return SpidevBus(system, fd, url.text, cs_high_us, reset_fd, clock).take_over(stack)
 
 
 def find_devices(*, folder: str = "/dev") -> list[Device]:
