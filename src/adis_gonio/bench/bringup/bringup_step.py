@@ -152,6 +152,10 @@ QUESTIONS: tuple[Question, ...] = (
 
 
 FORMAT = "adis-gonio bringup 1"
+_COPIED = (
+    *("software", "begun_utc", "url", "simulated", "variant", "bridge", "registers"),
+    *("sound", "accused", "headline", "stopped"),
+)
 Number = TypeVar("Number", float, float | None)
 
 
@@ -219,30 +223,21 @@ class Curve:
     log: bool = False
 
 
-@dataclass(frozen=True)
-class StepResult(JsonRecord):
-    """Result of a bring-up step: a verdict, one sentence, figures, and answers to open questions."""
-
-    document_keys = ("verdict", "text", "figures")
-
-    verdict: Verdict
-    text: str
-    figures: tuple[Measured, ...] = ()
-    answers: Mapping[str, Answer] = field(default_factory=dict)
-    curves: tuple[Curve, ...] = ()
-
-
 def _plain(number: Number) -> Number:
     return number.item() if isinstance(number, np.generic) else number
 
 
-class Findings:
-    """Collects the figures, answers and curves of a bring-up step and makes its result from them."""
+@dataclass
+class StepResult(JsonRecord):
+    """Result of a bring-up step, which the step fills: verdict, sentence, figures, answers and curves."""
 
-    def __init__(self) -> None:
-        self.figures: list[Measured] = []
-        self.answers: dict[str, Answer] = {}
-        self.curves: tuple[Curve, ...] = ()
+    document_keys = ("verdict", "text", "figures")
+
+    verdict: Verdict = Verdict.NOT_MEASURED
+    text: str = ""
+    figures: list[Measured] = field(default_factory=list)
+    answers: dict[str, Answer] = field(default_factory=dict)
+    curves: tuple[Curve, ...] = ()
 
     def measure(
         self,
@@ -261,9 +256,13 @@ class Findings:
         """Record the answer to an open question about the sensor."""
         self.answers[question] = Answer(outcome, text, figures)
 
+    def check(self, question: str, holds: object, text: str, *figures: Measured) -> None:
+        """Record an answer that confirms the table if `holds`, or else contradicts it."""
+        self.answer(question, Outcome.CONFIRMS if holds else Outcome.CONTRADICTS, text, *figures)
+
     def settle(self, question: str, text: str, *, differs: bool) -> StepResult:
         """Record all figures of the step as the answer to its only question; return the step's result."""
-        self.answer(question, Outcome.CONTRADICTS if differs else Outcome.CONFIRMS, text, *self.figures)
+        self.check(question, not differs, text, *self.figures)
         return self.differs(text) if differs else self.ok(text)
 
     def contradictions(self) -> str:
@@ -272,19 +271,24 @@ class Findings:
         return "; ".join(one.text for one in answers if one.outcome is Outcome.CONTRADICTS)
 
     def ok(self, text: str) -> StepResult:
-        """Return the result of a step that found no fault."""
-        return self._result(Verdict.OK, text)
+        """End the step without a fault."""
+        return self._end(Verdict.OK, text)
 
     def fault(self, text: str) -> StepResult:
-        """Return the result of a step that found a fault of the board."""
-        return self._result(Verdict.FAULT, text)
+        """End the step with a fault of the board."""
+        return self._end(Verdict.FAULT, text)
 
     def differs(self, text: str) -> StepResult:
-        """Return the result of a step that contradicts the table."""
-        return self._result(Verdict.DIFFERS, text)
+        """End the step with a contradiction of the table."""
+        return self._end(Verdict.DIFFERS, text)
 
-    def _result(self, verdict: Verdict, text: str) -> StepResult:
-        return StepResult(verdict, text, tuple(self.figures), self.answers, self.curves)
+    def not_measured(self, why: str) -> StepResult:
+        """End a step that could not measure, with the reason."""
+        return self._end(Verdict.NOT_MEASURED, f"not measured: {why}")
+
+    def _end(self, verdict: Verdict, text: str) -> StepResult:
+        self.verdict, self.text = verdict, text
+        return self
 
 
 @dataclass(frozen=True)
@@ -368,25 +372,14 @@ class Bringup:
 
     def as_dict(self) -> dict[str, Any]:
         """The document that `adis-gonio bringup --json` prints."""
+        answers = [question.as_dict() | self.answers[question.name].as_dict() for question in QUESTIONS]
         return {
             "format": FORMAT,
-            "software": self.software,
-            "begun_utc": self.begun_utc,
-            "url": self.url,
-            "simulated": self.simulated,
-            "variant": self.variant,
-            "bridge": dict(self.bridge),
-            "registers": dict(self.registers),
-            "sound": self.sound,
-            "accused": self.accused,
-            "headline": self.headline,
-            "stopped": self.stopped,
+            **{name: getattr(self, name) for name in _COPIED},
             "undone": {"verified": self.undone_ok, "text": self.undone},
             "false_alarm": {"board": self.false_alarm, "comparisons": self.comparisons},
             "steps": [row.as_dict() for row in self.rows],
-            "answers": [
-                question.as_dict() | self.answers[question.name].as_dict() for question in QUESTIONS
-            ],
+            "answers": answers,
         }
 
 
@@ -500,8 +493,11 @@ class BringupStep(ABC):
     settles: tuple[str, ...] = ()
 
     @abstractmethod
-    def run(self, bench: BringupBench) -> StepResult:
-        """Run the step; raises `AdisGonioError` if the sensor or the bridge fails."""
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
+        """Run the step, fill its result and return it.
+
+        Raises `AdisGonioError` if the sensor or the bridge fails.
+        """
 
 
 @dataclass
@@ -637,11 +633,6 @@ def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
     best = int(np.argmax(lengths))
     cut = slice(breaks[best], min(breaks[best + 1], breaks[best] + count))
     return replace(whole, words=whole.words[cut], time_s=whole.time_s[cut], lost=0, missed=None)
-
-
-def not_measured(why: str) -> StepResult:
-    """Return the result of a step that could not measure, with the reason."""
-    return StepResult(Verdict.NOT_MEASURED, f"not measured: {why}")
 
 
 def writable() -> tuple[Register, ...]:
