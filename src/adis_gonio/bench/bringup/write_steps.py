@@ -283,10 +283,7 @@ class StatusBits(BringupStep):
         inside, outside = held, end
         for _ in range(self._halvings):
             middle = (inside + outside) // 2
-            if over(middle):
-                outside = middle
-            else:
-                inside = middle
+            inside, outside = (inside, middle) if over(middle) else (middle, outside)
         sensor.write(name, held)
         bench.wait_updates()
         bench.status()
