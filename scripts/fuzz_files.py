@@ -43,8 +43,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "session"))
 
 from strange_files import KINDS, SoundFiles
 
-from adis_gonio.faces.cli import COMMANDS as HOMES
-from adis_gonio.faces.cli import main as adis_gonio
+from adis_gonio.faces.cli import COMMANDS as HOMES, main as adis_gonio
 from adis_gonio.faces.cli.terminal import replace_missing_letters
 
 OUTCOMES = ("OK", "TOLD", "NOISY", "TRACEBACK", "HUNG", "BIG")

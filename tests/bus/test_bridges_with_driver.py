@@ -10,8 +10,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.device.bus import BusUrl, cp2130, mcp2210, open_bus, serial, spidev
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.scanning import PolledScans, StreamedScans
-from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.sim import chip as chip_module
+from adis_gonio.sim import SimulatedChip, World, chip as chip_module
 from adis_gonio.sim.chip import State
 from adis_gonio.sim.testing.doubles import SimulatedBoard
 from adis_gonio.sim.testing.firmware import SimulatedFirmware

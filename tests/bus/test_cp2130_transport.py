@@ -6,8 +6,7 @@ from types import SimpleNamespace
 from typing import ClassVar
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from adis_gonio.base.errors import (
     BusError,
@@ -17,8 +16,7 @@ from adis_gonio.base.errors import (
     ProtocolError,
     UsageError,
 )
-from adis_gonio.device.bus import SpiTiming
-from adis_gonio.device.bus import cp2130 as r
+from adis_gonio.device.bus import SpiTiming, cp2130 as r
 from adis_gonio.device.bus.cp2130 import find_devices
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig

@@ -4,8 +4,7 @@ import contextlib
 import threading
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from adis_gonio.base.errors import (
     BusError,
@@ -14,9 +13,7 @@ from adis_gonio.base.errors import (
     NotInstalledError,
     ProtocolError,
 )
-from adis_gonio.device.bus import BusUrl, SpiTiming
-from adis_gonio.device.bus import mcp2210 as r
-from adis_gonio.device.bus import mcp2210 as writes
+from adis_gonio.device.bus import BusUrl, SpiTiming, mcp2210 as r, mcp2210 as writes
 from adis_gonio.device.bus.mcp2210 import TimedWrites, find_devices, open_from_url
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig

@@ -16,9 +16,18 @@ from collections import Counter
 from collections.abc import Callable
 
 from adis_gonio.base.errors import BusError, ProtocolError
-from adis_gonio.device.bus import BusUrl, Capability, SpiBus, SpiTiming, cp2130, mcp2210, serial, spidev
-from adis_gonio.device.bus import cp2130 as cp2130_requests
-from adis_gonio.device.bus import mcp2210 as mcp2210_reports
+from adis_gonio.device.bus import (
+    BusUrl,
+    Capability,
+    SpiBus,
+    SpiTiming,
+    cp2130,
+    cp2130 as cp2130_requests,
+    mcp2210,
+    mcp2210 as mcp2210_reports,
+    serial,
+    spidev,
+)
 from adis_gonio.device.bus.wire import protocol as wire
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
 from adis_gonio.sim.testing.pins import ChipPins, VirtualClock

@@ -24,8 +24,7 @@ from adis_gonio.device.bus.host import WALL, Clock, UrlOptions, busy, choose, go
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.device.bus.serial.bus import BOOT_S, SerialBus
 from adis_gonio.device.bus.serial.link import Port, SerialLink
-from adis_gonio.device.bus.wire import load_cobs
-from adis_gonio.device.bus.wire import protocol as wire
+from adis_gonio.device.bus.wire import load_cobs, protocol as wire
 
 SLICE_S = 0.05
 """Longest single wait in a read. It is constant, because pyserial would configure the port again for each

@@ -27,8 +27,7 @@ from adis_gonio.device.bus.contract import (
 )
 from adis_gonio.device.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock, HostBus
 from adis_gonio.device.bus.serial.link import B, Port, RefusedError, SerialLink
-from adis_gonio.device.bus.wire import Body, Packet
-from adis_gonio.device.bus.wire import protocol as wire
+from adis_gonio.device.bus.wire import Body, Packet, protocol as wire
 
 _WRAP_US = 1 << 32
 _WHILE_S = 1.0

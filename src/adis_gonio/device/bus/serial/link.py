@@ -14,8 +14,7 @@ from typing import Protocol, TypeVar
 
 from adis_gonio.base.errors import BusTimeoutError, ProtocolError
 from adis_gonio.device.bus.host import Clock
-from adis_gonio.device.bus.wire import Body, Packet, Receiver, encode
-from adis_gonio.device.bus.wire import protocol as wire
+from adis_gonio.device.bus.wire import Body, Packet, Receiver, encode, protocol as wire
 
 RETRY_S = wire.RETRY_MS / 1000
 TRIES = 5
