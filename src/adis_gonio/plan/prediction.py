@@ -66,7 +66,6 @@ _SURROUNDINGS = {
     "variance_mg2": "vibration",
 }
 """Conditions that no plan of positions sets."""
-_OF_BASE = frozenset({"bias", "scale", "misalignment", "gravity"})
 
 
 @dataclass(frozen=True)
@@ -498,7 +497,7 @@ def predict_sight(readings: Readings) -> Sight:
     problem = linearise(fit, terms)
     # The bias on all axes is in each model, because every part has one.
     widest = widest_terms(problem.terms)
-    bias = (problem.terms.index(widest["bias"]),) if "bias" in widest else ()
+    bias = tuple(problem.terms.index(term) for term in widest.values() if term.constant)
     reasons = {name: _why_unplanned(name, why) for name, why in missing.items()}
     seen = detectable(Search(problem, price(problem)), bias, reasons)
     hidden = {name: replace(one, reason=_HIDDEN) for name, one in seen.items() if "lies in" in one.reason}
@@ -518,7 +517,7 @@ def _confounded_pairs(
     basis = span(problem, bias)[0]
     columns = {}
     for name, term in widest_terms(problem.terms).items():
-        if name != "bias" and seen[name].amplitude is not None:
+        if not term.constant and seen[name].amplitude is not None:
             # Whitened columns (rows, d) by the term's amplitudes, without their part in the base model.
             index = problem.terms.index(term)
             own = problem.block(index) @ np.linalg.pinv(problem.back[index])
@@ -563,14 +562,15 @@ def planned_terms(readings: Readings, names: Sequence[str]) -> tuple[NamedTerm, 
         for name, term in offered.items()
         if any(need.endswith("_history") or need.startswith("previous") for need in term.effect.needs)
     }
-    known = sorted(set(offered) - _OF_BASE - with_memory)
+    of_base = {name for name, kind in catalogue("accelerometer").items() if kind.in_base}
+    known = sorted(set(offered) - of_base - with_memory)
     for name in names:
         if name in known:
             continue
         if name not in catalogue("accelerometer"):
             near = did_you_mean(name, list(catalogue("accelerometer")))
             raise UsageError(f"beware: no effect is called '{name}'{near}")
-        if name in _OF_BASE:
+        if name in of_base:
             why = "lies in the model that every session fits: leave it out"
         elif name in offered:
             why = "depends on all positions before, which an exchange of single ones cannot plan for"
