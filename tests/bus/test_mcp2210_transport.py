@@ -30,15 +30,10 @@ class TestMcp2210(BusContract):
         self.bench = bench
         bus = bench.open(self.url)
 
-        def silence():
-            bench.board.faults = Faults(hang=1.0, hang_s=0.4)
-            bench.board.faults.hangs(bench.clock.now_s())
-            bench.board.faults.hang = 0.0
-
         faults = {
             "an answer too short": (lambda: setattr(bench.device, "short", True), ProtocolError),
             "busy for ever": (lambda: setattr(bench.device, "busy", 2), CannotOpenError),
-            "hung": (silence, BusTimeoutError),
+            "hung": (bench.silence, BusTimeoutError),
         }
         twin = SimulatedChip(World(seed=Bench.seed), start_s=-0.5)
         return Rig(bus, bench.chip, twin, faults, slowest_hz=1_500)
@@ -480,22 +475,3 @@ def test_a_device_that_takes_no_report_is_a_time_out_and_nothing_more_is_sent_to
         assert len(tried) == 1
         bus._device.write = takes
         assert bus.exchange([0x3800, 0])[1] == 0x0402
-
-
-@pytest.mark.parametrize("after", range(1, 9))
-def test_an_interruption_by_the_operator_leaves_no_answer_to_the_next_request(after):
-    bench = Bench()
-    with bench.open() as bus:
-        read, calls = bus._device.read, []
-
-        def interrupted(size, timeout_ms=0):
-            calls.append(timeout_ms)
-            if len(calls) == after:
-                raise KeyboardInterrupt
-            return read(size, timeout_ms)
-
-        bus._device.read = interrupted
-        with contextlib.suppress(KeyboardInterrupt):
-            bus.exchange([0x3800, 0x3600, 0])
-        bus._device.read = read
-        assert bus.exchange([0x3600, 0x3800, 0])[1:] == [0x0001, 0x0402]

@@ -47,13 +47,8 @@ class TestSerial(BusContract):
         bench = Bench()
         bus = bench.open()
 
-        def silence():
-            bench.port.faults = Faults(hang=1.0, hang_s=2.0)
-            bench.port.faults.hangs(bench.clock.now_s())
-            bench.port.faults.hang = 0.0
-
         twin = SimulatedChip(World(seed=Bench.seed), start_s=-0.5)
-        return Rig(bus, bench.chip, twin, {"hung": (silence, BusTimeoutError)}, slowest_hz=125_000)
+        return Rig(bus, bench.chip, twin, {"hung": (bench.silence, BusTimeoutError)}, slowest_hz=125_000)
 
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
