@@ -273,12 +273,8 @@ class SessionRunner(Operator):
         extend: bool = False,
         gravity_mps2: float = STANDARD_GRAVITY_MPS2,
         fixture_sigma_deg: float | None = None,
-        title: str = "",
-        note: str = "",
-        operator: str = "",
-        serial: str = "",
-        stage: str = "",
         advisor: Advisor | None = None,
+        **facts: str,
     ) -> SessionRunner:
         """Begin a new session in a new file.
 
@@ -296,10 +292,10 @@ class SessionRunner(Operator):
             Local gravity in m/s².
         fixture_sigma_deg : float or None
             Standard uncertainty of a declared angle in degrees; None if it is not stated.
-        title, note, operator, serial, stage : str
-            Notes to keep: the operator's name, the serial number of the sensor, the stage.
         advisor : Advisor or None
             Source of further positions when the plan is done.
+        facts : str
+            Notes to keep: `title`, `note`, `operator` (name), `serial` (number of the sensor), `stage`.
 
         Raises
         ------
@@ -324,12 +320,8 @@ class SessionRunner(Operator):
             settings={k: v for k, v in settings.as_dict().items() if k in source.kept},
             gravity_mps2=gravity_mps2,
             fixture_sigma_deg=fixture_sigma_deg if plan.name == GYRO_TURNS else stated,
-            title=title,
-            note=note,
-            operator=operator.strip(),
-            serial=serial.strip(),
-            stage=stage.strip(),
             simulated=bench.simulated,
+            **{name: text.strip() for name, text in facts.items()},
         )
         archive = Archive.create(path, header)
         return cls(bench, archive, auto=auto, extend=extend, resumed=False, advisor=advisor)

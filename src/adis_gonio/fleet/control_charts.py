@@ -98,17 +98,9 @@ def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM
     sigma = np.sqrt(np.concatenate([[np.nan], variance[1:] + 1 / total]))
     z = (value - expected) / sigma
     up, down = cusum(z[1:], k)
-    chart = ControlChart(
-        expected,
-        expected - SHEWHART * sigma,
-        expected + SHEWHART * sigma,
-        z,
-        np.concatenate([[0.0], up]),
-        np.concatenate([[0.0], down]),
-        between,
-        k=k,
-        h=h,
-    )
+    low, high = expected - SHEWHART * sigma, expected + SHEWHART * sigma
+    up, down = np.concatenate([[0.0], up]), np.concatenate([[0.0], down])
+    chart = ControlChart(expected, low, high, z, up, down, between, k=k, h=h)
     return chart if chart.signal is None else replace(chart, since=_split(value, weight, chart.signal))
 
 

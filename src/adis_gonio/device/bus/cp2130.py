@@ -34,7 +34,7 @@ import errno
 import struct
 from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any
 
 from adis_gonio.base.errors import (
     BusError,
@@ -166,41 +166,13 @@ _GONE = (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN)
 _LATE = (errno.ETIMEDOUT, 10060)
 
 
-class UsbDevice(Protocol):
-    """The methods of a pyusb device that this module uses."""
-
-    def ctrl_transfer(
-        self,
-        bm_request_type: int,
-        b_request: int,
-        w_value: int,
-        w_index: int,
-        data_or_length: bytes | int,
-        timeout: int,
-        /,
-    ) -> object:
-        """Make a control transfer; a transfer to the host returns the bytes read."""
-
-    def write(self, endpoint: int, data: bytes, timeout: int, /) -> int:
-        """Send bytes to a bulk endpoint; return the number sent."""
-
-    def read(self, endpoint: int, size: int, timeout: int, /) -> object:
-        """Read up to `size` bytes from a bulk endpoint, as an array of bytes."""
-
-    def clear_halt(self, endpoint: int, /) -> None:
-        """Clear the halt condition of an endpoint after a stalled transfer."""
-
-    def reset(self) -> None:
-        """Reset the USB port of the device."""
-
-
 class Cp2130Bus(UsbBus):
     """A bus over an open USB device with the CP2130.
 
     Parameters
     ----------
-    device : UsbDevice
-        Interface 0 is claimed.
+    device : usb.core.Device
+        A device of pyusb; its interface 0 is claimed.
     usb_error : type
         Class of the errors of `device`.
     claim : callable
@@ -223,7 +195,7 @@ class Cp2130Bus(UsbBus):
 
     def __init__(
         self,
-        device: UsbDevice,
+        device: Any,
         usb_error: type[OSError],
         claim: Callable[[], object],
         endpoints: tuple[int, int],

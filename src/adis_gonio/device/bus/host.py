@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Protocol, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -51,18 +51,8 @@ RESET_PULSE_S = 0.001
 """Duration in s of the low pulse on RST; the chip needs microseconds, a bridge's pin may take 1 ms."""
 
 
-class Clock(Protocol):
-    """Clock of a bus; tests use a virtual one."""
-
-    def now_s(self) -> float:
-        """Present monotonic time in s."""
-
-    def sleep_s(self, seconds: float) -> None:
-        """Wait for at least `seconds`."""
-
-
-class WallClock:
-    """The monotonic clock of this computer."""
+class Clock:
+    """The monotonic clock of this computer; tests give a bus a virtual one."""
 
     def now_s(self) -> float:
         """Present monotonic time in s."""
@@ -73,7 +63,7 @@ class WallClock:
         time.sleep(seconds)
 
 
-WALL = WallClock()
+WALL = Clock()
 
 
 class Pace:

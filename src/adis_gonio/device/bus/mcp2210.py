@@ -46,7 +46,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from enum import IntEnum
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from adis_gonio.base.errors import BusError, BusTimeoutError, NotInstalledError, ProtocolError, UsageError
@@ -299,34 +299,18 @@ LONGEST_WRITE_S = 6.0
 """The kernel has cancelled a write by then."""
 
 
-class HidDevice(Protocol):
-    """The methods of a hidapi device that this module uses."""
-
-    def write(self, data: bytes, /) -> int:
-        """Send a report that begins with a report id; return its size, or a negative number on failure."""
-
-    def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
-        """Return a report, or nothing after the time-out; raise `OSError` if the device is unplugged."""
-
-    def set_nonblocking(self, on: int, /) -> int:
-        """Make reads without a time-out return at once, also without data."""
-
-    def close(self) -> None:
-        """Close the device."""
-
-
 class TimedWrites:
-    """Wraps a `HidDevice` so that `write` raises `TimeoutError` if the device takes no report.
+    """Wraps a device of hidapi so that `write` raises `TimeoutError` if the device takes no report.
 
     Parameters
     ----------
-    device : HidDevice
-        Device; `close` also closes it.
+    device : hid.device
+        Open device; `close` also closes it.
     timeout_s : float
         Time for a write, including a pending write before it.
     """
 
-    def __init__(self, device: HidDevice, timeout_s: float = WRITE_S) -> None:
+    def __init__(self, device: Any, timeout_s: float = WRITE_S) -> None:
         self._device = device
         self._timeout_s = timeout_s
         self._thread = ThreadPoolExecutor(1, "mcp2210-write")
@@ -341,18 +325,19 @@ class TimedWrites:
 
     def _write(self, data: bytes) -> int:
         begin_s = time.monotonic()
-        sent = self._device.write(data)
+        sent: int = self._device.write(data)
         if sent < 0 and time.monotonic() - begin_s > AT_ONCE_S:
             raise TimeoutError("hidapi's own time-out")
         return sent
 
     def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
         """Return a report, or nothing after the time-out; raise `OSError` if the device is unplugged."""
-        return self._device.read(size, timeout_ms)
+        report: list[int] = self._device.read(size, timeout_ms)
+        return report
 
     def set_nonblocking(self, on: int, /) -> int:
         """Make reads without a time-out return at once, also without data."""
-        return self._device.set_nonblocking(on)
+        return int(self._device.set_nonblocking(on))
 
     def close(self) -> None:
         """Close the device after a running write has ended, since hidapi frees the memory that it uses."""
@@ -377,7 +362,7 @@ class Mcp2210Bus(UsbBus):
 
     Parameters
     ----------
-    device : HidDevice
+    device : hid.device or TimedWrites
     options : UsbOptions
         RST is driven low or left floating; GP6 counts events.
 
@@ -387,7 +372,7 @@ class Mcp2210Bus(UsbBus):
         The device does not take its settings.
     """
 
-    def __init__(self, device: HidDevice, url: str, options: UsbOptions, clock: Clock = WALL) -> None:
+    def __init__(self, device: Any, url: str, options: UsbOptions, clock: Clock = WALL) -> None:
         super().__init__(url, options, clock)
         self._device = device
         self._unsure = True
@@ -596,7 +581,7 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
     ]
     board = choose(url, "such MCP2210" if boards else "MCP2210", fits, boards, _devices)
     with contextlib.ExitStack() as stack:
-        device: HidDevice = _open(hid, url.text, board, stack)
+        device = _open(hid, url.text, board, stack)
         if blocks:
             device = TimedWrites(device)
         stack.callback(device.close)
@@ -623,7 +608,7 @@ def _load(backend: str) -> Any:
     raise NotInstalledError("mcp2210: hidapi is not installed: pip install 'adis-gonio[hid]'")
 
 
-def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack) -> HidDevice:
+def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack) -> Any:
     path = _path(board)
     node = _node(path)
     if not readable_and_writable(node):
@@ -637,8 +622,7 @@ def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack
         if not any(_path(other) == path for other in _boards(hid)):
             raise missing(url, "MCP2210 any more") from None
         raise busy(url, node) from None
-    opened: HidDevice = device
-    return opened
+    return device
 
 
 def _boards(hid: Any) -> list[dict[str, Any]]:

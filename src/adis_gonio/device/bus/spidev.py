@@ -34,7 +34,7 @@ import errno
 import os
 import re
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -152,24 +152,8 @@ def open_drain_line(offset: int) -> LineRequest:
     return request
 
 
-class Kernel(Protocol):
-    """The system calls that this module uses; tests replace them."""
-
-    def open(self, path: str) -> int:
-        """Open a device file for reading and writing; return its descriptor or raise `OSError`."""
-
-    def ioctl(self, fd: int, request: int, argument: Any) -> int:
-        """Call ioctl with a ctypes object that the kernel reads and writes; raise `OSError` on failure."""
-
-    def lock(self, fd: int) -> None:
-        """Take an advisory lock; raise `BlockingIOError` if another program has it."""
-
-    def close(self, fd: int) -> None:
-        """Close a file descriptor."""
-
-
-class LinuxKernel:
-    """The system calls of Linux that this module uses.
+class Kernel:
+    """The system calls of Linux that this module uses; tests replace them.
 
     Raises
     ------
@@ -395,7 +379,7 @@ def open_from_url(
         path = BusUrl.parse(only.url).place
     if system is None:
         try:
-            system = LinuxKernel()
+            system = Kernel()
         except ImportError:
             raise CannotOpenError(f"{url.text}: spidev is Linux's; this system has none") from None
     with contextlib.ExitStack() as stack:
