@@ -18,7 +18,6 @@ determinants). An odd number separates the harmonics of the residual up to the f
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -27,7 +26,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import counted
 from adis_gonio.model.records import Plane, Use
@@ -188,9 +187,7 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     if name == GYRO_TURNS:
         raise UsageError("gyro turns have no positions: calibrate URL --plan gyro-turns --turns N")
     if kind is None:
-        near = difflib.get_close_matches(name, _KINDS, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(_KINDS)}"
-        raise UsageError(f"no plan is called '{name}'; {hint}")
+        raise UsageError(f"no plan is called '{name}'; {suggest(name, _KINDS)}")
     count = kind.default if positions is None else positions
     if kind.fixed and count != kind.default:
         raise UsageError(

@@ -14,7 +14,7 @@ from typing import Self, TypeVar
 
 import numpy as np
 
-from adis_gonio.base.errors import BusError, CannotOpenError, UsageError
+from adis_gonio.base.errors import BusError, CannotOpenError, UsageError, suggest
 from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.opening import BusUrl, Device
 
@@ -125,13 +125,13 @@ class HostBus(SpiBus):
 
 
 class UrlOptions:
-    """Options of a bus URL, with checks; an unknown option is an error that lists the known ones."""
+    """Options of a bus URL, with checks; an unknown option is an error that suggests a known one."""
 
     def __init__(self, url: BusUrl, names: Sequence[str]) -> None:
         self.url = url
         for name in url.options:
             if name not in names:
-                raise UsageError(f"'{url.text}': no option '{name}'; there is {', '.join(names)}")
+                raise UsageError(f"'{url.text}': no option is called '{name}'; {suggest(name, names)}")
 
     def text(self, name: str, default: str = "") -> str:
         """Return an option as text."""
