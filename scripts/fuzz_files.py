@@ -2,7 +2,7 @@
 """Hand damaged and forged files to the commands: one clear line each, in bounded time and memory.
 
 Each file comes from its number and `--seed`: a session, a samples CSV, a calibration or a plan
-(tests/session/strange_files.py) and a command that takes it. The command runs in a process forked from one
+(tests/record/strange_files.py) and a command that takes it. The command runs in a process forked from one
 that has imported numpy, scipy and the commands. Outcomes:
 
     OK         exit status 0
