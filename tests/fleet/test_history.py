@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_up import made_up
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fleet import sensor_history as words
 from adis_gonio.fleet.sensor_history import history_of, known_serial
+from fleet.made_up import made_up
 
 
 def years(count):

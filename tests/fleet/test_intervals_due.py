@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from made_up import made_up
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fleet.calibration_due import Rules, due_of, slopes_deg, worst_deg
 from adis_gonio.fleet.sensor_history import history_of
+from fleet.made_up import made_up
 
 LIMIT = Rules(limit_deg=0.1, assumed=False, first_days=365.0)
 

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import recorded
 
 from adis_gonio.faces.cli import main
 from adis_gonio.fleet.control_charts import drift_of
 from adis_gonio.fleet.sensor_history import Track, drift_sentences
 from adis_gonio.fleet.session_record import record_of
+from fleet.recorded import recorded
 
 YEARS = range(2016, 2023)
 MOVED = 2020

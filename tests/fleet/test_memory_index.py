@@ -7,8 +7,6 @@ import subprocess
 import sys
 
 import pytest
-from made_up import made_up
-from recorded import recorded
 
 from adis_gonio.base.errors import DataError
 from adis_gonio.fleet import fleet_run as run
@@ -18,6 +16,8 @@ from adis_gonio.fleet.session_record import record_of
 from adis_gonio.fleet.store import NAME, Store
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.samples_writer import export_csv
+from fleet.made_up import made_up
+from fleet.recorded import recorded
 
 
 @pytest.fixture(scope="module")

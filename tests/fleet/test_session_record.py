@@ -6,7 +6,6 @@ import math
 import sqlite3
 
 import pytest
-from recorded import recorded
 
 import adis_gonio
 from adis_gonio.fitting.answer import Answer
@@ -15,6 +14,7 @@ from adis_gonio.fleet.session_table import COLUMNS
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.samples_writer import export_csv
 from adis_gonio.tracing.traced_answer import answer_with_trace
+from fleet.recorded import recorded
 
 
 @pytest.fixture

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from smoothing_hands import GYRO_NOISE_DPS, NOISE_MG
 
 from adis_gonio.live import motion_model as drift
 from adis_gonio.live.angle_smoother import AngleSmoother
 from adis_gonio.live.gyro_steps import Sensing
+from live.smoothing_hands import GYRO_NOISE_DPS, NOISE_MG
 
 RATE_HZ, COUNT = 50.0, 120
 FLOOR_MG = 0.1

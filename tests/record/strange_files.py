@@ -17,9 +17,8 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from forging import DEEP, HUGE, exchanged_in, forge, put
-
 from adis_gonio.record.archive_tables import TABLES
+from record.forging import DEEP, HUGE, exchanged_in, forge, put
 
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
 BOMB_BYTES = 1_500_000_000

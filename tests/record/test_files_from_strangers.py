@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forging import DEEP, HUGE, exchanged_in, forge, put
 
 import adis_gonio
 from adis_gonio.base.errors import AdisGonioError, DataError
@@ -33,6 +32,7 @@ from adis_gonio.record.plans import plan
 from adis_gonio.record.samples_reader import read_samples_csv
 from adis_gonio.record.samples_writer import session_dict, write_csv
 from adis_gonio.tracing.trace_calibrations import load_calibration
+from record.forging import DEEP, HUGE, exchanged_in, forge, put
 
 LONGEST_S = 60
 MEMORY_BYTES = 1_500_000_000

@@ -1,6 +1,6 @@
 """Sessions of the simulated sensor, 1/f noise included, through the archive file.
 
-They are recorded as `simulate` records them; `trace --json` is this result (tests/faces/cli). The rates over
+They are recorded as `simulate` records them; `trace --json` is this result (tests/faces/cli). Rates over
 many seeds are in scripts/trace_simulated.py.
 """
 
