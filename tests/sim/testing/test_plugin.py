@@ -23,7 +23,7 @@ def run(folder: Path, text: str, *arguments: str) -> subprocess.CompletedProcess
         env={
             **os.environ,
             "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
-            "PYTHONPATH": str(Path(testing.__file__).parents[2]),
+            "PYTHONPATH": str(Path(testing.__file__).parents[3]),
         },
         capture_output=True,
         text=True,
