@@ -185,6 +185,13 @@ class Sources:
         """Total variance (m,) of each of m quantities; see `Source.parts` for the arguments."""
         return np.asarray(sum(source.by_place(gradient, reading) for source in self._counted))
 
+    def roots(self, gradient: Floats, reading: Floats) -> Floats:
+        """Change (m, k) of m quantities by one standard uncertainty of each of k independent components.
+
+        The noise of a further reading itself is not included.
+        """
+        return np.concatenate([source._moved(gradient, reading) for source in self._counted], axis=1)
+
     def uncertainty(self, gradient: Floats, reading: Floats | None = None) -> tuple[float, float]:
         """Standard uncertainty and effective degrees of freedom of a quantity; see `Source.parts`."""
         parts = self.parts(gradient, reading)

@@ -252,6 +252,63 @@ def index(function: F) -> F:
     return with_trace
 
 
+def _parse_tolerance(text: str) -> float:
+    value = _number(str(text).strip().removesuffix("deg").removesuffix("°"))
+    if value is None:
+        raise click.BadParameter(f"'{text}' is no angle: give degrees, such as 0.1deg")
+    return value
+
+
+def _parse_risk(text: str) -> float:
+    value = _number(str(text).strip().removesuffix("%"))
+    if value is None:
+        raise click.BadParameter(f"'{text}' is no risk: give a percentage, such as 2%")
+    return value / 100 if str(text).strip().endswith("%") else value
+
+
+def tolerance(help: str) -> Option[Any]:
+    """Return a decorator with the options `--tolerance`, `--rule` and `--risk`.
+
+    The command gets them as one argument, `tolerance`, which is None without `--tolerance`.
+    """
+    options = (
+        click.option("--tolerance", type=_parse_tolerance, metavar="ANGLE", help=help),
+        click.option(
+            "--rule",
+            type=click.Choice(("guarded", "simple", "shared")),
+            help="Decision rule of the conformity (default: guarded; docs/handover.md).",
+        ),
+        click.option(
+            "--risk",
+            type=_parse_risk,
+            metavar="PERCENT",
+            help="With rule guarded: largest risk of a wrong statement (default: 2.5%).",
+        ),
+    )
+
+    def decorate(function: F) -> F:
+        @wraps(function)
+        def with_tolerance(
+            tolerance: float | None, rule: str | None, risk: float | None, **arguments: Any
+        ) -> Any:
+            from adis_gonio.base.conformity import Tolerance
+
+            given = {"rule": rule, "risk": risk}
+            chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+            if chosen and tolerance is None:
+                raise UsageError(f"--{next(iter(chosen))} goes with --tolerance, such as 0.1deg")
+            if risk is not None and rule not in (None, "guarded"):
+                raise UsageError(f"--risk goes with the rule guarded, not with {rule}")
+            made = None if tolerance is None else Tolerance(tolerance, **chosen)
+            return function(tolerance=made, **arguments)
+
+        for option in reversed(options):
+            with_tolerance = option(with_tolerance)
+        return with_tolerance  # type: ignore[return-value]
+
+    return decorate
+
+
 def overrides(function: F) -> F:
     """Decorate a command with the options that correct a file.
 
