@@ -83,11 +83,9 @@ class ErrorCurve:
 
     @cached_property
     def _rays(self) -> Floats:
-        """Change (n, m) of the error for |z| = 1 along n directions of z."""
+        """Change (n, m) of the error for |z| = 1 along n directions of z; opposite ones are left out."""
         z = np.random.default_rng(0).normal(size=(_DIRECTIONS, self._independent.shape[1]))
-        half = (z / np.linalg.norm(z, axis=1, keepdims=True)) @ self._independent.T
-        # A direction and its opposite: one cause alone has no others.
-        return np.concatenate([half, -half])
+        return np.asarray((z / np.linalg.norm(z, axis=1, keepdims=True)) @ self._independent.T)
 
     def exceeds(self, tolerance_deg: float) -> float:
         """Probability that the largest |error| of the turn is above a tolerance."""
@@ -97,12 +95,12 @@ class ErrorCurve:
         outside = np.abs(self.error_deg) > tolerance_deg
         if not causes:
             return float(outside.any())
-        rays = self._rays
-        # Distances |z| along each ray between which the error at each angle is within the tolerance.
+        # Positions along each line of z between which the error at each angle is within the tolerance.
         with np.errstate(divide="ignore", invalid="ignore"):
-            middle, half = -self.error_deg / rays, tolerance_deg / np.abs(rays)
-        near = np.where(rays == 0, np.where(outside, np.inf, 0.0), middle - half).max(axis=1)
-        far = np.where(rays == 0, np.inf, middle + half).min(axis=1)
+            slope = 1 / self._rays
+            middle, half = -self.error_deg * slope, tolerance_deg * np.abs(slope)
+            # A slope of zero gives NaN for an error of zero, which is always within.
+            low, high = np.nanmax(middle - half, axis=1), np.nanmin(middle + half, axis=1)
 
         def nearer(distance: Floats) -> Floats:
             square = np.clip(distance, 0.0, 1e150) ** 2
@@ -110,7 +108,9 @@ class ErrorCurve:
                 return np.asarray(chdtr(causes, square))
             return np.asarray(fdtr(causes, self.dof, square / causes))
 
-        return float(1 - np.where(far > near, nearer(far) - nearer(near), 0.0).mean())
+        # Both directions of each line.
+        within = nearer(high) - nearer(low) + nearer(-low) - nearer(-high)
+        return float(1 - 0.5 * np.where(high > low, within, 0.0).mean())
 
     def bound_deg(self, risk: float) -> float:
         """Tolerance that the largest |error| of the turn exceeds with this probability."""
@@ -217,7 +217,7 @@ class Conformity(JsonRecord):
         accept = f"risk of a false accept {format_percent(self.false_accept)}"
         reject = f"risk of a false reject {format_percent(self.false_reject)}"
         risks = {"pass": accept, "fail": reject}.get(self.verdict, f"{accept}, {reject}")
-        return f"{risks} (±{error} at {self.at_deg:.0f}° would just pass)"
+        return f"{risks}; ±{error} would just pass, worst at {self.at_deg:.0f}°"
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from adis_gonio.calibrate.coefficients import (
 )
 from adis_gonio.model.effects import AXES, Conditions, Effect
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
-from adis_gonio.model.records import MG_PER_MPS2
+from adis_gonio.model.records import METADATA, MG_PER_MPS2
 from adis_gonio.record.provenance import Covered, Provenance
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 _PASSES = 60
 _SETTLED_MG = 1e-9
 
-_SOURCE = ("title", "serial", "operator", "stage", "source", "sha256", "recorded_utc", "software")
+_SOURCE = ("title", *METADATA, "source", "sha256", "recorded_utc", "software")
 
 CURVE_PLACES = 72
 """Number of angles of a curve of errors, which has few harmonics of the turn."""

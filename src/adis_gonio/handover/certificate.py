@@ -148,23 +148,25 @@ def _administrative(parent: ET.Element, calibration: Calibration, issued: date |
         _add(one, "issuer", "other")
         _add(one, "value", value or NOT_STATED)
         _add(_add(one, "name"), "content", label)
-    _contact(_add(_add(parent, "calibrationLaboratory"), "contact"))
+    _contact(_add(_add(parent, "calibrationLaboratory"), "contact"), where.laboratory)
     _named(_add(_add(parent, "respPersons"), "respPerson"), "person", where.operator or NOT_STATED)
-    _contact(_add(parent, "customer"))
+    _contact(_add(parent, "customer"), where.customer)
     statements = _add(parent, "statements")
     for text in _statements(calibration):
         _named(statements, "statement", text, "declaration")
 
 
-def _contact(parent: ET.Element) -> None:
-    _add(_add(parent, "name"), "content", NOT_STATED)
+def _contact(parent: ET.Element, name: str) -> None:
+    _add(_add(parent, "name"), "content", name or NOT_STATED)
     _add(_add(_add(parent, "location"), "further"), "content", NOT_STATED)
 
 
 def _statements(calibration: Calibration) -> list[str]:
+    where = calibration.provenance
+    unknown = [name for name in ("laboratory", "customer") if not getattr(where, name)]
     texts = [
-        "Made by a program and not signed; laboratory, customer and country are not stated (code ZZ), "
-        "and no traceability is claimed beyond the declared angles of the stage.",
+        f"Made by a program and not signed; not stated: {', '.join([*unknown, 'country (code ZZ)'])}; "
+        "no traceability is claimed beyond the declared angles of the stage.",
         "Readings are U = diag(K) D g + b: sensitivities relative to the nominal one, skews as 90° less "
         "the angle between two axes, biases as readings without acceleration.",
     ]

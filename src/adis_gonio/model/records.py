@@ -214,7 +214,7 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 MG_PER_G = 1000.0
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 
-METADATA = ("operator", "serial", "stage")
+METADATA = ("operator", "serial", "stage", "laboratory", "customer")
 """Fields of a session with notes of the operator in addition to the title."""
 
 
@@ -304,9 +304,9 @@ class Session(ComputedOnce):
         Plane of rotation, or none for attitudes anywhere in space.
     reading_u_mg : float or None
         Standard uncertainty of a dwell that has one sample only.
-    title, operator, serial, stage : str
-        Name of the session, the operator, the sensor's serial number and the stage, as written down; each
-        is kept as one printable line.
+    title, operator, serial, stage, laboratory, customer : str
+        Name of the session, the operator, the sensor's serial number, the stage, and for a certificate the
+        laboratory and the customer, as written down; each is kept as one printable line.
     source : str
         File that it came from.
     notes : tuple of str
@@ -335,6 +335,8 @@ class Session(ComputedOnce):
     operator: str = ""
     serial: str = ""
     stage: str = ""
+    laboratory: str = ""
+    customer: str = ""
     source: str = ""
     notes: tuple[str, ...] = ()
     cut_by_stillness: bool = False
@@ -344,7 +346,7 @@ class Session(ComputedOnce):
     turns_from: Callable[[], tuple[Turn, ...]] | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for name in ("title", "operator", "serial", "stage"):
+        for name in ("title", *METADATA):
             object.__setattr__(self, name, one_line(getattr(self, name)))
         object.__setattr__(self, "notes", tuple(one_line(note) for note in self.notes))
 

@@ -12,6 +12,7 @@ from typing import Any
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Session, checked_gravity_mps2
 
+_REPLACED = ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor", "laboratory", "customer")
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 
 REVERSE = "reverse"
@@ -108,6 +109,7 @@ class Overrides:
     accel_unit : str or None
         Unit of the accelerations; takes precedence over a unit in the file's header.
     sensor : str or None
+    laboratory, customer : str or None
     columns : mapping of str to str
         Column of the format → column in the header of a CSV with other names.
 
@@ -124,6 +126,8 @@ class Overrides:
     sensor: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     angles: tuple[AngleChange, ...] = ()
+    laboratory: str | None = None
+    customer: str | None = None
 
     def __post_init__(self) -> None:
         if self.gravity_mps2 is not None and not 0 < self.gravity_mps2 < math.inf:
@@ -146,7 +150,7 @@ class Overrides:
             Angles are to be reversed but none is declared, or a position does not exist.
         """
         changes: dict[str, dict[str, Any]] = {}
-        for name in ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor"):
+        for name in _REPLACED:
             new, old = getattr(self, name), getattr(session, name)
             if new is not None and new != old:
                 changes[name] = {"old": old, "new": new}
@@ -206,8 +210,8 @@ def _words(name: str, old: Any, new: Any) -> str:
             return f"uncertainty of a declared angle {_degrees(new)} instead of {_degrees(old)}"
         case "accel_unit":
             return f"accelerations are in {new}, not in {old}"
-        case "sensor":
-            return f"sensor {new} instead of {old}"
+        case "sensor" | "laboratory" | "customer":
+            return f"{name} {new} instead of {old or 'not stated'}"
         case "reverse":
             return "the stage turned the other way: declared angles and approaches with the opposite sign"
         case "angles":

@@ -26,11 +26,15 @@ FILE = click.Path(path_type=Path)
 POSITIVE = click.FloatRange(min=0, min_open=True)
 UNITS = f"[{'|'.join(ACCEL_UNITS)}]"
 """Units of acceleration in the help of a command."""
-_OVERRIDDEN = ("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns")
+_OVERRIDDEN = (
+    *("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns"),
+    *("laboratory", "customer"),
+)
 _SHARED_SECTIONS = {
     "Measuring": "--dwell --settle --rate --filter --range --poll",
     "Sensor": "--variant --no-check --sensor-part",
-    "Corrections of the file": "--gravity --fixture --angles --reverse --unit --sensor --columns",
+    "Corrections of the file": "--gravity --fixture --angles --reverse --unit --sensor --columns"
+    " --laboratory --customer",
 }
 
 
@@ -236,6 +240,8 @@ _OVERRIDES = (
         metavar="NAME=COLUMN,…",
         help="Column names of a CSV, such as time=t,ax=Acc_X,ay=Acc_Y.",
     ),
+    click.option("--laboratory", help="Laboratory, for the certificate."),
+    click.option("--customer", help="Customer, for the certificate."),
 )
 
 
