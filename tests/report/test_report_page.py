@@ -360,7 +360,9 @@ def test_without_a_tolerance_or_an_uncertainty_the_certificate_states_no_conform
     session, result, drawn = curved
     first, _ = certificate_of(build_page(session, [fit(session, "ml")], result, drawn))
     assert "Conformity is not stated: no tolerance was given." in first
-    vague = replace(session, reading_u_mg=None, dwells=session.dwells[:2])
+    pair = (Dwell(0, np.zeros(1), np.array([[999.0, 3.0]]), 0.0),)
+    pair += (Dwell(1, np.full(1, 60.0), np.array([[4.0, -1001.0]]), 90.0),)
+    vague = Session(pair, accel_unit="mg", sensor="generic")
     first, _ = certificate_of(build_page(vague, [fit(vague, "two-position")], "not traced"))
     assert "Conformity is not stated: " in first
     assert "<svg" not in first

@@ -93,14 +93,14 @@ class ErrorCurve:
 
         causes = self._independent.shape[1]
         outside = np.abs(self.error_deg) > tolerance_deg
-        if not causes:
-            return float(outside.any())
+        exact = ~self._independent.any(axis=1)
+        if (outside & exact).any() or not causes:
+            return float((outside & exact).any())
         # Positions along each line of z between which the error at each angle is within the tolerance.
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = 1 / self._rays
             middle, half = -self.error_deg * slope, tolerance_deg * np.abs(slope)
-            # A slope of zero gives NaN for an error of zero, which is always within.
-            low, high = np.nanmax(middle - half, axis=1), np.nanmin(middle + half, axis=1)
+            low, high = (middle - half)[:, ~exact].max(axis=1), (middle + half)[:, ~exact].min(axis=1)
 
         def nearer(distance: Floats) -> Floats:
             square = np.clip(distance, 0.0, 1e150) ** 2

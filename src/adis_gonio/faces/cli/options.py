@@ -16,7 +16,7 @@ from adis_gonio.faces.cli.command_groups import SectionedCommand
 from adis_gonio.model.records import ACCEL_UNITS, SENSORS, checked_gravity_mps2
 
 if TYPE_CHECKING:
-    from adis_gonio.model.records import Session
+    from adis_gonio.model.records import Session, StageCurve
     from adis_gonio.record.loading import AngleChange, Overrides
     from adis_gonio.record.settings import Settings
 
@@ -83,6 +83,15 @@ def parse_fixture(text: str) -> float:
     if sigma is None or not 0 <= sigma < 180:
         raise click.BadParameter(f"'{text}': give degrees, 0 or more, or free if the angles are unknown")
     return sigma
+
+
+def _parse_stage(text: str) -> float | StageCurve:
+    """Parse the uncertainty of a declared angle, or read the stage's certificate from `dcc:FILE`."""
+    if str(text).startswith("dcc:"):
+        from adis_gonio.handover.certificate import read_stage_curve
+
+        return read_stage_curve(Path(str(text).removeprefix("dcc:")))
+    return parse_fixture(text)
 
 
 def parse_unit(text: str) -> str:
@@ -220,9 +229,14 @@ filter = with_default(
 title = click.option("--title", default="", help="Title to keep with the session.")
 _OVERRIDES = (
     gravity("Correct the local gravity to this value in m/s²."),
-    fixture(
+    click.option(
+        "--fixture",
         "fixture_sigma_deg",
-        help="Correct the standard uncertainty of a stage angle in degrees; free: the angles are unknown.",
+        type=_parse_stage,
+        multiple=True,
+        metavar="DEGREES|dcc:FILE",
+        help="Correct the standard uncertainty of a stage angle in degrees; free: the angles are unknown;"
+        " dcc:stage.xml: correct the angles by the stage's certificate.",
     ),
     click.option(
         "--angles",
@@ -328,6 +342,12 @@ def overrides(function: F) -> F:
         taken = {name: arguments.pop(name) for name in _OVERRIDDEN}
         taken["columns"] = taken["columns"] or {}
         taken["angles"] = taken["angles"] or ()
+        given = taken.pop("fixture_sigma_deg")
+        sigmas = [one for one in given if isinstance(one, float)]
+        curves = [one for one in given if not isinstance(one, float)]
+        if len(sigmas) > 1 or len(curves) > 1:
+            raise UsageError("--fixture: give one uncertainty and one certificate at most")
+        taken |= {"fixture_sigma_deg": next(iter(sigmas), None), "stage_curve": next(iter(curves), None)}
         return function(overrides=Overrides(**taken), **arguments)
 
     for option in reversed(_OVERRIDES):
