@@ -36,6 +36,16 @@ def trace_session(index: int, seed: int) -> dict[str, Any]:
     return {"verdict": verdict_record(verdict), "document": kept}
 
 
+def judge_again(result: dict[str, Any], seed: int) -> dict[str, Any]:
+    """Judge a stored document with the present rules."""
+    if "failed" in result:
+        return result
+    index, seconds = result["verdict"]["index"], result["verdict"]["seconds"]
+    session = session_of(index, seed)
+    verdict = judge(session, consult_oracle(session), result["document"], index, seconds)
+    return {**result, "verdict": verdict_record(verdict)}
+
+
 def run_all(numbers: list[int], seed: int, jobs: int) -> Iterator[dict[str, Any]]:
     """Trace the sessions with these numbers, in order."""
     seeds = [seed] * len(numbers)
@@ -75,7 +85,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="equal seeds give equal sessions")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all verdicts and documents")
-    parser.add_argument("--again", type=Path, metavar="FILE", help="print the tables of such a file")
+    parser.add_argument(
+        "--again", type=Path, metavar="FILE", help="judge the documents of such a file again"
+    )
     parser.add_argument("--only", type=int, metavar="INDEX", help="trace this session alone")
     parser.add_argument(
         "--csv", type=Path, metavar="FILE", help="with --only: write its samples CSV, trace nothing"
@@ -83,7 +95,8 @@ def main() -> None:
     parser.add_argument("--worst", type=int, default=5, help="sessions to list")
     asked = parser.parse_args()
     if asked.again:
-        print_summary(json.loads(asked.again.read_text(encoding="utf-8"))["results"], asked.worst)
+        run = json.loads(asked.again.read_text(encoding="utf-8"))
+        print_summary([judge_again(result, run["seed"]) for result in run["results"]], asked.worst)
         return
     if asked.csv:
         write_csv(asked.only or 0, asked.seed, asked.csv)

@@ -45,6 +45,8 @@ class Kind:
     shape: Shape
 
 
+ONCE_A_TURN = "stage_periodic stage_eccentricity stage_ellipticity"
+"""Fair names of an error of the true angle that repeats once a turn and is no sinusoid."""
 KINDS: dict[str, Kind] = {}
 
 
@@ -190,7 +192,7 @@ def two_gears(bench: Bench, rng: np.random.Generator, axis: int) -> Array:
     )
 
 
-@_kind("smooth", "attitude", "angle", "stage_periodic stage_eccentricity stage_ellipticity")
+@_kind("smooth", "attitude", "angle", ONCE_A_TURN)
 def tight_bearing(bench: Bench, rng: np.random.Generator, axis: int) -> Array:
     """The bearing binds over a part of the turn and winds the shaft there."""
     return np.exp(rng.uniform(3, 12) * (np.cos(bench.theta - _phase(rng)) - 1))
@@ -422,7 +424,7 @@ def stick_slip(bench: Bench, rng: np.random.Generator, axis: int) -> Array:
     return (np.cumsum(np.abs(np.diff(bench.travel_deg, prepend=0))) % limit) / limit
 
 
-@_kind("broken", "attitude", "angle")
+@_kind("broken", "attitude", "angle", ONCE_A_TURN)
 def taut_cable(bench: Bench, rng: np.random.Generator, axis: int) -> Array:
     """The cable hangs loose until it is taut, and pulls on both sides of its anchor."""
     off = (bench.angle_deg - rng.uniform(0, 360) + 180) % 360 - 180
@@ -461,7 +463,7 @@ def shock_relaxation(bench: Bench, rng: np.random.Generator, axis: int) -> Array
     )
 
 
-@_kind("broken", "attitude", "angle", "backlash")
+@_kind("broken", "attitude", "angle", "backlash " + ONCE_A_TURN)
 def turned_flank(bench: Bench, rng: np.random.Generator, axis: int) -> Array:
     """The weight of an unbalanced part presses against one flank of the tooth, then against the other."""
     return np.sign(np.sin(bench.theta - _phase(rng)))

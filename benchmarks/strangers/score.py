@@ -36,8 +36,8 @@ class Verdict:
         Names found with their probability, without bias; the unfair names among them.
     covariates, covariate_probability, covariates_right
         Claimed for the unnamed cause; right if each of them truly causes the disturbance.
-    adequate, residual_left
-        The tool's word, and a chi-square test with the true noise.
+    adequate, residual_left, fit_residual_left
+        The tool's word, and chi-square tests with the true noise: of all dwells, of the dwells of the fit.
     check_mg, promised_mg, check_deg
         Rms errors by the tool: of check dwells, of the other dwells, of the angle of check dwells.
     oracle
@@ -56,6 +56,7 @@ class Verdict:
     covariates_right: bool
     adequate: bool
     residual_left: bool
+    fit_residual_left: bool
     oracle_residual_left: bool
     check_mg: float
     promised_mg: float
@@ -91,6 +92,7 @@ def judge(
         covariates_right=all(SAME.get(name, name) in session.kind.causes for name in covariates),
         adequate=bool(document["adequate"]),
         residual_left=left(check, promised),
+        fit_residual_left=noise_alone(session.bench, False, promised) < UNLIKELY,
         oracle_residual_left=left(oracle.check_mg, oracle.fit_mg),
         check_mg=check,
         promised_mg=promised,
@@ -183,6 +185,7 @@ RATES: tuple[Rate, ...] = (
     ),
     ("called adequate", _one(lambda v: v.adequate)),
     ("adequate although a residual is left", _one(lambda v: v.adequate and v.residual_left)),
+    ("… in the dwells of the fit", _one(lambda v: v.adequate and v.fit_residual_left)),
     ("not adequate although none is left", _one(lambda v: not v.adequate and not v.residual_left)),
     ("control: the oracle leaves a residual", _one(lambda v: v.oracle_residual_left)),
     ("check dwells worse than with bias alone", _one(lambda v: v.check_mg > 1.02 * v.oracle.bias_check_mg)),
