@@ -274,7 +274,7 @@ class SessionRunner(Operator):
         gravity_mps2: float = STANDARD_GRAVITY_MPS2,
         fixture_sigma_deg: float | None = None,
         advisor: Advisor | None = None,
-        **facts: str,
+        **metadata: str,
     ) -> SessionRunner:
         """Begin a new session in a new file.
 
@@ -294,8 +294,8 @@ class SessionRunner(Operator):
             Standard uncertainty of a declared angle in degrees; None if it is not stated.
         advisor : Advisor or None
             Source of further positions when the plan is done.
-        facts : str
-            Notes to keep: `title`, `note`, `operator` (name), `serial` (number of the sensor), `stage`.
+        metadata : str
+            Notes to keep: `title`, `note` and the names in `adis_gonio.model.records.METADATA`.
 
         Raises
         ------
@@ -321,7 +321,7 @@ class SessionRunner(Operator):
             gravity_mps2=gravity_mps2,
             fixture_sigma_deg=fixture_sigma_deg if plan.name == GYRO_TURNS else stated,
             simulated=bench.simulated,
-            **{name: text.strip() for name, text in facts.items()},
+            **{name: text.strip() for name, text in metadata.items()},
         )
         archive = Archive.create(path, header)
         return cls(bench, archive, auto=auto, extend=extend, resumed=False, advisor=advisor)
