@@ -125,7 +125,6 @@ class ErrorCurve:
         return float(brentq(lambda t: self.exceeds(t) - risk, 0.0, high, xtol=1e-6 * most))
 
 
-@dataclass(frozen=True)
 class Tolerance(JsonRecord):
     """Tolerance of the angle error, with the decision rule that was agreed.
 
@@ -186,7 +185,6 @@ class Tolerance(JsonRecord):
         return Conformity(verdict, risk, 1 - risk, largest, float(curve.angle_deg[at]), bound)
 
 
-@dataclass(frozen=True)
 class Conformity(JsonRecord):
     """Conformity of the angle with a tolerance.
 
@@ -220,7 +218,6 @@ class Conformity(JsonRecord):
         return f"{risks}; ±{error} would just pass, worst at {self.at_deg:.0f}°"
 
 
-@dataclass(frozen=True)
 class Statement(JsonRecord):
     """Conformity of a sensor's angle, without and with its calibration.
 

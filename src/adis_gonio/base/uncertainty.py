@@ -157,7 +157,6 @@ def finite_or_none(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-@dataclass(frozen=True)
 class Detectable(JsonRecord):
     """Smallest amplitude of an effect that the session can detect; None if it can detect none.
 

@@ -11,7 +11,7 @@ import re
 import time
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +59,6 @@ _OPTIONS = ("poll", "rate", "root")
 _NETWORK = re.compile(r"ip:(?P<host>\[[^]]+\]|[^:/]+)(?::(?P<port>\d{1,5}))?(?:/(?P<device>.*))?")
 
 
-@dataclass(frozen=True)
 class IioMeasuring(JsonRecord):
     """Configuration of an IIO device.
 

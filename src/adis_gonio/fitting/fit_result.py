@@ -99,7 +99,6 @@ MISFIT = (
 )
 
 
-@dataclass(frozen=True)
 class FitResult(ParameterTable):
     """Fitted parameters of a session, with their covariance, warnings and residuals.
 
@@ -472,7 +471,14 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
     assumed = assumed_parameters(model, names)
     scales = [estimates[f"scale_{axis}"].value for axis in AXES[: model.axes]] if where.counts else []
     counts = tuple(scale / MG_PER_MPS2 for scale in scales) or None
-    return Calibration(result.method, where, parameters, matrix, assumed=assumed, counts_per_mg=counts)
+    return Calibration(
+        method=result.method,
+        provenance=where,
+        parameters=parameters,
+        covariance=matrix,
+        assumed=assumed,
+        counts_per_mg=counts,
+    )
 
 
 def as_written(calibration: Calibration) -> Calibration:

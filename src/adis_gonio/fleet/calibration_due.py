@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -79,7 +79,6 @@ ROUTINE = 0.8
 SHORTEST_DAYS, LONGEST_DAYS = 30.0, 5 * YEAR_DAYS
 
 
-@dataclass(frozen=True)
 class Rules(JsonRecord):
     """Limits and factors of the rules for the calibration interval, as the user chose them.
 
@@ -108,7 +107,6 @@ class Rules(JsonRecord):
             raise UsageError("the first interval must be above 0, longer ≥ 1 and 0 < shorter ≤ 1")
 
 
-@dataclass(frozen=True)
 class Stair(JsonRecord):
     """One change of the calibration interval by the staircase rule.
 
@@ -134,7 +132,6 @@ class Stair(JsonRecord):
     verdict: Verdict
 
 
-@dataclass(frozen=True)
 class Rule(JsonRecord):
     """Date of the next calibration by one method, or the reason why the method gives no date."""
 
@@ -144,7 +141,6 @@ class Rule(JsonRecord):
     assumes: str
 
 
-@dataclass(frozen=True)
 class Due(JsonRecord):
     """Date of the next calibration of a sensor, with the dates by each method.
 

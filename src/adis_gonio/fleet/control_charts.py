@@ -15,7 +15,7 @@ the textbooks apply. Shewhart's chart detects a session that is far off; the CUS
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,7 +34,6 @@ _MOVING_RANGE = 2 / math.sqrt(math.pi)
 _NODES = 80
 
 
-@dataclass(frozen=True)
 class ControlChart(JsonRecord):
     """Control charts of a quantity: each session is compared with the sessions before it.
 
@@ -182,7 +181,6 @@ LEAST = 3
 """Fewest sessions for a straight line with an estimate of the scatter about it."""
 
 
-@dataclass(frozen=True)
 class Drift(JsonRecord):
     """A straight line through the values of a quantity over time.
 

@@ -37,7 +37,6 @@ LISTED = (
 """Fields of a session's record that the document of `history` includes."""
 
 
-@dataclass(frozen=True)
 class Track(JsonRecord):
     """Course of one quantity over the sessions of a sensor that determine it.
 

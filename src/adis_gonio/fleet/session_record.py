@@ -43,7 +43,6 @@ PARTS = {"": "value", "_u": "u", "_u95": "U", "_k": "k", "_dof": "dof"}
 Status = Literal["ok", "failed"]
 
 
-@dataclass(frozen=True)
 class FoundEffect(JsonRecord):
     """An effect that the trace of a session found, as in the field `found` of the `trace` document."""
 
@@ -59,7 +58,6 @@ class FoundEffect(JsonRecord):
         return cls(data["effect"], tuple(data["axes"]), data["p_value"], values)
 
 
-@dataclass(frozen=True)
 class SessionRecord(JsonRecord):
     """Facts and results of one session file; unknown values are None.
 
@@ -206,7 +204,6 @@ def value_from(entry: Mapping[str, Any]) -> Value:
     )
 
 
-@dataclass(frozen=True)
 class Options(JsonRecord):
     """Computations that are made for every session.
 

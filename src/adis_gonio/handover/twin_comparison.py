@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from adis_gonio.page.svg import Role, Series, plot
 from adis_gonio.tracing.trace_result import TraceResult
 
 
-@dataclass(frozen=True)
 class TwinComparison(JsonRecord):
     """Comparison of a measured session with its digital twin: residuals, Allan deviation, spectrum.
 

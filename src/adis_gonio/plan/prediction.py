@@ -344,7 +344,6 @@ class ConfoundedPair:
         return {"effects": [self.one, self.other], "separation": self.separation}
 
 
-@dataclass(frozen=True)
 class Sight(JsonRecord):
     """Effects that a session with a plan detects and distinguishes.
 

@@ -40,7 +40,6 @@ GYRO_TURNS = "gyro-turns"
 DEFAULT_PLAN = "two-position"
 
 
-@dataclass(frozen=True)
 class Position(JsonRecord):
     """One position of a plan: its angle or direction, approach, use and conditions.
 
@@ -83,7 +82,6 @@ class Position(JsonRecord):
         return f"{place}{way}{' (check)' if self.use == 'check' else ''}"
 
 
-@dataclass(frozen=True)
 class Plan(JsonRecord):
     """A plan: the positions of a session in the order in which they are visited.
 

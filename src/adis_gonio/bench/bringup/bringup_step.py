@@ -32,7 +32,6 @@ _PART = VARIANTS["adis16354"]
 _FIGURES = _PART.performance
 
 
-@dataclass(frozen=True)
 class Question(JsonRecord):
     """A property of the ADIS16354 that is not certain, with its value in the package's tables.
 
@@ -139,7 +138,6 @@ class Outcome(StrEnum):
     NOT_MEASURED = "not measured"
 
 
-@dataclass(frozen=True)
 class Measured(JsonRecord):
     """A measured figure with its standard uncertainty.
 
@@ -160,7 +158,6 @@ class Measured(JsonRecord):
     expected: float | None = None
 
 
-@dataclass(frozen=True)
 class Answer(JsonRecord):
     """Answer to one open question about the sensor; `text` is one sentence."""
 
@@ -186,8 +183,7 @@ def _plain(number: Number) -> Number:
     return number.item() if isinstance(number, np.generic) else number
 
 
-@dataclass
-class StepResult(JsonRecord):
+class StepResult(JsonRecord, frozen=False):
     """Result of a bring-up step, which the step fills: verdict, sentence, figures, answers and curves."""
 
     document_keys = ("verdict", "text", "figures")
@@ -250,7 +246,6 @@ class StepResult(JsonRecord):
         return self
 
 
-@dataclass(frozen=True)
 class Row(JsonRecord):
     """A bring-up step with its result, as in the JSON document."""
 

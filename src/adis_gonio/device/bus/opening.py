@@ -102,7 +102,6 @@ def open_bus(url: str) -> SpiBus:
 DEVICE_GROUP = "adis_gonio.devices"
 
 
-@dataclass(frozen=True)
 class Device(JsonRecord):
     """A device that can be opened: its URL and a description, each as one printable line."""
 

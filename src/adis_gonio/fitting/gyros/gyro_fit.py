@@ -170,7 +170,6 @@ class GyroScore:
         }
 
 
-@dataclass(frozen=True)
 class GyroFit(ParameterTable):
     """Fitted parameters of the gyros with their covariance.
 
