@@ -327,8 +327,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         added = {f"gyro_bias_{axis}": float(by) for axis, by in zip(AXES, by_dps, strict=True)}
         return replace(self, parameters=self._moved(added))
 
-    # -- computation
-    # ----------------------------------------------------------------------------------------
+    # -- computation ------------------------------------------------------------------------------
 
     def _stated(self) -> dict[str, float]:
         return {one.name: one.value for one in self.parameters}
