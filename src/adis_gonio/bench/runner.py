@@ -252,6 +252,7 @@ class SessionRunner(Operator):
         super().__init__()
         self._bench = bench
         self._archive = archive
+        archive.utc = bench.utc
         self._resumed = resumed
         self._ran = False
         self._ledger = Ledger(archive, lambda: bench.now_s)
@@ -330,6 +331,7 @@ class SessionRunner(Operator):
             serial=serial.strip(),
             stage=stage.strip(),
             simulated=bench.simulated,
+            created_utc=bench.utc(),
         )
         archive = Archive.create(path, header)
         return cls(bench, archive, auto=auto, extend=extend, resumed=False, advisor=advisor)
@@ -397,6 +399,11 @@ class SessionRunner(Operator):
     def virtual_time(self) -> bool:
         """True if the sensor's time stops while no event is taken."""
         return self._bench.virtual_time
+
+    @property
+    def replayed(self) -> bool:
+        """True if a recording answers instead of the sensor and the operator."""
+        return self._bench.replayed
 
     def run(self) -> Iterator[Event]:
         """Run the session to its end; can be used once.

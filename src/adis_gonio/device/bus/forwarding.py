@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 from adis_gonio.device.bus.contract import FrameStream, SpiBus, SpiTiming, Words
+
+T = TypeVar("T")
 
 
 class ForwardingBus(SpiBus):
@@ -47,6 +49,10 @@ class ForwardingBus(SpiBus):
     def sleep_s(self, seconds: float) -> None:
         """Wait for some seconds on the clock of the inner bus."""
         self.inner.sleep_s(seconds)
+
+    def witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return the value that the inner bus returns."""
+        return self.inner.witness(name, observe)
 
     def hard_reset(self) -> None:
         """Reset the chip by the RST line of the inner bus."""

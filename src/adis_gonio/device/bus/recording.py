@@ -33,6 +33,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from enum import IntEnum
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -50,6 +51,9 @@ _HEAD, _CRC, _CLOCK = struct.Struct("<BI"), struct.Struct("<I"), struct.Struct("
 _TIMES, _BLOCK = struct.Struct("<dd"), struct.Struct("<ddqII")
 
 _OTHER_NAME = "choose another name for the recording"
+
+_EXPECTED = frozenset({"exchange", "configure", "stream", "block", "end_stream", "hard_reset"})
+"""Calls that a strict replay must repeat; looks at clocks and counters may be fewer or more."""
 
 T = TypeVar("T")
 
@@ -188,8 +192,36 @@ class RecordingBus(ForwardingBus):
             "capabilities": sorted(inner.capabilities),
             "edge_rises": inner.edge_rises,
             "unbroken_frames": inner.unbroken_frames,
+            "virtual_time": self.virtual_time,
+            "helpers": {name: _describe(getattr(inner, name, None)) for name in _HELPERS},
         }
         self.writer.add(Kind.HEADER, _to_json(header))
+
+    @property
+    def stage(self) -> Any:
+        """Stage of the inner bus, whose calls are recorded; None if that bus has no stage."""
+        return self._helper("stage")
+
+    @property
+    def world(self) -> Any:
+        """Simulated world of the inner bus, whose calls are recorded; None if that bus has no world."""
+        return self._helper("world")
+
+    def _helper(self, name: str) -> Any:
+        helper = getattr(self.inner, name, None)
+
+        def call(method: str, *arguments: Any) -> Any:
+            return self._record(f"{name}.{method}", lambda: getattr(helper, method)(*arguments))
+
+        return _stand_in(_describe(helper), call)
+
+    def witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return `observe()` and record it, unless it is empty or false."""
+        value = self.inner.witness(name, observe)
+        if value:
+            now = self.inner.now_s()
+            self.writer.call(name, now, now, result=value)
+        return value
 
     def now_s(self) -> float:
         """Time in s on the clock of the inner bus."""
@@ -262,6 +294,28 @@ class RecordingBus(ForwardingBus):
             raise
         self.writer.call(name, begin_s, self.inner.now_s(), **facts, result=document(result))
         return result
+
+
+_HELPERS = ("stage", "world")
+"""Attributes of a bus that a session calls: a stage that moves by program, and a simulated world."""
+
+
+def _describe(helper: object) -> dict[str, Any] | None:
+    """Names of the public methods of an object, and its settings if it has any; None without an object."""
+    if helper is None:
+        return None
+    kind = type(helper)
+    methods = [name for name in dir(kind) if name[0] != "_" and callable(getattr(kind, name))]
+    settings = getattr(helper, "settings", None)
+    return {"methods": methods, "settings": None if settings is None else asdict(settings)}
+
+
+def _stand_in(described: dict[str, Any] | None, call: Callable[..., Any]) -> Any:
+    """Make an object with the described methods, of which each calls `call(name, *arguments)`."""
+    if described is None:
+        return None
+    named = {name: lambda _, *given, name=name: call(name, *given) for name in described["methods"]}
+    return type("StandIn", (), named | {"settings": SimpleNamespace(**described["settings"] or {})})()
 
 
 def _error(error: AdisGonioError) -> list[str]:
@@ -389,12 +443,9 @@ def _call(number: int, kind: int, content: bytes) -> Call:
 def _rebuild(name: str, message: str) -> AdisGonioError:
     """Make an error of the class with this name; `BusError` if this version does not know it."""
     kind = getattr(errors, name, None)
-    known = isinstance(kind, type) and issubclass(kind, AdisGonioError)
-    return kind(message) if known else errors.BusError(message)
-
-
-_CLOCK_CALLS = frozenset({"clock", "sleep_s"})
-"""Calls that need no answer from the bridge; a replay with fewer or more of them goes on."""
+    if isinstance(kind, type) and issubclass(kind, AdisGonioError):
+        return kind(message)
+    return errors.BusError(message)
 
 
 class ReplayBus(SpiBus):
@@ -416,13 +467,16 @@ class ReplayBus(SpiBus):
         In a call: no further record answers it. An error that was recorded is raised again.
     """
 
-    virtual_time = True
+    replayed = True
 
     def __init__(self, path: str | Path, *, strict: bool = False) -> None:
         recording = Recording(path)
         header = recording.header
         super().__init__(SpiTiming(**header["timing"]))
-        self.url = f"replay:{path}"
+        self.url = header["url"]
+        self._path = path
+        self.virtual_time = header["virtual_time"]
+        self.stage, self.world = (self._helper(name, header["helpers"][name]) for name in _HELPERS)
         self.capabilities = frozenset(map(Capability, header["capabilities"]))
         self.edge_rises = header["edge_rises"]
         self.unbroken_frames = header["unbroken_frames"]
@@ -434,12 +488,24 @@ class ReplayBus(SpiBus):
 
     def now_s(self) -> float:
         """Time in s that the recorded clock showed here; otherwise the end of the last recorded call."""
-        self._pass_clock_call("clock")
+        self._now_s = self.witness("clock", lambda: self._now_s)
         return self._now_s
 
     def sleep_s(self, seconds: float) -> None:
-        """Return at once; the clock advances as it was recorded."""
-        self._pass_clock_call("sleep_s")
+        """Return at once."""
+        self.witness("sleep_s", lambda: None)
+
+    def witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return the value that was recorded here; otherwise `observe()`."""
+        with self._lock:
+            if self._next < len(self._calls) and self._calls[self._next].name == name:
+                self._next += 1
+                value: T = self._calls[self._next - 1].result
+                return value
+        return observe()
+
+    def _helper(self, name: str, described: dict[str, Any] | None) -> Any:
+        return _stand_in(described, lambda method, *_: self.answer(f"{name}.{method}").result)
 
     def count_events(self) -> tuple[int, float]:
         """Recorded number of data-ready edges since the last call, and the time in s."""
@@ -448,29 +514,22 @@ class ReplayBus(SpiBus):
             count, time_s = self.answer("count_events").result
             return count, time_s
 
-    def _pass_clock_call(self, name: str) -> None:
-        with self._lock:
-            if self._next < len(self._calls) and self._calls[self._next].name == name:
-                self._now_s = self._calls[self._next].end_s
-                self._next += 1
-
     def answer(self, name: str, frames: Words | None = None) -> Call:
         """Return the recorded call that answers a call; raise its error if it failed then."""
         for at in range(self._next, len(self._calls)):
             call = self._calls[at]
-            if call.name in _CLOCK_CALLS:
-                continue
             if call.name == name and np.array_equal(_or_empty(call.frames), _or_empty(frames)):
                 self._next, self._now_s = at + 1, call.end_s
                 if call.error is not None:
                     raise call.error
                 return call
-            if self._strict:
+            if self._strict and call.name in _EXPECTED:
                 raise ProtocolError(
-                    f"{self.url}: the recording goes on with {call}, not with {name} {_hexadecimal(frames)}"
+                    f"{self._path}: the recording goes on with {call}, not with {name}"
+                    f" {_hexadecimal(frames)}"
                 )
         raise ProtocolError(
-            f"{self.url}: no further record answers {name} {_hexadecimal(frames)}{self._damage}"
+            f"{self._path}: no further record answers {name} {_hexadecimal(frames)}{self._damage}"
         )
 
     def _exchange(self, frames: Words) -> Words:
