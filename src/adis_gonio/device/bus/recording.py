@@ -10,9 +10,9 @@ A file begins with the line `MAGIC`. After that come records, with all numbers l
 
 | part | type | meaning |
 |---|---|---|
-| kind | uint8 | one of `Kind` |
+| kind | uint8 | one of `RecordKind` |
 | size | uint32 | number of bytes of the content |
-| content | bytes | by kind, see `Kind` |
+| content | bytes | by kind, see `RecordKind` |
 | crc | uint32 | CRC-32 (zlib) of kind, size and content |
 
 Each record is written by one system call, so a crash of the program loses none and a power cut at most the
@@ -58,7 +58,7 @@ _EXPECTED = frozenset({"exchange", "configure", "stream", "block", "end_stream",
 T = TypeVar("T")
 
 
-class Kind(IntEnum):
+class RecordKind(IntEnum):
     """Kinds of records."""
 
     HEADER = 1
@@ -126,7 +126,7 @@ class _Writer:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
         self._write(MAGIC)
 
-    def add(self, kind: Kind, *content: bytes) -> None:
+    def add(self, kind: RecordKind, *content: bytes) -> None:
         """Append one record; do nothing after a failure or after `close`."""
         body = b"".join(content)
         record = _HEAD.pack(kind, len(body)) + body
@@ -136,7 +136,7 @@ class _Writer:
 
     def call(self, name: str, begin_s: float, end_s: float, **facts: Any) -> None:
         """Append a record of kind `CALL`."""
-        self.add(Kind.CALL, _to_json({"call": name, "begin": begin_s, "end": end_s} | facts))
+        self.add(RecordKind.CALL, _to_json({"call": name, "begin": begin_s, "end": end_s} | facts))
 
     def _write(self, record: bytes) -> None:
         begin = self._file.tell()
@@ -149,6 +149,11 @@ class _Writer:
             self._failure = error
             with contextlib.suppress(OSError):
                 self._file.truncate(begin)
+
+    @property
+    def failed(self) -> bool:
+        """True if a record could not be written."""
+        return self._failure is not None
 
     def close(self) -> None:
         """Close the file; raise `OutputError` if a record could not be written."""
@@ -195,7 +200,9 @@ class RecordingBus(ForwardingBus):
             "virtual_time": self.virtual_time,
             "helpers": {name: _describe(getattr(inner, name, None)) for name in _HELPERS},
         }
-        self.writer.add(Kind.HEADER, _to_json(header))
+        self.writer.add(RecordKind.HEADER, _to_json(header))
+        if self.writer.failed:
+            self.writer.close()
 
     @property
     def stage(self) -> Any:
@@ -226,7 +233,7 @@ class RecordingBus(ForwardingBus):
     def now_s(self) -> float:
         """Time in s on the clock of the inner bus."""
         now = self.inner.now_s()
-        self.writer.add(Kind.CLOCK, _CLOCK.pack(now))
+        self.writer.add(RecordKind.CLOCK, _CLOCK.pack(now))
         return now
 
     def sleep_s(self, seconds: float) -> None:
@@ -264,7 +271,7 @@ class RecordingBus(ForwardingBus):
             )
             raise
         words = np.concatenate([frames, replies]).astype("<u2")
-        self.writer.add(Kind.EXCHANGE, _TIMES.pack(begin_s, self.inner.now_s()), words.tobytes())
+        self.writer.add(RecordKind.EXCHANGE, _TIMES.pack(begin_s, self.inner.now_s()), words.tobytes())
         return replies
 
     def _configure(self, timing: SpiTiming) -> SpiTiming:
@@ -339,7 +346,7 @@ class _RecordedStream(FrameStream):
             raise
         n, k = block.words.shape
         writer.add(
-            Kind.BLOCK,
+            RecordKind.BLOCK,
             _BLOCK.pack(begin_s, clock(), block.lost, n, k),
             block.time_s.astype("<f8").tobytes(),
             block.words.astype("<u2").tobytes(),
@@ -356,7 +363,7 @@ class _RecordedStream(FrameStream):
 # -- reading ---------------------------------------------------------------------------------------------
 
 
-class Recording:
+class BusRecording:
     """The calls of a recording.
 
     Parameters
@@ -389,13 +396,13 @@ class Recording:
                 f"{path}: is no recording; record: makes one, such as record:run.rec:sim:?seed=1"
             )
         kind, content = next(self._records(), (None, b""))
-        if kind != Kind.HEADER:
+        if kind != RecordKind.HEADER:
             raise DataError(f"{path}: the header of the recording is damaged")
         self.header: dict[str, Any] = json.loads(content)
 
     def __iter__(self) -> Iterator[Call]:
         for number, (kind, content) in enumerate(self._records()):
-            if kind != Kind.HEADER:
+            if kind != RecordKind.HEADER:
                 yield _call(number, kind, content)
 
     def _records(self) -> Iterator[tuple[int, bytes]]:
@@ -414,14 +421,14 @@ class Recording:
 
 def _call(number: int, kind: int, content: bytes) -> Call:
     """Decode the content of one record."""
-    if kind == Kind.CLOCK:
+    if kind == RecordKind.CLOCK:
         (now,) = _CLOCK.unpack(content)
         return Call(number, "clock", now, now, result=now)
-    if kind == Kind.EXCHANGE:
+    if kind == RecordKind.EXCHANGE:
         frames, replies = np.frombuffer(content, "<u2", offset=_TIMES.size).astype(np.uint16).reshape(2, -1)
         begin_s, end_s = _TIMES.unpack_from(content)
         return Call(number, "exchange", begin_s, end_s, frames, result=replies)
-    if kind == Kind.BLOCK:
+    if kind == RecordKind.BLOCK:
         begin_s, end_s, lost, n, k = _BLOCK.unpack_from(content)
         times = np.frombuffer(content, "<f8", count=n, offset=_BLOCK.size).astype(np.float64)
         words = np.frombuffer(content, "<u2", offset=_BLOCK.size + times.nbytes).astype(np.uint16)
@@ -470,7 +477,7 @@ class ReplayBus(SpiBus):
     replayed = True
 
     def __init__(self, path: str | Path, *, strict: bool = False) -> None:
-        recording = Recording(path)
+        recording = BusRecording(path)
         header = recording.header
         super().__init__(SpiTiming(**header["timing"]))
         self.url = header["url"]
