@@ -129,12 +129,17 @@ def certificate_section(
         ["u of a stage angle", known["standard uncertainty of a declared angle"]],
     ]
     signature = [["date", NO_BREAK], ["name, signature", NO_BREAK]]
+    key = _key(answer.values)
+    results = [] if key else [Table(HEAD, [line.cells for line in answer.lines], numeric=(2, 3, 4, 5))]
     return Section(
         "Certificate",
-        key=_key(answer.values),
+        key=key,
         words=[*doubts, *stated],
         figures=figures,
-        tables=[Table(["", ""], rows) for rows in (instrument, conditions, signature[:1], signature[1:])],
+        tables=[
+            *results,
+            *(Table(["", ""], rows) for rows in (instrument, conditions, signature[:1], signature[1:])),
+        ],
         notes=[
             f"Method {answer.title}. U = k·u covers 95 %. The stated errors are those of the mean of many "
             "readings; traceable to the declared angles of the stage only. The annex follows."
