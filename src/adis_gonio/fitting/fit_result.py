@@ -282,7 +282,8 @@ class FitResult(ParameterTable):
 
         In the plane the uncertainty also covers biases that the fit had to take as zero.
         """
-        curves = calibration_as_recorded(self).error_curves()
+        # A free turn has no stage; its result is made without readings of positions.
+        curves = calibration_as_recorded(self).error_curves(stage=self.origin is not None)
         if self.shown_angle is None or self.origin is None:
             return curves
         if self.angle_roots_deg is None:
