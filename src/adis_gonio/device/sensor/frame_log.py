@@ -1,4 +1,4 @@
-"""Frames of a recording as rows: register, decoded word, and broken rules of timing.
+"""Frames of a recording or capture as rows: register, decoded word, and broken rules of timing.
 
 The rules are those of the data sheet (DS; sources in `registers`): the clock, stall and period that the
 mode of SMPL_PRD needs, and silence after a reset, a restore, a flash update or a precision autonull. The
@@ -24,6 +24,9 @@ BUSY_S = {"reset": 0.15, "restore": 0.15, "flash_update": 0.1, "precision_autonu
 and a restore (DS, B), 100 ms of a flash update (A), 30 s of a precision autonull (B)."""
 FASTEST_FAST_HZ, FASTEST_NORMAL_HZ = 2e6, 300e3
 """Highest SPI clock in both modes (DS, A)."""
+
+TOLERANCE = 0.01
+"""Relative error that a measured time may have, because a logic analyser samples in steps."""
 
 
 @dataclass(frozen=True)
@@ -76,12 +79,16 @@ class FrameLog:
         self._smpl_prd: int | None = None
         self._busy_until_s, self._busy_with = float("-inf"), ""
         self._listed: list[Register | None] = []
+        self._before: tuple[int, float, int, str] | None = None
+        self._ended: tuple[float, float] | None = None
 
     def rows(self, calls: Iterable[Call]) -> Iterator[FrameRow]:
         """Yield the rows of calls in their order; looks at the clock have none."""
         for call in calls:
             if call.name == "exchange":
                 yield from self._exchanged(call)
+            elif call.name == "frame":
+                yield from self._captured(call)
             elif call.name == "block" and isinstance(call.result, FrameBlock):
                 yield from self._streamed(call, call.result)
             elif call.name != "clock":
@@ -94,6 +101,8 @@ class FrameLog:
                 yield FrameRow(
                     call.number, call.begin_s, call.name, value=_described(call), problem=_failure(call)
                 )
+        if self._before is not None:
+            yield self._frame_row(*self._before, None)
 
     def _exchanged(self, call: Call) -> Iterator[FrameRow]:
         assert call.frames is not None
@@ -102,16 +111,36 @@ class FrameLog:
         # The word of a frame is shifted out during the next frame.
         words = [None] * n if call.result is None else [*map(int, call.result[1:]), None]
         for frame, word, time_s in zip(call.frames.tolist(), words, times.tolist(), strict=True):
-            row, high = _addressed(frame)
             problem = _failure(call) or self._broken_rule(time_s)
-            name = f"0x{frame >> 8 & 0x3F:02X}" if row is None else row.name + ("+1" if high else "")
-            if frame & WRITE:
-                self._follow_write(row, high, frame & 0xFF, time_s)
-                value = f"0x{frame & 0xFF:02X}{self._command(row, high, frame)}"
-                yield FrameRow(call.number, time_s, "write", name, frame, word, value, problem)
-            else:
-                value = "" if word is None else self._decoded(row, word)
-                yield FrameRow(call.number, time_s, "read", name, frame, word, value, problem)
+            yield self._frame_row(call.number, time_s, frame, problem, word)
+
+    def _captured(self, call: Call) -> Iterator[FrameRow]:
+        """Yield the row of the frame before a captured frame, whose reply completes it."""
+        assert call.frames is not None
+        if self._before is not None:
+            yield self._frame_row(*self._before, int(call.result[0]))
+        if self._ended is not None and call.arguments[0] > 0:
+            began_s, ended_s = self._ended
+            stall_us, period_us = (call.begin_s - ended_s) * 1e6, (call.begin_s - began_s) * 1e6
+            self._timing = SpiTiming(call.arguments[0], stall_us, period_us)
+        self._ended = call.begin_s, call.end_s
+        problem = _failure(call) or self._broken_rule(call.begin_s)
+        self._before = call.number, call.begin_s, int(call.frames[0]), problem
+
+    def _frame_row(
+        self, number: int, time_s: float, frame: int, problem: str, word: int | None
+    ) -> FrameRow:
+        row, high = _addressed(frame)
+        action = "write" if frame & WRITE else "read"
+        name = f"0x{frame >> 8 & 0x3F:02X}" if row is None else row.name + ("+1" if high else "")
+        if frame & WRITE:
+            self._follow_write(row, high, frame & 0xFF, time_s)
+            value = f"0x{frame & 0xFF:02X}{_written_fields(row, high, frame)}"
+        else:
+            value = "" if word is None else self._decoded(row, word)
+        return FrameRow(
+            number, time_s, "write" if frame & WRITE else "read", name, frame, word, value, problem
+        )
 
     def _streamed(self, call: Call, block: FrameBlock) -> Iterator[FrameRow]:
         n, k = block.words.shape
@@ -151,14 +180,6 @@ class FrameLog:
                 if byte & row.field(name).mask:
                     self._busy_until_s, self._busy_with = time_s + busy_s, name.replace("_", " ")
 
-    def _command(self, row: Register | None, high: bool, frame: int) -> str:
-        """Names of the commands or fields that a written byte sets."""
-        if row is None:
-            return ""
-        shifted = (frame & 0xFF) << (8 if high else 0)
-        names = [field.name for field in row.fields if row.kind is Kind.FIELDS and shifted & field.mask]
-        return f" ({', '.join(names)})" if names else ""
-
     def _broken_rule(self, time_s: float) -> str:
         if time_s < self._busy_until_s:
             return f"sent {self._busy_until_s - time_s:.3g} s before the end of {self._busy_with}"
@@ -167,13 +188,22 @@ class FrameLog:
         needed = timing_for(self._smpl_prd)
         fastest_hz = FASTEST_FAST_HZ if needed is FAST else FASTEST_NORMAL_HZ
         now = self._timing
-        if now.clock_hz > fastest_hz:
-            return f"clock {now.clock_hz / 1e3:g} kHz, at most {fastest_hz / 1e3:g} kHz"
-        if now.frame_s < needed.period_us * 1e-6 * (1 - 1e-9):
+        if now.clock_hz > fastest_hz * (1 + TOLERANCE):
+            return f"clock {now.clock_hz / 1e3:.4g} kHz, at most {fastest_hz / 1e3:g} kHz"
+        if now.frame_s < needed.period_us * 1e-6 * (1 - TOLERANCE):
             return f"period {now.frame_s * 1e6:.3g} µs, at least {needed.period_us:g} µs"
-        if now.stall_us < needed.stall_us:
-            return f"stall {now.stall_us:g} µs, at least {needed.stall_us:g} µs"
+        if now.stall_us < needed.stall_us * (1 - TOLERANCE):
+            return f"stall {now.stall_us:.3g} µs, at least {needed.stall_us:g} µs"
         return ""
+
+
+def _written_fields(row: Register | None, high: bool, frame: int) -> str:
+    """Names of the commands or fields that a written byte sets, in brackets."""
+    if row is None or row.kind is not Kind.FIELDS:
+        return ""
+    shifted = (frame & 0xFF) << (8 if high else 0)
+    names = [field.name for field in row.fields if shifted & field.mask]
+    return f" ({', '.join(names)})" if names else ""
 
 
 def _addressed(frame: int) -> tuple[Register | None, bool]:

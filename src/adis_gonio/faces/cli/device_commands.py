@@ -152,18 +152,24 @@ def frames_command(
 ) -> int:
     """List the frames of a RECORDING with register names and decoded words.
 
+    RECORDING is a file of record: or the VCD file of a logic analyser on CS, SCLK, MOSI and MISO, such as
+    capture.vcd.
+
     Put record:FILE: before the URL of any command to record it: record:run.rec:serial:/dev/ttyACM0. A URL
     replay:FILE plays it back to any command. A row has the number of the record, the time on the clock of
     the bus, the register, the frame, the word that answers it, and its value. A row with ! has an error, or
     a frame that breaks a rule of timing of the data sheet. The exit status is 1 if there is such a row, or
     if the recording is damaged.
     """
+    from adis_gonio.device.bus.capture import LogicCapture
     from adis_gonio.device.bus.recording import BusRecording
     from adis_gonio.device.sensor.frame_log import FrameLog
     from adis_gonio.device.sensor.variants import variant as variant_of
 
     wanted = {row.name for row in registers(names.split(","))} if names else None
-    source, problems, listed = BusRecording(recording), 0, []
+    capture = recording.suffix.lower() == ".vcd"
+    source = LogicCapture(recording) if capture else BusRecording(recording)
+    problems, listed = 0, []
     for row in FrameLog(variant_of(variant), scans=scans).rows(source):
         problems += bool(row.problem)
         chosen = (
