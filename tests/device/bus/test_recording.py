@@ -268,7 +268,7 @@ def test_recorded_words_are_exact(recorded: tuple[Path, list[object]]) -> None:
 
 
 def write_vcd(path: Path, frames: list[tuple[float, float, int, int, int]], names: str) -> None:
-    """Write frames (begin in µs, clock in kHz, frame, reply, bits) as a logic analyser does, in steps of 10 ns."""
+    """Write frames (begin in µs, clock in kHz, frame, reply, bits) in steps of 10 ns."""
     cs, clock, mosi, miso = names.split()
     lines = ["$timescale 10 ns $end", "$scope module top $end"]
     lines += [

@@ -119,7 +119,7 @@ def _read_header(path: Path, file: TextIO) -> tuple[float, Mapping[str, str]]:
 def _frame(
     number: int, begin_s: float, end_s: float, bits: list[tuple[str, str]], clocks_s: list[float]
 ) -> Call:
-    """Make the call of one frame; its argument is the clock in Hz. A frame without 16 clocks has an error."""
+    """Make the call of one frame, with the clock in Hz; a frame without 16 clocks has an error."""
     words = [int("".join(column) or "0", 2) for column in zip(*bits, strict=True)] or [0, 0]
     clock_hz = (len(clocks_s) - 1) / (clocks_s[-1] - clocks_s[0]) if len(clocks_s) > 1 else 0.0
     error = None

@@ -206,12 +206,12 @@ class RecordingBus(ForwardingBus):
 
     @property
     def stage(self) -> Any:
-        """Stage of the inner bus, whose calls are recorded; None if that bus has no stage."""
+        """Stage of the inner bus, with recorded calls; None if that bus has no stage."""
         return self._helper("stage")
 
     @property
     def world(self) -> Any:
-        """Simulated world of the inner bus, whose calls are recorded; None if that bus has no world."""
+        """Simulated world of the inner bus, with recorded calls; None if that bus has no world."""
         return self._helper("world")
 
     def _helper(self, name: str) -> Any:
@@ -253,7 +253,7 @@ class RecordingBus(ForwardingBus):
         return self._record("count_events", self.inner.count_events)
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream of the inner bus, whose blocks are recorded."""
+        """Start a stream of the inner bus and record its blocks."""
 
         def start() -> FrameStream:
             return self.inner.stream(frames, block_scans=block_scans)

@@ -1,6 +1,6 @@
 """Frames of a recording or capture as rows: register, decoded word, and broken rules of timing.
 
-The rules are those of the data sheet (DS; sources in `registers`): the clock, stall and period that the
+The rules come from the data sheet (DS; sources in `registers`): the clock, stall and period that the
 mode of SMPL_PRD needs, and silence after a reset, a restore, a flash update or a precision autonull. The
 mode is known from the first access to SMPL_PRD on; before that no rule of timing is checked.
 """
@@ -115,7 +115,7 @@ class FrameLog:
             yield self._frame_row(call.number, time_s, frame, problem, word)
 
     def _captured(self, call: Call) -> Iterator[FrameRow]:
-        """Yield the row of the frame before a captured frame, whose reply completes it."""
+        """Yield the row of the previous frame, which the reply of a captured frame completes."""
         assert call.frames is not None
         if self._before is not None:
             yield self._frame_row(*self._before, int(call.result[0]))
@@ -138,9 +138,7 @@ class FrameLog:
             value = f"0x{frame & 0xFF:02X}{_written_fields(row, high, frame)}"
         else:
             value = "" if word is None else self._decoded(row, word)
-        return FrameRow(
-            number, time_s, "write" if frame & WRITE else "read", name, frame, word, value, problem
-        )
+        return FrameRow(number, time_s, action, name, frame, word, value, problem)
 
     def _streamed(self, call: Call, block: FrameBlock) -> Iterator[FrameRow]:
         n, k = block.words.shape
