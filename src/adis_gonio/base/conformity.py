@@ -215,7 +215,7 @@ class Conformity(JsonRecord):
         accept = f"risk of a false accept {format_percent(self.false_accept)}"
         reject = f"risk of a false reject {format_percent(self.false_reject)}"
         risks = {"pass": accept, "fail": reject}.get(self.verdict, f"{accept}, {reject}")
-        return f"{risks}; ±{error} would just pass, worst at {self.at_deg:.0f}°"
+        return f"{risks}; ±{error} would just pass"
 
 
 class Statement(JsonRecord):

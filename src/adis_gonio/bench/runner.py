@@ -252,6 +252,7 @@ class SessionRunner(Operator):
         super().__init__()
         self._bench = bench
         self._archive = archive
+        archive.utc = bench.utc
         self._resumed = resumed
         self._ran = False
         self._ledger = Ledger(archive, lambda: bench.now_s)
@@ -321,6 +322,7 @@ class SessionRunner(Operator):
             gravity_mps2=gravity_mps2,
             fixture_sigma_deg=fixture_sigma_deg if plan.name == GYRO_TURNS else stated,
             simulated=bench.simulated,
+            created_utc=bench.utc(),
             **{name: text.strip() for name, text in metadata.items()},
         )
         archive = Archive.create(path, header)
@@ -389,6 +391,11 @@ class SessionRunner(Operator):
     def virtual_time(self) -> bool:
         """True if the sensor's time stops while no event is taken."""
         return self._bench.virtual_time
+
+    @property
+    def replayed(self) -> bool:
+        """True if a recording answers instead of the sensor and the operator."""
+        return self._bench.replayed
 
     def run(self) -> Iterator[Event]:
         """Run the session to its end; can be used once.

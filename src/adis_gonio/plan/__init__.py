@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from adis_gonio.base import lazily
+from adis_gonio.record.plans import find_plan, read_plan, write_plan
 
 if TYPE_CHECKING:
     from adis_gonio.plan.optimal_plan import (
@@ -21,16 +22,11 @@ if TYPE_CHECKING:
         fewest_positions as fewest_positions,
         positions_in as positions_in,
     )
-    from adis_gonio.plan.plan_file import (
-        find_plan as find_plan,
-        read_plan as read_plan,
-        write_plan as write_plan,
-    )
     from adis_gonio.plan.prediction import Bench as Bench, Prediction as Prediction, predict as predict
 
+__all__ = ["find_plan", "read_plan", "write_plan"]
 _HOMES = {
     "optimal_plan": "BestPlan best_plan fewest_positions positions_in",
-    "plan_file": "find_plan read_plan write_plan",
     "prediction": "Bench Prediction predict",
 }
 __getattr__ = lazily(__name__, _HOMES)

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
-from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words, WrappedBus
+from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus.forwarding import ForwardingBus
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, Register, register, registers
@@ -337,8 +338,11 @@ class Bringup:
         }
 
 
-class ClockCeiling(WrappedBus):
-    """A bus that limits the clock of another bus to `ceiling_hz`, from the next `configure` on."""
+class ClockCeiling(ForwardingBus):
+    """A bus that forwards to another bus and limits its clock to `ceiling_hz`.
+
+    A new limit acts from the next `configure` on.
+    """
 
     def __init__(self, inner: SpiBus, ceiling_hz: float) -> None:
         super().__init__(inner)

@@ -7,11 +7,10 @@ from adis_gonio.device.bus.contract import (
     SpiBus,
     SpiTiming,
     Words,
-    WrappedBus,
 )
 from adis_gonio.device.bus.opening import BusUrl, Device, bus_schemes, find_devices, open_bus
 
 __all__ = [
     "BusUrl", "Capability", "Device", "FrameBlock", "FrameStream", "SpiBus", "SpiTiming", "Words",
-    "WrappedBus", "bus_schemes", "find_devices", "open_bus",
+    "bus_schemes", "find_devices", "open_bus",
 ]  # fmt: skip

@@ -38,10 +38,10 @@ from __future__ import annotations
 import threading
 import time
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,7 @@ from numpy.typing import NDArray
 from adis_gonio.base import Closing
 from adis_gonio.base.errors import BusClosedError, CapabilityError, ProtocolError, UsageError
 
+T = TypeVar("T")
 Words = NDArray[np.uint16]
 
 FRAME_BITS = 16
@@ -201,6 +202,13 @@ class SpiBus(Closing):
         """Wait for `seconds` on the clock of this bus."""
         time.sleep(seconds)
 
+    def witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return `observe()`, a JSON value from outside the bus, such as an answer of the operator.
+
+        A recording bus keeps the value, and a replay returns the kept value instead.
+        """
+        return observe()
+
     # -- optional capabilities --------------------------------------------------------------------
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
@@ -276,52 +284,6 @@ class SpiBus(Closing):
         self._require_open()
         if capability not in self.capabilities:
             raise CapabilityError(f"{self.url or type(self).__name__} has no capability '{capability}'")
-
-
-class WrappedBus(SpiBus):
-    """A bus that passes every call on to another bus; a subclass changes some of the calls.
-
-    Parameters
-    ----------
-    inner : SpiBus
-        The other bus; `close` also closes it.
-    """
-
-    def __init__(self, inner: SpiBus) -> None:
-        super().__init__(inner.timing)
-        self.inner = inner
-        self.url, self.capabilities = inner.url, inner.capabilities
-        self.edge_rises, self.unbroken_frames = inner.edge_rises, inner.unbroken_frames
-
-    def now_s(self) -> float:
-        """Present time in s on the clock of the other bus."""
-        return self.inner.now_s()
-
-    def sleep_s(self, seconds: float) -> None:
-        """Wait for some seconds on the clock of the other bus."""
-        self.inner.sleep_s(seconds)
-
-    def count_events(self) -> tuple[int, float]:
-        """Data-ready edges since the last call, and the time in s, from the other bus."""
-        return self.inner.count_events()
-
-    def _exchange(self, frames: Words) -> Words:
-        return self.inner.exchange_array(frames)
-
-    def _configure(self, timing: SpiTiming) -> SpiTiming:
-        return self.inner.configure(timing)
-
-    def _close(self) -> None:
-        self.inner.close()
-
-    def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
-        return self.inner.stream(frames, block_scans=block_scans)
-
-    def _pull_reset(self) -> None:
-        self.inner.hard_reset()
-
-    def _count_edges(self) -> int:
-        return self.inner.read_event_counter()
 
 
 class FrameStream(Closing):

@@ -1,4 +1,4 @@
-"""For tests of other packages: the bus contract, simulated sensors and boards, faults by seed.
+"""For tests of other packages: the bus contract, simulated sensors and boards, faults, expected frames.
 
 pytest finds the fixtures `simulated_sensor` and `simulated_board` by the plugin; only `BusContract` needs
 pytest. Names are imported when they are first used. See docs/handover.md.
@@ -13,6 +13,7 @@ from adis_gonio.base import lazily
 _HOMES = {
     "bus_contract": "BusContract Rig WatchedChip WireFrame",
     "doubles": "SimulatedBoard SimulatedSensor open_board open_simulated",
+    "expected_frames": "ExpectedFrames",
     "faults": "BusFaults Faults FaultyBus",
 }
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
         open_board as open_board,
         open_simulated as open_simulated,
     )
+    from adis_gonio.sim.testing.expected_frames import ExpectedFrames as ExpectedFrames
     from adis_gonio.sim.testing.faults import (
         BusFaults as BusFaults,
         Faults as Faults,

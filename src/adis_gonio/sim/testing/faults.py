@@ -18,13 +18,13 @@ import random
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.errors import BusTimeoutError, ProtocolError, UsageError
-from adis_gonio.device.bus.contract import FRAME_BITS, FrameBlock, FrameStream, SpiBus, Words, WrappedBus
+from adis_gonio.device.bus.contract import FRAME_BITS, FrameBlock, FrameStream, SpiBus, Words
+from adis_gonio.device.bus.forwarding import ForwardingBus
 
 
 @dataclass
@@ -192,7 +192,7 @@ class BusFaults:
 NO_FAULTS = BusFaults()
 
 
-class FaultyBus(WrappedBus):
+class FaultyBus(ForwardingBus):
     """A bus that passes frames to another bus and corrupts the replies.
 
     Parameters
@@ -225,20 +225,11 @@ class FaultyBus(WrappedBus):
             self._dice = {k: np.random.default_rng(s) for k, s in zip(_KINDS, seeds, strict=True)}
             self._stuck_left, self._stuck_word = 0, 0
 
-    @property
-    def stage(self) -> Any:
-        """Stage of the wrapped bus; None if that bus has no stage."""
-        return getattr(self.inner, "stage", None)
-
-    @property
-    def world(self) -> Any:
-        """Simulated world of the wrapped bus; None if that bus has no world."""
-        return getattr(self.inner, "world", None)
-
     # -- faulty calls --------------------------------------------------------------------------------
 
-    def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
-        return _FaultyFrames(self, super()._start_stream(frames, block_scans))
+    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
+        """Start a stream of the inner bus, with faults in the words of its scans."""
+        return _FaultyFrames(self, super().stream(frames, block_scans=block_scans))
 
     def _exchange(self, frames: Words) -> Words:
         if self._happens("busy"):
