@@ -36,8 +36,8 @@ def key(name: str) -> dict[str, str]:
 class JsonRecord:
     """Base class of records that convert to a JSON object by their fields and metadata.
 
-    Each subclass is a frozen dataclass; it gives other options of `dataclass` as arguments of the class
-    (`class Name(JsonRecord, eq=False)`).
+    Each subclass becomes a frozen dataclass without a decorator; it gives other options of `dataclass` as
+    arguments of the class (`class Name(JsonRecord, eq=False)`).
 
     Attributes
     ----------
