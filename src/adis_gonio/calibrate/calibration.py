@@ -479,7 +479,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         def apart(up: Floats, down: Floats) -> Floats:
             return wrap_radians(up - down)
 
-        angle, variance = self.with_variance(lambda values: shown(values, readings, conditions), apart)
+        angle, variance = self._with_variance(lambda values: shown(values, readings, conditions), apart)
         if reading_u is not None:
             u = self._reading_u(reading_u)
             steps = np.maximum(STEP * u, 1e-6)

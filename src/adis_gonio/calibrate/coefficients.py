@@ -178,7 +178,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         """Copy of the parameters with an amount added to each value that `by` names."""
         return tuple(replace(one, value=one.value + by.get(one.name, 0.0)) for one in self.parameters)
 
-    def with_variance(
+    def _with_variance(
         self,
         function: Callable[[Floats], Floats],
         difference: Callable[[Floats, Floats], Floats] = np.subtract,

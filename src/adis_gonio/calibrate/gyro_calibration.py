@@ -384,7 +384,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         return force, warm, above("supply_v", supply_v, self.supply_v, REFERENCE_V, 1)
 
     def _with_u(self, function: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
-        value, variance = self.with_variance(function)
+        value, variance = self._with_variance(function)
         return value, np.sqrt(variance)
 
 

@@ -24,13 +24,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import NAMED_BY_UNIT, OPTIONAL, JsonRecord
-from adis_gonio.bench.writeback.offset_plan import (
-    UNITS,
-    WritePlan,
-    plan_gyro_offsets,
-    plan_offsets,
-    recorded_offsets,
-)
+from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT, Kind
@@ -38,8 +32,8 @@ from adis_gonio.device.sensor.scanning import ScanStream
 from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.device.sensor.variants import variant
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.fit_result import calibration_as_recorded
 from adis_gonio.model.effects.base import AXES
+from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.settings import LEAST_SAMPLES
 from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
@@ -241,7 +235,7 @@ class Agreement(JsonRecord):
 
 
 class _FittedSensor:
-    """The sensor by the calibration of a session: predicts readings, with the uncertainty of fit and dwell.
+    """The sensor by the fit of a session: predicts readings, with the uncertainty of fit and dwell.
 
     Raises
     ------
@@ -251,32 +245,45 @@ class _FittedSensor:
 
     def __init__(self, session: Session, result: FitResult, plan: WritePlan, rest: Rest) -> None:
         self.session, self.result, self.rest = session, result, rest
-        made = calibration_as_recorded(result)
-        missing = [name for name in made.assumed if name.startswith("scale")]
-        if missing or made.covariance is None:
+        planar = session.plane == "xy"
+        self.model = PlanarTurn(session.gravity_mg) if planar else FreeAttitude(session.gravity_mg)
+        axes = AXES[: self.model.axes]
+        names = [*self.model.names, *(f"bias_{axis}" for axis in axes)]
+        # Skews and biases that a session did not show are zero in its fit.
+        self.known = [name for name in names if name in result]
+        missing = [name for name in names if name.startswith("scale") and name not in result]
+        if missing or result.covariance is None:
             raise FitError(
                 f"{session.source}: the fit does not give {', '.join(missing) or 'uncertainties'}"
             )
-        self.calibration = made.with_offsets([*(recorded_offsets(session) | plan.now).values()])
+        self.values = np.array([result[name].value for name in self.known])
+        order = [[e.name for e in result.parameters].index(name) for name in self.known]
+        self.covariance = np.asarray(result.covariance)[np.ix_(order, order)]
+        moved = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
+        self.moved_mg = np.array([moved.get(axis, 0.0) for axis in axes])
         # Standard uncertainty (axes,) of the dwell as a sample of the sensor that the session saw.
         then = [float(d.temperature_c.mean()) for d in session.dwells if d.temperature_c is not None]
         warmer = rest.temperature_c - float(np.mean(then)) if then else 0.0
         figures = variant(plan.variant).performance
-        drifts = math.sqrt(2) * figures.bias_instability_mg, figures.bias_tempco_mg_per_c * warmer
-        self.u_mg = np.hypot(rest.u_mg[: made.axes], math.hypot(*drifts, result.extra_mg))
+        self.u_mg = np.hypot(
+            rest.u_mg[: len(axes)],
+            math.hypot(
+                math.sqrt(2) * figures.bias_instability_mg,
+                figures.bias_tempco_mg_per_c * warmer,
+                result.extra_mg,
+            ),
+        )
 
     def at_angle(self, angle_rad: float) -> Agreement:
         """Compare the readings at a declared angle with the readings that the fit predicts."""
 
-        def predicted(values: Floats) -> Floats:
-            return self._ideal_mg(values, angle_rad) + self.calibration.natural(values)[1]
+        def left(values: Floats, mean: Floats) -> Floats:
+            return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad) - self._bias_mg(values))
 
-        value, u = self._propagated(
-            lambda values, mean: mean[:2] - predicted(values), self._fixture_u(angle_rad)
-        )
-        expected = predicted(self.calibration.values)
+        value, u = self._propagated(left, self._fixture_u(angle_rad))
+        predicted = self._ideal_mg(self.values, angle_rad) + self._bias_mg(self.values)
         where = f"readings at {math.degrees(angle_rad):g}° against the session"
-        return Agreement(where, ("X", "Y"), expected + value, expected, u)
+        return Agreement(where, ("X", "Y"), predicted + value, predicted, u)
 
     def by_length(self) -> Agreement:
         """Compare the magnitude of gravity, by the session's calibration, with local gravity.
@@ -286,11 +293,11 @@ class _FittedSensor:
         FitError
             The sensor is not in the session's plane.
         """
-        gravity, made = self.session.gravity_mg, self.calibration
+        gravity = self.session.gravity_mg
 
         def length(values: Floats, mean: Floats) -> Floats:
-            base, bias = made.natural(values)
-            calibrated = made.measurement.calibrated(base, (mean[: made.axes] - bias)[None, :])
+            free = (mean[: self.model.axes] - self._bias_mg(values))[None, :]
+            calibrated = self.model.calibrated(self._base(values), free)
             return np.asarray(gravity * np.linalg.norm(calibrated, axis=1))
 
         value, u = self._propagated(length, np.zeros(1))
@@ -304,33 +311,48 @@ class _FittedSensor:
 
     def bias_found(self, angle_rad: float) -> tuple[Floats, Floats]:
         """Biases (2,) in mg that the dwell gives with the fit's gains and angles, and their u."""
-        return self._propagated(
-            lambda values, mean: mean[:2] - self._ideal_mg(values, angle_rad), self._fixture_u(angle_rad)
+
+        def left(values: Floats, mean: Floats) -> Floats:
+            return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad))
+
+        return self._propagated(left, self._fixture_u(angle_rad))
+
+    def _base(self, values: Floats) -> Floats:
+        """Convert values of the known parameters to the parameters of the model, in natural units."""
+        held = dict(zip(self.known, values, strict=True))
+        return np.array(
+            [held[p.name] / p.per_natural if p.name in held else p.nominal for p in self.model.parameters]
         )
+
+    def _bias_mg(self, values: Floats) -> Floats:
+        """Biases (axes,) in mg with the present numbers in the offset registers."""
+        held = dict(zip(self.known, values, strict=True))
+        found = [held.get(name, 0.0) for name in BIASES[: self.model.axes]]
+        return np.asarray(np.array(found) + self.moved_mg)
 
     def _ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
         """Readings (2,) in mg by gravity alone, without bias, at a declared angle."""
-        base, _ = self.calibration.natural(values)
-        ideal = self.calibration.measurement.ideal(base, np.zeros(1), np.array([-angle_rad]))
-        return np.asarray(ideal[0])
+        ideal: Floats = self.model.ideal(self._base(values), np.zeros(1), np.array([-angle_rad]))[0]
+        return ideal
 
     def _fixture_u(self, angle_rad: float) -> Floats:
         """Contribution of the declared angle to the standard uncertainty of the readings (2,) in mg."""
         more = SET_ANEW_U_DEG if self.session.fixture_sigma_deg is None else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
-        base, _ = self.calibration.natural(self.calibration.values)
-        tangent = self.calibration.measurement.tangent(base, np.zeros(1), np.array([-angle_rad]))
+        tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))
         return np.asarray(sigma * np.abs(tangent[0, :, 0]))
 
     def _propagated(
         self, function: Callable[[Floats, Floats], Floats], more_u: Floats
     ) -> tuple[Floats, Floats]:
-        """Value (k,) of a function of parameters and mean reading, and its standard uncertainty."""
-        made, mean = self.calibration, self.rest.mean_mg
-        value, variance = made.with_variance(lambda values: function(values, mean))
-        by_reading = _slopes(lambda m: function(made.values, m), mean[: made.axes])
+        """Value (k,) of a function of fitted parameters and mean reading, and its standard uncertainty."""
+        mean = self.rest.mean_mg
+        by_parameter = _slopes(lambda v: function(v, mean), self.values)
+        by_reading = _slopes(lambda m: function(self.values, m), mean[: self.model.axes])
         # Variances from the parameters, from the reading, and from the declared angle.
-        return value, np.sqrt(variance + (by_reading**2) @ self.u_mg**2 + more_u**2)
+        variance = np.einsum("kp,pq,kq->k", by_parameter, self.covariance, by_parameter)
+        variance = variance + (by_reading**2) @ self.u_mg**2 + more_u**2
+        return function(self.values, mean), np.sqrt(variance)
 
 
 def _slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:
