@@ -520,5 +520,5 @@ def test_a_report_without_matplotlib_names_the_extra_before_any_work(
     page = tmp_path / "page.html"
     status, message = failed(capsys, "report", str(recorded), "-o", str(page))
     assert status == 1
-    assert message.endswith("pip install 'adis-gonio[report]'")
+    assert message.endswith("pip install '.[report]' in the folder of adis-gonio")
     assert not page.exists()

@@ -368,4 +368,4 @@ def test_a_small_terminal_gets_prompts_and_is_told(terminal, capsys):
 def test_without_the_extra_there_are_prompts_and_the_name_of_it(terminal, capsys):
     terminal.setattr(choosing.importlib.util, "find_spec", lambda name: None)
     assert chosen() == "prompts"
-    assert "pip install 'adis-gonio[bench]'" in capsys.readouterr().err
+    assert "pip install '.[bench]'" in capsys.readouterr().err

@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from adis_gonio.base.errors import NotInstalledError
+from adis_gonio.base.errors import NotInstalledError, install_extra
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import format_uncertain
 
@@ -105,7 +105,7 @@ def frame(columns: Mapping[str, Any] | Sequence[Row]) -> pd.DataFrame:
     try:
         import pandas
     except ImportError:
-        raise NotInstalledError("data frames need pandas: pip install 'adis-gonio[pandas]'") from None
+        raise NotInstalledError(f"data frames need pandas: {install_extra('pandas')}") from None
     return pandas.DataFrame(columns)
 
 

@@ -20,6 +20,7 @@ import click
 from rich.padding import Padding
 from rich.text import Text
 
+from adis_gonio.base.errors import install_extra
 from adis_gonio.base.numbers import counted, format_uncertain
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import drawing, to_do, turn_to_do
@@ -503,7 +504,7 @@ def choose_face(runner: SessionRunner, prompts: Face, *, plain: bool, resume_by:
     size = shutil.get_terminal_size()
     missing = ""
     if importlib.util.find_spec("textual") is None:
-        missing = "the bench screen needs pip install 'adis-gonio[bench]'"
+        missing = f"the bench screen needs {install_extra('bench')}"
     elif size.columns < LEAST_SIZE[0] or size.lines < LEAST_SIZE[1]:
         least = f"{LEAST_SIZE[0]} × {LEAST_SIZE[1]} characters"
         missing = f"the bench screen needs {least}, this terminal has {size.columns} × {size.lines}"
