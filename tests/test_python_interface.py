@@ -84,7 +84,7 @@ def test_data_frames_hold_the_same_numbers(session, result):
 def test_without_pandas_the_extra_is_named(session, result, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     for call in (result.to_pandas, session.to_pandas, result.calibration().to_pandas):
-        with pytest.raises(NotInstalledError, match=r"pip install '\[pandas\]'"):
+        with pytest.raises(NotInstalledError, match=r"pip install '\.\[pandas\]'"):
             call()
 
 

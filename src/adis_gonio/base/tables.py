@@ -42,8 +42,8 @@ def fold_text(text: str, width: int, indent: int = 0) -> list[str]:
 
 
 def lines_of(entries: Entries) -> list[str]:
-    """Format the parameters of a JSON document as indented lines: name, value, u and unit."""
-    return [f"  {name}: {format_uncertain(one['value'], one['u'], one['unit'])}" for name, one in entries]
+    """Format the parameters of a JSON document as indented lines: name, value ± U and unit."""
+    return [f"  {name}: {format_uncertain(one['value'], one['U'], one['unit'])}" for name, one in entries]
 
 
 def html_table(title: str, entries: Entries) -> str:

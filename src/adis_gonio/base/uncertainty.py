@@ -126,8 +126,8 @@ class Value:
     """Coverage factor, if the distribution is not Student's with `dof`."""
 
     def __str__(self) -> str:
-        """Format the value with its standard uncertainty and unit, such as `1.08 ± 0.13 mg`."""
-        return format_uncertain(self.value, self.u, self.unit)
+        """Format the value with its expanded uncertainty U and unit, such as `1.08 ± 0.26 mg`."""
+        return format_uncertain(self.value, self.U, self.unit)
 
     @property
     def k(self) -> float | None:

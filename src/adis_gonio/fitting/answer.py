@@ -290,7 +290,7 @@ def format_dof(dof: float) -> str:
 
 
 def method_tables(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str], Rows]]:
-    """Yield tables that compare the parameters of all methods, as value ± u.
+    """Yield tables that compare the parameters of all methods, as value ± U.
 
     Each table has as many methods as columns as `width` allows.
     """
@@ -302,11 +302,11 @@ def method_tables(results: Sequence[FitResult], width: int) -> Iterator[tuple[li
         rows = [[name, units[name], *(_cell(result, name) for result in part)] for name in names]
         rows.append(["residual, rms", "mg", *(f"{r.residual_rms_mg:.3f}" for r in part)])
         rows.append(["χ² / dof", "", *(f"{r.chi2:.1f} / {r.dof}" if r.dof else "none left" for r in part)])
-        yield ["", "unit", *(f"{result.method}, ± u" for result in part)], rows
+        yield ["", "unit", *(f"{result.method}, ± U" for result in part)], rows
 
 
 def _cell(result: FitResult, name: str) -> str:
-    return format_uncertain(result[name].value, result[name].u) if name in result else ""
+    return format_uncertain(result[name].value, result[name].U) if name in result else ""
 
 
 def format_share(fraction: float) -> str:

@@ -26,7 +26,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, signed
 from adis_gonio.base.uncertainty import coverage_factor
 from adis_gonio.fleet.control_charts import LEAST, YEAR_DAYS
 from adis_gonio.fleet.sensor_history import History, date_of
@@ -291,7 +291,7 @@ def _control_chart(history: History, limits: Rules) -> Rule:
     # The error grows with time, so that there is one crossing.
     days = float(brentq(lambda t: reached(t) - limits.limit_deg, 0.0, LONGEST_DAYS))
     drifts_text = ", ".join(
-        f"{name} {drift.slope.value:+.2g} ± {drift.slope.U:.2g} {drift.slope.unit}"
+        f"{name} {signed(drift.slope.value, digits=2)} ± {drift.slope.U:.2g} {drift.slope.unit}"
         for name, drift in drifts.items()
     )
     by = f"{days:.0f} d after the last calibration, by {drifts_text}"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import signed
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, json_text, print_json, table_of
 
@@ -268,14 +269,14 @@ def _print_plan(plan: WritePlan) -> None:
     for axis in plan.axes:
         unit, places = UNITS[axis.unit], 2 if axis.unit == "mg" else 3
         moved, bias, after = (
-            f"{value:+.{places}f} {unit}" for value in (axis.effect, axis.bias_now, axis.bias_after)
+            f"{signed(value, places)} {unit}" for value in (axis.effect, axis.bias_now, axis.bias_after)
         )
         u = f"{axis.u:.2g} {unit}"
         rows.append((axis.register, str(axis.now), str(axis.new), moved, bias, u, after))
     console().print(table_of(head, rows))
     for axis in plan.axes:
         if axis.clipped:
-            _tell(f"{axis.register} is at its limit: {axis.bias_after:+.1f} mg of the bias remain")
+            _tell(f"{axis.register} is at its limit: {signed(axis.bias_after, 1)} mg of the bias remain")
         if axis.now != axis.recorded:
             _tell(f"{axis.register} was {axis.recorded} when the session was recorded")
     for doubt in plan.doubts:

@@ -140,7 +140,7 @@ def calibrate_command(
     from adis_gonio.bench.advisor import MOST_EXTRA, TraceAdvisor
     from adis_gonio.record.loading import load_session
     from adis_gonio.record.plans import GYRO_TURNS
-    from adis_gonio.record.source import open_source, refuse_chip_options
+    from adis_gonio.record.source import refuse_chip_options
 
     if output.exists() and not resume:
         raise exists_error(output, "--resume goes on with it, or choose another name")
@@ -156,14 +156,7 @@ def calibrate_command(
         click.echo(f"{output}: complete, nothing is left to do", err=True)
         complete = True
     else:
-        from adis_gonio.faces.cli.line_prompts import PlainBench, choose_face
-
-        with open_source(url, variant=options["variant"], check=not options["no_check"]) as sensor:
-            runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
-            prompts = PlainBench(runner, auto=options["auto"])
-            resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
-            plain = plain or options["auto"] or not runner.on_screen
-            complete = choose_face(runner, prompts, plain=plain, resume_by=resume_by).run()
+        complete = _run(url, output, plain=plain, resume=resume, advisor=advisor, **options)
     session = load_session(output)
     if session.facts["plan"]["name"] == GYRO_TURNS:
         from adis_gonio.faces.cli.fit_commands import show_gyro_fit
@@ -174,6 +167,32 @@ def calibrate_command(
     if not as_json:
         click.echo(f"session: {session.source}")
     return _status(session, complete=complete)
+
+
+def _run(
+    url: str, output: Path, *, plain: bool, resume: bool, advisor: TraceAdvisor | None, **options: Any
+) -> bool:
+    """Run the session on the screen or by plain prompts; return True if it is complete."""
+    from adis_gonio.faces.cli.line_prompts import PlainBench, choose_face
+    from adis_gonio.faces.free_hands import free_hands
+    from adis_gonio.record.source import open_source
+
+    resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
+    with (
+        free_hands(url) as (port, hands),
+        open_source(port, variant=options["variant"], check=not options["no_check"]) as sensor,
+    ):
+        runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
+        prompts = PlainBench(runner, auto=options["auto"], hands=hands)
+        plain = plain or options["auto"] or not runner.on_screen
+        face = choose_face(runner, prompts, plain=plain, resume_by=resume_by, hands=hands)
+        complete = False
+        try:
+            complete = face.run()
+        finally:  # also if the device is lost
+            if not complete:
+                click.echo(f"what was recorded is kept; go on with {resume_by}", err=True)
+        return complete
 
 
 def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> None:

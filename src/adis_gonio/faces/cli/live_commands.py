@@ -18,7 +18,8 @@ import click
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, format_fixed, signed
+from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.device.sensor import DEFAULT_SCAN, open_sensor
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.faces.cli import options as option
@@ -322,7 +323,7 @@ class Columns:
         values = np.concatenate([block.values() for block in blocks])
         time_s = float(blocks[-1].time_s[-1]) - since_s
         cells = [
-            f"{mean:.2f} ± {sd:.2f}" if self.spread else f"{mean:.2f}"
+            f"{format_fixed(mean, 2)} ({sd:.2f})" if self.spread else format_fixed(mean, 2)
             for mean, sd in zip(values.mean(axis=0), values.std(axis=0), strict=True)
         ]
         return f"{time_s:{self.time_cell}.2f}" + "".join(
@@ -446,13 +447,13 @@ def format_angle(reading: LiveAngle, width: int | None = None) -> str:
     main, u_deg = by_gravity, reading.u_deg
     if smoothed is not None:
         main, u_deg = smoothed.smoothed_deg, smoothed.smoothed_u_deg
-    u = "" if u_deg is None else f" ± {u_deg:.3f}"
-    parts = [f"{main:+9.3f}{u}°"]
+    u = "" if u_deg is None else f" ± {NORMAL_95 * u_deg:.3f}"
+    parts = [f"{signed(main, 3):>9}{u}°"]
     if smoothed is not None:
         parts += [", ".join(NOTES[note] for note in smoothed.notes)] if smoothed.notes else []
-        parts.append(f"gravity {by_gravity:+9.3f}°")
+        parts.append(f"gravity {signed(by_gravity, 3):>9}°")
     if reading.corrected_deg is not None:
-        parts.append(f"raw {reading.angle_deg:+9.3f}°")
+        parts.append(f"raw {signed(reading.angle_deg, 3):>9}°")
     spread = "" if reading.spread_mg is None else f" ({reading.spread_mg:.1f} mg)"
     state = {True: "still ", False: "moving", None: "…     "}[reading.still]
     parts.append(f"{state}{spread}")
