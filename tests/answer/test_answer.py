@@ -179,7 +179,7 @@ def test_the_page_leads_with_the_answer_and_has_its_numbers(bent):
     session, fitted, result = bent
     page = html.unescape(build_page(session, [fitted], result))
     headings = re.findall(r"<h2[^>]*>([^<]+)</h2>", page)
-    assert headings[0] == "Answer"
+    assert headings[:2] == ["Certificate", "Answer"]
     assert {"Uncertainty budget", "Methods on the same readings"} <= set(headings)
     answer = answer_with_trace(fitted, result, own=False)
     for line in answer.lines:

@@ -77,7 +77,7 @@ def test_simulate_and_template_take_the_file_too(made, tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ([], "give one of --positions, --angle-error and --minutes"),
+        ([], "give one of --positions, --tolerance and --minutes"),
         (["--positions", "8", "--minutes", "3"], "give one of"),
         (["--plan", "tumble", "--minutes", "3", "--beware", "cubic"], "leave --minutes, --beware out"),
         (["--plan", "tumbel"], "did you mean 'tumble'"),
@@ -87,7 +87,8 @@ def test_simulate_and_template_take_the_file_too(made, tmp_path):
         (["--positions", "8", "--check", "1"], "--check goes with --plan"),
         (["--positions", "8", "--sensor", "adis9"], "adis9"),
         (["--positions", "8", "--fixture", "free"], "fixture is inf"),
-        (["--angle-error", "nan"], "angle-error is nan"),
+        (["--tolerance", "nan"], "tolerance is nan"),
+        (["--positions", "8", "--risk", "2%"], "--risk goes with --tolerance"),
         (["--positions", "4", "--noise", "1e300"], "noise_mg is 1e+300: take 0 to 10000 mg"),
         (["--positions", "4", "--start", "nan"], "start is nan°"),
         (["--positions", "4", "--start", "1e300"], "start is 1e+300°"),

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from made_up import made_up
 
+from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import UsageError
-from adis_gonio.fleet.calibration_due import Rules, due_of, slopes_deg, worst_deg
+from adis_gonio.fleet.calibration_due import Rules, curve_of, due_of, slopes_deg
 from adis_gonio.fleet.sensor_history import history_of
 
-LIMIT = Rules(limit_deg=0.1, assumed=False, first_days=365.0)
+LIMIT = Rules(Tolerance(0.1), assumed=False, first_days=365.0)
 
 
 def of(*sessions):
@@ -16,29 +17,40 @@ def of(*sessions):
 
 
 def test_error_of_an_old_calibration_is_that_of_readings_computed_directly():
-    psi = np.radians(np.arange(360.0))
+    psi = np.radians(np.arange(0.0, 360.0, 5.0))
     later = {"delta_k": 3e-4, "delta_phi": 0.02, "bias_x": 0.5, "bias_y": -0.8}
     x = (1 + later["delta_k"]) * np.cos(psi) + later["bias_x"] / 1000
     y = np.sin(psi + np.radians(later["delta_phi"])) + later["bias_y"] / 1000
     error = np.degrees(np.angle(np.exp(1j * (np.arctan2(y, x) - psi))))
     first_order = slopes_deg() @ np.array(list(later.values()))
     assert first_order == pytest.approx(error, abs=2e-4)
-    assert worst_deg(later, {}, 0.0, 9.80665)[0] == pytest.approx(np.abs(error).max(), abs=2e-4)
+    assert curve_of(later, {}, 9.80665).error_deg == pytest.approx(error, abs=2e-4)
 
 
 def test_u_of_the_parameters_widens_the_worst_case():
-    assert worst_deg({}, {"delta_phi": 0.01}, 2.0, 9.80665) == pytest.approx((0.0, 0.02))
+    # δΔφ alone: the error is cos²ψ δΔφ, largest at 0°, and normal there.
+    assert curve_of({}, {"delta_phi": 0.01}, 9.80665).bound_deg(0.05) == pytest.approx(0.0195996, rel=1e-5)
+
+
+def test_an_undecided_error_keeps_the_interval():
+    found = due_of(of(made_up("2015-01-01", u=0.02), made_up("2016-01-01", u=0.02, delta_phi=0.09)), LIMIT)
+    assert [(s.verdict, s.response, s.interval_days) for s in found.stairs] == [
+        ("undecided", "kept", 365.0)
+    ]
+    simple = Rules(Tolerance(0.1, "simple"), assumed=False, first_days=365.0)
+    found = due_of(of(made_up("2015-01-01", u=1e-6), made_up("2016-01-01", u=1e-6, delta_phi=0.09)), simple)
+    assert [(s.verdict, s.response) for s in found.stairs] == [("pass", "kept")]
 
 
 def test_a_staircase_by_hand():
     # Largest error of an angle = change of Δφ. 365 d to begin with; limit 0.1°, 80 % of it 0.08°.
     found = due_of(
         of(
-            made_up("2015-01-01"),
-            made_up("2016-01-01", delta_phi=0.05),  # 365 d, 0.05°: ×1.5 = 547.5 d
-            made_up("2017-07-01", delta_phi=0.14),  # 547 d, 0.09°: kept
-            made_up("2017-09-01", delta_phi=0.15),  # 62 d, 0.01°: too early to speak for more
-            made_up("2019-03-01", delta_phi=0.30),  # 546 d, 0.15°: half of 546 d
+            made_up("2015-01-01", u=1e-6),
+            made_up("2016-01-01", u=1e-6, delta_phi=0.05),  # 365 d, 0.05°: ×1.5 = 547.5 d
+            made_up("2017-07-01", u=1e-6, delta_phi=0.14),  # 547 d, 0.09°: kept
+            made_up("2017-09-01", u=1e-6, delta_phi=0.15),  # 62 d, 0.01°: too early to speak for more
+            made_up("2019-03-01", u=1e-6, delta_phi=0.30),  # 546 d, 0.15°: half of 546 d
         ),
         LIMIT,
     )
@@ -52,7 +64,7 @@ def test_a_staircase_by_hand():
     assert [s.error_deg for s in found.stairs] == pytest.approx([0.05, 0.09, 0.01, 0.15])
     staircase = found.rules[0]
     assert staircase.date == "2019-11-29"  # 273 days after 2019-03-01
-    assert "outside the limit of 0.1°" in staircase.why
+    assert "fails the tolerance of 0.1°" in staircase.why
 
 
 def test_a_control_chart_by_hand():
@@ -110,7 +122,7 @@ def test_no_session_at_all_has_no_date():
     assert "no session" in found.rules[0].why
 
 
-@pytest.mark.parametrize("bad", [{"limit_deg": 0}, {"longer": 0.9}, {"shorter": 0}, {"first_days": -1}])
+@pytest.mark.parametrize("bad", [{"longer": 0.9}, {"shorter": 0}, {"first_days": -1}])
 def test_rules_that_make_no_sense_are_refused(bad):
     with pytest.raises(UsageError, match="above 0"):
         Rules(**bad)

@@ -188,13 +188,14 @@ def test_history_writes_a_page_with_figures_that_is_the_same_twice(sessions, tmp
 
 def test_due_names_rule_reason_and_assumption_and_that_the_limit_is_assumed(sessions, capsys):
     _, told = document(capsys, "due", "A7", sessions)
-    assert told["limit_assumed"] is True
+    assert told["tolerance_assumed"] is True
+    assert (told["tolerance_deg"], told["rule"], told["risk"]) == (0.1, "guarded", 0.025)
     assert {rule["method"] for rule in told["rules"]} == {"staircase", "control chart"}
     assert all(rule["why"] and rule["assumes"] for rule in told["rules"])
     moved = next(stair for stair in told["stairs"] if stair["when"].startswith(str(MOVED)))
     assert moved["response"] == "shorter"
     assert moved["error_deg"] == pytest.approx(0.5, abs=0.1)
-    assert main(["due", "A7", str(sessions), "--limit", "2"]) == 0
+    assert main(["due", "A7", str(sessions), "--tolerance", "2deg"]) == 0
     assert "assumed" not in capsys.readouterr().out
 
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 import plan_statistics as statistics
+from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.plan import Bench, best_plan, predict
-from adis_gonio.plan.prediction import expected_readings
+from adis_gonio.plan.prediction import expected_readings, predict_uncertainty
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.tracing.trace import trace_readings
@@ -116,3 +117,13 @@ def test_a_pair_that_nothing_tells_apart_is_named_and_order_tells_it():
     assert frozenset(("quadratic", "cross_quadratic")) in alike(plan("mmpm"))
     assert frozenset(("bias_drift", "scale_drift")) in alike(plan("mmpm"))
     assert frozenset(("bias_drift", "scale_drift")) not in alike(plan("tumble", 6))
+
+
+@pytest.mark.parametrize("tolerance_deg", [0.03, 0.04, 0.05])
+def test_the_angle_is_off_as_often_as_the_predicted_risk_of_a_false_accept(tolerance_deg):
+    bench = Bench(0.03)
+    case = statistics.Case("tumble 8", plan("tumble", 4), bench)
+    risk = predict_uncertainty(case.plan, bench).conformity(Tolerance(tolerance_deg)).false_accept
+    largest = np.abs(statistics.errors(case, 200, seed=12)[:, 7:]).max(axis=1)
+    scatter = math.sqrt(risk * (1 - risk) / len(largest))
+    assert (largest > tolerance_deg).mean() == pytest.approx(risk, abs=3 * scatter + 0.01)

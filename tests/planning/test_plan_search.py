@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import UsageError
 from adis_gonio.plan import Bench, best_plan, fewest_positions, positions_in
 from adis_gonio.plan.optimal_plan import even_plan, interleaved_plan
@@ -140,11 +141,13 @@ def test_order_is_what_separates_drift_from_the_angle_and_both_sides_show_backla
 
 def test_fewest_is_the_fewest_and_time_is_what_a_session_expects():
     bench = Bench(0.05)
-    found = fewest_positions(bench, 0.022, grid_deg=15.0)
+    tolerance = Tolerance(0.05, risk=0.02)
+    found = fewest_positions(bench, tolerance, grid_deg=15.0)
     count = len(found.plan)
-    assert found.prediction.reach.angle.u <= 0.022
+    assert found.prediction.reach.conformity(tolerance).verdict == "pass"
     assert count > 4
-    assert best_plan(bench, count - 1, grid_deg=15.0).prediction.reach.angle.u > 0.022
+    fewer = best_plan(bench, count - 1, grid_deg=15.0).prediction.reach
+    assert fewer.conformity(tolerance).verdict == "undecided"
     assert positions_in(bench, 4.0) == math.floor(240 / 20.5)
     assert found.prediction.seconds == pytest.approx(20.5 * count)
 
@@ -195,6 +198,6 @@ def test_a_bench_that_there_is_not_is_refused():
     for minutes in (0.1, 1000.0, math.nan):
         with pytest.raises(UsageError, match="minutes"):
             positions_in(QUIET, minutes)
-    with pytest.raises(UsageError, match="single reading"):
-        fewest_positions(QUIET, 1e-5)
+    with pytest.raises(UsageError, match="100 positions do not decide"):
+        fewest_positions(QUIET, Tolerance(1e-5))
     assert len(expected_readings(even_plan(5), QUIET)) == 5

@@ -21,7 +21,7 @@ from report.rests import rests_csv
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 
-WIDTHS = (360, 800, 1000, 1400)
+WIDTHS = (360, 390, 800, 1000, 1400)
 KINDS = (
     "planar",
     "spatial",

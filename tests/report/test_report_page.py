@@ -1,5 +1,6 @@
 """The page: complete, self-contained, safe, and true to the results."""
 
+import html
 import html.parser
 import re
 from dataclasses import replace
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit, trace
+from adis_gonio.base.conformity import Tolerance, state_conformity
 from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, with_unit
 from adis_gonio.handover.calibration_report import build_page, views
 from adis_gonio.model.effects import Conditions, effect
@@ -315,3 +317,67 @@ def test_units_and_probabilities_read_well():
     ]  # fmt: skip
     assert format_p(0.0).replace("\u00a0", " ") == "p < 10⁻¹²"
     assert format_p(0.0113).replace("\u00a0", " ") == "p = 0.011"
+
+
+def certificate_of(page):
+    """Texts of the first section, which is printed on a page of its own."""
+    first = page[page.index('<section class="sheet">') : page.index("</section>")]
+    assert page.index("<main>") + 7 >= page.index('<section class="sheet">')
+    rows = re.findall(r"<div><dt>([^<]*)</dt><dd>([^<]*)</dd></div>", first)
+    return first, {name: html.unescape(text) for name, text in rows}
+
+
+def test_page_one_is_a_certificate_that_a_laboratory_can_sign(curved):
+    session, result, drawn = curved
+    session = replace(
+        session,
+        **{"serial": "A7", "stage": "table 2", "operator": "M. Muster", "laboratory": "Lab <1>"},
+        facts={"started_utc": "2026-03-01T10:00:00Z"},
+    )
+    fits = [fit(session, "ml")]
+    page = build_page(session, fits, result, drawn, tolerance=Tolerance(0.05))
+    first, facts = certificate_of(page)
+    stated = {
+        "sensor": "generic", "serial": "A7", "stage": "table 2", "operator": "M. Muster",
+        "laboratory": "Lab <1>", "customer": "not stated", "date (UTC)": "2026-03-01 10:00",
+        "positions": str(len(session.dwells)), "local gravity": "9.80665 m/s²",
+        "u of a stage angle": "0.003°",
+        "temperature": "not recorded", "supply": "not recorded",
+    }  # fmt: skip
+    assert {name: facts[name] for name in stated} == stated
+    assert {"date", "name, signature"} <= set(facts)
+    assert first.count("<svg") == 2
+    answer = answer_with_trace(fits[0], result, own=False)
+    statement = state_conformity(Tolerance(0.05), answer.error_curves())
+    assert [line for line in statement.lines if html.escape(line[1:]) not in first] == []
+    assert statement.with_calibration.verdict == "pass"
+    assert statement.without_calibration.verdict == "fail"
+    assert "@bottom-right" in page
+    assert "break-after: page" in page
+
+
+def test_without_a_tolerance_or_an_uncertainty_the_certificate_states_no_conformity(curved):
+    session, result, drawn = curved
+    first, _ = certificate_of(build_page(session, [fit(session, "ml")], result, drawn))
+    assert "Conformity is not stated: no tolerance was given." in first
+    pair = (Dwell(0, np.zeros(1), np.array([[999.0, 3.0]]), 0.0),)
+    pair += (Dwell(1, np.full(1, 60.0), np.array([[4.0, -1001.0]]), 90.0),)
+    vague = Session(pair, accel_unit="mg", sensor="generic")
+    first, _ = certificate_of(build_page(vague, [fit(vague, "two-position")], "not traced"))
+    assert "Conformity is not stated: " in first
+    assert "<svg" not in first
+
+
+def test_the_curves_are_the_errors_of_the_sensor_that_was_measured(curved):
+    """K_x 1.002, Δφ 0.2°, biases 8 and −5 mg, 3 mg of quadratic: the error of X and Y read as they are."""
+    session, result, _ = curved
+    before, after = answer_with_trace(fit(session, "ml"), result, own=False).error_curves()
+    theta = np.radians(before.angle_deg)
+    psi = np.radians(12.0) - theta
+    x = 1002 * np.cos(psi) + 8 + 3 * np.cos(psi) ** 2
+    y = 1000 * np.sin(psi + np.radians(0.2)) - 5
+    wrong = np.degrees(np.angle(np.exp(1j * (psi - np.arctan2(y, x)))))
+    assert before.error_deg == pytest.approx(wrong, abs=5 * before.U_deg.max())
+    assert before.U_deg == pytest.approx(after.U_deg)
+    assert np.abs(wrong).max() > 20 * before.U_deg.max()
+    assert not after.error_deg.any()

@@ -275,10 +275,8 @@ class SessionRunner(Operator):
         fixture_sigma_deg: float | None = None,
         title: str = "",
         note: str = "",
-        operator: str = "",
-        serial: str = "",
-        stage: str = "",
         advisor: Advisor | None = None,
+        **metadata: str,
     ) -> SessionRunner:
         """Begin a new session in a new file.
 
@@ -296,10 +294,12 @@ class SessionRunner(Operator):
             Local gravity in m/s².
         fixture_sigma_deg : float or None
             Standard uncertainty of a declared angle in degrees; None if it is not stated.
-        title, note, operator, serial, stage : str
-            Notes to keep: the operator's name, the serial number of the sensor, the stage.
+        title, note : str
+            Notes to keep.
         advisor : Advisor or None
             Source of further positions when the plan is done.
+        metadata : str
+            Further notes by the names in `adis_gonio.model.records.METADATA`, such as the operator's name.
 
         Raises
         ------
@@ -326,10 +326,8 @@ class SessionRunner(Operator):
             fixture_sigma_deg=fixture_sigma_deg if plan.name == GYRO_TURNS else stated,
             title=title,
             note=note,
-            operator=operator.strip(),
-            serial=serial.strip(),
-            stage=stage.strip(),
             simulated=bench.simulated,
+            **{name: text.strip() for name, text in metadata.items()},
         )
         archive = Archive.create(path, header)
         return cls(bench, archive, auto=auto, extend=extend, resumed=False, advisor=advisor)
