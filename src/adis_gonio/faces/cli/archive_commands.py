@@ -18,6 +18,7 @@ from adis_gonio.faces.cli.show import (
     print_json,
     print_table,
     report_progress,
+    report_written,
     write_page,
 )
 
@@ -253,9 +254,9 @@ def due_command(
 @click.option(
     "--scheduler", metavar="ADDRESS", help="Use a dask cluster, such as tcp://10.0.0.1:8786 (extra: fleet)."
 )
-@option.file(
-    "--output", "-o", "outputs", multiple=True,
-    help="Summary to write: .html for a page, .json, .parquet with a row per session; may be repeated.",
+@option.output(
+    "Summary to write: .html for a page, .json, .parquet with a row per session; may be repeated.",
+    name="outputs", paths=lambda outputs: outputs, multiple=True,
 )  # fmt: skip
 @option.file(
     "--journal", help="File that keeps the results during the work (default: next to the first -o)."
@@ -308,7 +309,7 @@ def fleet_command(
     else:
         _show_fleet(outcome)
     for path in outputs:
-        click.echo(f"{path}: {counted(len(outcome.rows), 'session')}", err=True)
+        report_written(path, counted(len(outcome.rows), "session"))
     if fleet.failed:
         click.echo(f"{counted(fleet.failed, 'session')} of {len(outcome.rows)} failed", err=True)
     return 1 if fleet.failed else 0

@@ -11,16 +11,23 @@ import click
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import signed
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import console, json_text, print_json, table_of
+from adis_gonio.faces.cli.show import console, json_text, print_json, report_written, table_of
 
 if TYPE_CHECKING:
     from adis_gonio.bench.bringup import Bringup, Row
     from adis_gonio.bench.writeback import OffsetWriter, WritePlan
 
 
+def _report_files(output: Path) -> tuple[Path, Path]:
+    """Paths of the HTML page and the JSON document, which have one stem."""
+    if output.suffix.lower() not in ("", ".html", ".json"):
+        raise UsageError(f"{output}: bringup writes a page and a JSON: name it {output.stem}.html")
+    return output.with_suffix(".html"), output.with_suffix(".json")
+
+
 @option.command("bringup", "--output --allow-writes --yes")
 @option.url
-@option.output("Write FILE.html and FILE.json.", metavar="FILE")
+@option.output("Write FILE.html and FILE.json.", paths=_report_files)
 @option.flag("--allow-writes", "--writes", help="Also run the steps that write registers.")
 @option.flag("--flash", help="With --allow-writes: also write the flash once.")
 @option.flag("--yes", help="Answer yes to the question of each step that writes.")
@@ -54,7 +61,7 @@ def bringup_command(
         raise UsageError(
             "--allow-writes asks before each step, and standard input is no terminal: add --yes"
         )
-    files = _check_report_files(output)
+    files = () if output is None else _report_files(output)
     from adis_gonio.bench.bringup import Permission, bring_up
     from adis_gonio.device.bus import open_bus
     from adis_gonio.device.sensor.variants import variant as find_variant
@@ -83,21 +90,6 @@ def bringup_command(
     return 0 if found.sound else 1
 
 
-def _check_report_files(output: Path | None) -> tuple[Path, ...]:
-    """Paths of the HTML page and the JSON document, which have one stem; empty without an output.
-
-    An error is raised if they cannot be written.
-    """
-    if output is None:
-        return ()
-    if output.suffix.lower() not in ("", ".html", ".json"):
-        raise UsageError(f"{output}: bringup writes a page and a JSON: name it {output.stem}.html")
-    from adis_gonio.base.output import check_output
-
-    page, document = output.with_suffix(".html"), output.with_suffix(".json")
-    return check_output(page, force=True), check_output(document, force=True)
-
-
 def _write_report(found: Bringup, page: Path, document: Path) -> None:
     from adis_gonio.base.output import replacing, write_utf8
     from adis_gonio.bench.bringup.bringup_page import build_page
@@ -105,7 +97,7 @@ def _write_report(found: Bringup, page: Path, document: Path) -> None:
     for path, text in ((document, json_text(found.as_dict()) + "\n"), (page, build_page(found))):
         with replacing(path) as temporary:
             write_utf8(temporary, text)
-    click.echo(f"written: {page}, {document}", err=True)
+        report_written(path)
 
 
 @option.command("write", "--dry-run --save --undo")

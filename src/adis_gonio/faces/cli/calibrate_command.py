@@ -10,7 +10,7 @@ import click
 
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.output import exists_error
+from adis_gonio.base.output import exists_error, set_aside
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import print_json, report_progress
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
@@ -45,7 +45,8 @@ _TURNED = {
     },
 )
 @option.url
-@option.output("Session file to write.", required=True)
+@option.file("--output", "-o", help="Session file to write.", required=True)
+@option.flag("--force", help="Begin a new session; an existing one gets another name.")
 @click.option(
     "--plan", "plan_name",
     help="two-position (default), four-position, mmpm, tumble, poses, free-turn, gyro-turns, or a file.",
@@ -107,6 +108,7 @@ def calibrate_command(
     *,
     url: str,
     output: Path,
+    force: bool,
     resume: bool,
     as_json: bool,
     closing: bool,
@@ -144,8 +146,11 @@ def calibrate_command(
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.source import refuse_chip_options
 
+    option.check_session_name(output)
     if output.exists() and not resume:
-        raise exists_error(output, "--resume goes on with it, or choose another name")
+        if not force:
+            raise exists_error(output, "--resume goes on with it, --force keeps it under another name")
+        click.echo(f"{output}: renamed to {set_aside(output)}", err=True)
     if resume and not output.exists():
         raise SessionError(f"{output}: no such session to resume")
     if max_extra is not None and not closing:

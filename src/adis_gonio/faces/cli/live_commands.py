@@ -58,7 +58,7 @@ NOTES = {
 @option.with_default(
     "--every", "every_s", type=float, default=0.2, metavar="SECONDS", help="Screen: time per line."
 )
-@option.output("Record every scan to .csv[.gz].")
+@option.output("Record every scan to .csv[.gz].", at_once=True)
 @click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Samples per second, 0.413 to 819.2.")
 @click.option(
     "--filter", "filter_m", type=int, metavar="M", help="Filter: two passes of 2^M taps, M from 0 to 6."
@@ -241,7 +241,8 @@ class ShownStream:
 
     def print_totals(self) -> None:
         """Print the number of scans, the number of lost scans, and the recorded file."""
-        where = f", recorded in {self._recorder.path}" if self._recorder is not None else ""
+        recorder = self._recorder
+        where = "" if recorder is None else f", {counted(recorder.rows, 'row')} in {recorder.path}"
         more = f", {self._dropped} left out without new data (ND)" if self._dropped else ""
         more += f", {self._alarms} with an error or alarm in STATUS (EA)" if self._alarms else ""
         click.echo(f"{counted(self._scans, 'scan')}, {self._lost} lost{more}{where}", err=True)

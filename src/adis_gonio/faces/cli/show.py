@@ -103,26 +103,25 @@ def print_table(
 
 
 def check_page(output: Path | None) -> None:
-    """Raise an error if an HTML page is wanted and cannot be written.
+    """Raise an error if an HTML page is wanted and its figures cannot be drawn."""
+    if output is not None:
+        from adis_gonio.page.svg import require_matplotlib
 
-    An existing page is replaced only when the new one is written.
-    """
-    if output is None:
-        return
-    from adis_gonio.base.output import check_output
-    from adis_gonio.page.svg import require_matplotlib
-
-    check_output(output, force=True)
-    require_matplotlib()
+        require_matplotlib()
 
 
 def write_page(output: Path, text: str) -> None:
-    """Write an HTML page and report its size on standard error."""
+    """Write an HTML page and report it on standard error."""
     from adis_gonio.base.output import replacing, write_utf8
 
     with replacing(output) as temporary:
-        size = write_utf8(temporary, text)
-    click.echo(f"{output}: {size // 1024 + 1} kB", err=True)
+        write_utf8(temporary, text)
+    report_written(output)
+
+
+def report_written(path: Path | str, content: str = "") -> None:
+    """Report on standard error that a file was written, with its content or else its size."""
+    click.echo(f"written: {path}, {content or f'{Path(path).stat().st_size // 1024 + 1} kB'}", err=True)
 
 
 def json_text(document: Any, *, ascii_only: bool = False) -> str:
