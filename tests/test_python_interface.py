@@ -98,7 +98,7 @@ def test_a_trace_shows_itself_too():
     )
     result = TraceResult(True, (finding,), (), (), None, figures, figures, {}, ("go on",))
     assert repr(result) == "TraceResult(found quadratic; adequate)"
-    assert "k2_x: 6.00 ± 0.10 mg/g²" in result.summary().replace("\u00a0", " ")
+    assert "k2_x: 6.00 ± 0.20 mg/g²" in result.summary().replace("\u00a0", " ")
     ET.fromstring(result._repr_html_())
 
 

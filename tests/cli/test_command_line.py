@@ -197,7 +197,7 @@ def test_fit_all_shows_every_method_and_nothing_is_wider_than_80_columns(capsys,
     assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
     assert "…" not in out
     for method in ("paper", "two-position", "four-position", "ml"):
-        assert f"{method}, ± u" in out
+        assert f"{method}, ± U" in out
     for line in out.splitlines():
         if line.startswith("delta_phi"):
             assert "°" in line or "deg" in line

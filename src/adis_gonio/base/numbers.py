@@ -69,7 +69,7 @@ def signed(value: float | None, decimals: int | None = None, *, digits: int = 0)
     """
     if value is None or not math.isfinite(value):
         return DASH
-    text = format_number(value, digits) if digits else f"{value:g}"
+    text = f"{value:.{digits or 6}g}"
     text = text if decimals is None else format_fixed(value, decimals)
     return use_minus(text) if math.copysign(1.0, value) < 0 else f"+{text}"
 

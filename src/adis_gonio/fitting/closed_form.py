@@ -198,8 +198,8 @@ def fit_paper(readings: Readings) -> FitResult:
     off_k, off_phi = values[0] - exact_k, math.degrees(values[1] - phi)
     warnings.append(
         f"equation 5 is exact at α = 0° only: at {format_fixed(math.degrees(alpha), 2)}° this result is off"
-        f" by {_pair(off_k, off_phi)} from method two-position on the same readings, and its uncertainty"
-        " does not include this"
+        f" by {signed(off_k, digits=2)} in ΔK and {signed(off_phi, digits=2)}° in Δφ from method"
+        " two-position on the same readings, and its uncertainty does not include this"
     )
     return _finish(chosen, "paper", linear, noise, warnings, ("delta_k", "delta_phi", "alpha"))
 
@@ -400,8 +400,8 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
             else "measure 180° and 270° too and use method four-position"
         )
     return [
-        "a bias cannot be seen in two positions: 1 mg of it on X changes them by"
-        f" {_pair(k[0], phi[0])}, on Y by {_pair(k[1], phi[1])}, and {stated}; {remedy}"
+        "a bias cannot be seen in two positions: 1 mg of it on X moves"
+        f" {_pair(k[0], phi[0])}, on Y {_pair(k[1], phi[1])}, and {stated}; {remedy}"
     ]
 
 
@@ -431,13 +431,13 @@ def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
     x, y = bias * chosen.gravity_mg
     return (
         f"method four-position finds a bias of {signed(x, 1)} mg on X and {signed(y, 1)} mg on Y in this"
-        f" session, which changes them by {_pair(k, phi)} here: use method four-position or ml"
+        f" session, which moves {_pair(k, phi)} here: use method four-position or ml"
     )
 
 
 def _pair(delta_k: float, delta_phi_deg: float) -> str:
-    """Format changes of both results, such as `+0.00097 (ΔK) and −0.058° (Δφ)`."""
-    return f"{signed(delta_k, digits=2)} (ΔK) and {signed(delta_phi_deg, digits=2)}° (Δφ)"
+    """Format changes of both results, such as `Δφ by −0.058° and ΔK by +0.00097`."""
+    return f"Δφ by {signed(delta_phi_deg, digits=2)}° and ΔK by {signed(delta_k, digits=2)}"
 
 
 def _finish(

@@ -11,7 +11,7 @@ import click
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import signed
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import console, json_text, print_json, report_written, table_of
+from adis_gonio.faces.cli.show import console, json_text, print_json, report_written, say, table_of
 
 if TYPE_CHECKING:
     from adis_gonio.bench.bringup import Bringup, Row
@@ -73,7 +73,7 @@ def bringup_command(
             raise KeyboardInterrupt from None
 
     def tell(row: Row) -> None:
-        click.echo(f"{row.result.verdict:13} {row.name:15} {row.result.text}", err=as_json)
+        say(f"{row.result.verdict:13} {row.name:15} {row.result.text}", err=as_json)
 
     part = find_variant(variant)
     permission = Permission(allow_writes, flash, not leave_registers, ask)
@@ -84,7 +84,8 @@ def bringup_command(
     if as_json:
         print_json(found.as_dict())
     else:
-        click.echo(f"\n{found.headline} Writes: {found.undone}.")
+        click.echo()
+        say(f"{found.headline} Writes: {found.undone}.", err=False)
     if found.stopped:
         raise KeyboardInterrupt
     return 0 if found.sound else 1
@@ -172,12 +173,13 @@ def write_command(
     )
     variant = load(session).sensor
     with open_sensor(url, variant=variant, check=not no_check) as sensor:
-        writer = OffsetWriter(sensor, session, settings, tell=_tell)
+        writer = OffsetWriter(sensor, session, settings, tell=say)
         state = writer.standing()
         if status:
             document: dict[str, Any] = {"state": state.as_dict(), "plan": None, "done": False}
         else:
-            _tell(state.text)
+            if state.registers != "untouched":
+                say(state.text)
             document = (
                 _undo(writer, yes=yes)
                 if undo
@@ -186,7 +188,7 @@ def write_command(
     if as_json:
         print_json(document)
     else:
-        click.echo(document["state"]["text"])
+        say(document["state"]["text"], err=False)
     return 0 if document["state"]["registers"] in ("untouched", "old", "new") else 1
 
 
@@ -200,7 +202,7 @@ def _write(
     if dry_run:
         return document
     if null:
-        _tell(
+        say(
             "the chip takes the outputs of this pose for zero rates, including the part due to gravity; it"
             " saves them to flash, with all other registers that have a copy there (ENDURANCE goes up by"
             " one, or by two if the null has to be undone)"
@@ -209,7 +211,7 @@ def _write(
     else:
         answer = "write" if yes else _ask_to_write(writer, plan)
     if answer == "leave":
-        _tell("nothing was changed")
+        say("nothing was changed")
         return document
     if answer == "null":
         done = writer.autonull(precise=null == "precise")
@@ -220,7 +222,7 @@ def _write(
 
 def _undo(writer: OffsetWriter, *, yes: bool) -> dict[str, Any]:
     if not (yes or _confirm("Set the old offsets back?")):
-        _tell("nothing was changed")
+        say("nothing was changed")
         return {"plan": None, "state": writer.standing().as_dict(), "done": False}
     return {"plan": None, "done": True} | writer.undo().as_dict()
 
@@ -268,12 +270,8 @@ def _print_plan(plan: WritePlan) -> None:
     console().print(table_of(head, rows))
     for axis in plan.axes:
         if axis.clipped:
-            _tell(f"{axis.register} is at its limit: {signed(axis.bias_after, 1)} mg of the bias remain")
+            say(f"{axis.register} is at its limit: {signed(axis.bias_after, 1)} mg of the bias remain")
         if axis.now != axis.recorded:
-            _tell(f"{axis.register} was {axis.recorded} when the session was recorded")
+            say(f"{axis.register} was {axis.recorded} when the session was recorded")
     for doubt in plan.doubts:
-        _tell(f"doubtful: {doubt}")
-
-
-def _tell(text: str) -> None:
-    click.echo(text, err=True)
+        say(f"doubtful: {doubt}")

@@ -12,7 +12,7 @@ from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import exists_error, set_aside
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import print_json, report_progress
+from adis_gonio.faces.cli.show import print_json, report_progress, say
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
@@ -237,14 +237,14 @@ def _status(session: Session, *, complete: bool) -> int:
     doubts = session.facts["doubts"]
     for doubt in doubts:
         sure = "cannot" if doubt["attempt"] is not None else "may not"
-        click.echo(f"the result {sure} be right: {doubt['message']}", err=True)
+        say(f"the result {sure} be right: {doubt['message']}")
     if doubts:
         kept = sum(doubt["attempt"] is not None for doubt in doubts)
         what = [f"{counted(kept, 'dwell')} kept nevertheless"] if kept else []
         skipped = sum(doubt["kind"] != "registers" for doubt in doubts) - kept
         if skipped:
             what.append(f"{counted(skipped, 'position')} that contradicted dwells before skipped")
-        click.echo("; ".join([*what, f"the data stay in {session.source}: measure again"]), err=True)
+        say("; ".join([*what, f"the data stay in {session.source}: measure again"]))
     return 0 if complete and not doubts else 1
 
 

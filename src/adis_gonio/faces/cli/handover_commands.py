@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
+from inspect import cleandoc
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ import click
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import check_page, print_json, report_progress, report_written, write_page
-from adis_gonio.handover.formats import BY_NAME, format_of
+from adis_gonio.handover.formats import BY_NAME, FORMATS, format_of
 
 if TYPE_CHECKING:
     from adis_gonio.record.loading import Overrides
@@ -49,12 +50,7 @@ def export_command(
     """Export a session's coefficients or data for other programs.
 
     \b
-    c-header   .h              gravity and angle in C, fixed point and float
-    json       .json           calibration, fit or trace, facts of the session
-    csv        .csv .csv.gz    samples, which adis-gonio fit reads back
-    parquet    .parquet        samples (extra: parquet)
-    dcc        .xml            digital calibration certificate
-    registers  .txt            offsets, which adis-gonio registers takes
+    FORMATS
 
     If the registers changed during a session, only its json contains coefficients, in the fit. SESSION may
     be a calibration file for c-header, dcc and registers.
@@ -91,6 +87,10 @@ def export_command(
         report_written(output, kind)
 
 
+_LISTED = [f"{one.name:<9} {' '.join(one.endings[:2]):<14} {one.meaning}" for one in FORMATS]
+export_command.help = cleandoc(export_command.help or "").replace("FORMATS", "\n".join(_LISTED))
+
+
 @option.command("paper")
 @option.output("Page to write.")
 @option.json
@@ -100,7 +100,7 @@ def paper_command(*, output: Path | None, as_json: bool, seed: int, sessions: in
     """Reproduce the seed paper: its table 1, its figure 3, and where its method overtakes MMPM.
 
     Sessions are simulated through chip and driver, with the table's measured column as the true parameters.
-    This takes a minute or two on two cores. Without -o and --json the conclusions are printed.
+    This takes about a minute. Without -o and --json the conclusions are printed.
     """
     from adis_gonio.handover.paper_page import build_page, verdicts
     from adis_gonio.handover.paper_study import reproduce

@@ -23,6 +23,7 @@ from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.device.sensor import DEFAULT_SCAN, open_sensor
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import say
 from adis_gonio.faces.cli.terminal import Interrupt
 from adis_gonio.live.angle_smoother import LAG_S
 from adis_gonio.live.live_angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
@@ -111,7 +112,7 @@ def stream_command(
         show = ShownStream(max(1, round(every_s * rate_hz)), recorder, lines=not as_json)
         stack.callback(show.print_totals)  # also after a failure: the earlier scans remain
         stream = stack.enter_context(open_stream(min(show.scans_a_line, 1024)))
-        click.echo(f"{url}: {rate_hz:.4g} samples/s, {stream.how}", err=True)
+        say(f"{url.removesuffix(':')}: {rate_hz:.4g} samples/s, {stream.how}")
         show.run(stream, seconds)
     if as_json:
         show.print_document()
@@ -394,7 +395,7 @@ def angle_command(
     with contextlib.closing(LiveBlocks(reopen, patience_s, report_break, time.sleep)) as blocks:
         source = blocks.source
         rate = f"{source.measuring.sample_rate_hz:.4g} samples/s"
-        click.echo(f"{url}: {rate}, {source.stream.how}", err=True)
+        say(f"{url.removesuffix(':')}: {rate}, {source.stream.how}; angles ± U (95 %)")
         last_s = math.inf if seconds is None else seconds - source.measuring.sample_period_s
         line = _AngleLine(as_json=as_json)
         try:

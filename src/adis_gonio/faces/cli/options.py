@@ -32,7 +32,7 @@ _OVERRIDDEN = (
 )
 _SHARED_SECTIONS = {
     "Measuring": "--dwell --settle --rate --filter --range --poll",
-    "Sensor": "--variant --no-check --sensor-part",
+    "Sensor": "--sensor --no-check --sensor-part",
     "Corrections of the file": "--gravity --fixture --angles --reverse --unit --sensor --columns"
     " --laboratory --customer",
 }
@@ -255,7 +255,9 @@ places = click.argument(
     "places", type=click.Path(path_type=Path, readable=False), nargs=-1, metavar="[DIR]..."
 )
 json = flag("--json", "as_json", help="Write one JSON document to standard output.")
-variant = with_default("--variant", default="adis16354", help="adis16354, adis16350 or adis16355.")
+variant = with_default(
+    "--sensor", "variant", default="adis16354", help="Sensor variant: adis16354, adis16350 or adis16355."
+)
 poll = flag("--poll", help="Poll the scans and leave the data-ready line alone.")
 no_check = flag("--no-check", help="Open the sensor without checking that |a| is 1 g for this variant.")
 seconds = click.option(

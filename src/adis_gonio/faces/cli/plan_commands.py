@@ -214,7 +214,7 @@ def _list_option(name: str, rows: Callable[[], list[tuple[str, str]]], help: str
     def print_list(context: click.Context, option: click.Parameter, wanted: bool) -> None:
         if wanted:
             formatter = click.HelpFormatter(max_width=context.max_content_width)
-            formatter.write_dl(rows())
+            formatter.write_dl(rows(), col_max=26)
             click.echo(formatter.getvalue(), nl=False)
             context.exit()
 
@@ -230,14 +230,9 @@ def _effect_rows() -> list[tuple[str, str]]:
 
 
 def _setting_rows() -> list[tuple[str, str]]:
-    from dataclasses import fields
+    from adis_gonio.sim.settings import described_settings
 
-    from adis_gonio.sim.settings import WorldSettings
-
-    return [
-        (entry.name, "drawn from the seed" if entry.default is None else str(entry.default))
-        for entry in fields(WorldSettings)
-    ]
+    return described_settings()
 
 
 @option.command(
@@ -245,7 +240,7 @@ def _setting_rows() -> list[tuple[str, str]]:
     "--output --plan --effect",
     {
         "Plan": "--positions --check --order",
-        "Simulated bench": "--set --seed --variant --like --list-effects --list-settings",
+        "Simulated bench": "--set --date --seed --sensor --like --list-effects --list-settings",
     },
 )
 @option.output(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 import time
@@ -18,6 +19,7 @@ from rich.console import Console
 
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.numbers import format_duration
+from adis_gonio.base.tables import fold_text
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -29,7 +31,7 @@ WIDTH = 100
 def console(*, stderr: bool = False, most: int = 0) -> Console:
     """Return a rich console without automatic colours and markup.
 
-    Output to a program is 200 columns wide, so that no row is folded.
+    Output to a program is 200 columns wide, so that no row is folded, unless COLUMNS gives its width.
 
     Parameters
     ----------
@@ -41,10 +43,16 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
         return Console(stderr=stderr, highlight=False, markup=False, emoji=False, width=width)
 
     screen = make()
-    width = screen.width if screen.is_terminal else 200
+    width = screen.width if screen.is_terminal or "COLUMNS" in os.environ else 200
     if most:
         width = min(width, most)
     return screen if screen.width == width else make(width)
+
+
+def say(text: str, *, err: bool = True) -> None:
+    """Print a line for people, on standard error by default; a terminal gets it folded to its width."""
+    screen = console(stderr=err, most=WIDTH)
+    click.echo("\n".join(fold_text(text, screen.width - 1)) if screen.is_terminal else text, err=err)
 
 
 LEAST_TEXT = 16

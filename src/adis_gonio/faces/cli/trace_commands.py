@@ -118,7 +118,7 @@ def _print_found(screen: Console, result: TraceResult) -> None:
 
     if not result.found:
         return
-    _print_heading(screen, "Found")
+    _print_heading(screen, "Found (± U, 95 %)")
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(justify="right", width=3)
     table.add_column(no_wrap=True)
