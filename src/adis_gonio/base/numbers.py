@@ -74,6 +74,12 @@ def signed(value: float | None, decimals: int | None = None, *, digits: int = 0)
     return use_minus(text) if math.copysign(1.0, value) < 0 else f"+{text}"
 
 
+def format_span(low: float, high: float, decimals: int, unit: str) -> str:
+    """Format a range such as `24.4 to 24.9 °C`; a single value if both ends are alike."""
+    ends = dict.fromkeys(format_fixed(end, decimals) for end in (low, high))
+    return f"{' to '.join(ends)}{NO_BREAK}{unit}"
+
+
 def use_minus(text: str) -> str:
     """Replace the hyphen in a formatted number by the minus sign."""
     return text.replace("-", "−")

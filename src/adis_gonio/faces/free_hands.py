@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from adis_gonio.sim.testing.doubles import BoardStage
 
 OPTION, FREE = "hands", "free"
+FREE_RATE_HZ = 100.0
+"""Default rate of samples: the board runs in this process, so that a slow machine has to keep up."""
 BUMP_DEG = 2.0
 """Turn of the part by a bump, forth and back."""
 

@@ -308,7 +308,7 @@ def method_tables(results: Sequence[FitResult], width: int) -> Iterator[tuple[li
             [NAMES.get(name, name), format_unit(units[name]), *(_cell(result, name) for result in part)]
             for name in names
         ]
-        rows.append(["residual, rms", "mg", *(f"{r.residual_rms_mg:.3f}" for r in part)])
+        rows.append(["residual, rms", "mg", *(f"{r.residual_rms_mg:.3f}" if r.dof else DASH for r in part)])
         rows.append(["χ² / dof", "", *(f"{r.chi2:.1f} / {r.dof}" if r.dof else "none left" for r in part)])
         yield ["", "unit", *(f"{result.method}, ± U" for result in part)], rows
 

@@ -22,6 +22,7 @@ from adis_gonio.base.numbers import (
     format_number,
     format_p,
     format_percent,
+    format_span,
     format_uncertain,
     format_unit,
     label_quantity,
@@ -281,7 +282,9 @@ def _by_method(fits: Sequence[FitResult]) -> Table:
         unit = next(e.unit for e in entries if e is not None)
         cells = ["" if e is None else format_uncertain(e.value, e.U) for e in entries]
         rows.append([NAMES.get(name, name), format_unit(unit), *cells])
-    rows.append(["residual, rms", "mg", *(format_number(fit.residual_rms_mg) for fit in fits)])
+    rows.append(
+        ["residual, rms", "mg", *(format_number(fit.residual_rms_mg) if fit.dof else DASH for fit in fits)]
+    )
     rows.append(
         [
             "χ² / degrees of freedom",
@@ -585,7 +588,7 @@ def _span(series: Sequence[Any], unit: str) -> str:
     if not known:
         return "not recorded"
     low, high = min(float(np.nanmin(s)) for s in known), max(float(np.nanmax(s)) for s in known)
-    return f"{format_fixed(low, 2)} to {format_fixed(high, 2)} {unit}"
+    return format_span(low, high, 2, unit)
 
 
 def _readings(session: Session, observed: Readings) -> Table:

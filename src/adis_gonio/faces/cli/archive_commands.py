@@ -15,6 +15,7 @@ from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import (
     check_page,
     console,
+    print_indented,
     print_json,
     print_table,
     report_progress,
@@ -173,7 +174,7 @@ def history_command(
         for line in sensor_history.chart_lines(track, screen.width):
             screen.print(line)
         for text in (*sensor_history.drift_sentences(track), *sensor_history.chart_sentences(track, found)):
-            screen.print(f"  {text}")
+            print_indented(screen, text)
     screen.print()
     screen.print("Effects found", style="bold cyan")
     for row in sensor_history.effect_table(found):
@@ -229,9 +230,9 @@ def due_command(
     date = f"{found.date}, by the {found.by}" if found.date else "unknown"
     screen.print(f"Next calibration of {found.serial}: {date}", style="bold")
     for rule in found.rules:
-        screen.print(f"  {rule.method}: {rule.date or 'no date'}: {rule.why}")
+        print_indented(screen, f"{rule.method}: {rule.date or 'no date'}: {rule.why}")
         if rule.assumes:
-            screen.print(f"    assumes: {rule.assumes}")
+            print_indented(screen, f"assumes: {rule.assumes}", 4)
     if found.limits.assumed:
         screen.print(f"  {found.limits.tolerance} is assumed as tolerance: set yours with --tolerance")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.numbers import signed
+from adis_gonio.base.numbers import signed, use_minus
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, json_text, print_json, report_written, say, table_of
 
@@ -266,7 +266,9 @@ def _print_plan(plan: WritePlan) -> None:
             f"{signed(value, places)} {unit}" for value in (axis.effect, axis.bias_now, axis.bias_after)
         )
         u = f"{axis.u:.2g} {unit}"
-        rows.append((axis.register, str(axis.now), str(axis.new), moved, bias, u, after))
+        rows.append(
+            (axis.register, use_minus(str(axis.now)), use_minus(str(axis.new)), moved, bias, u, after)
+        )
     console().print(table_of(head, rows))
     for axis in plan.axes:
         if axis.clipped:

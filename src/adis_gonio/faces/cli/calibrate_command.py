@@ -181,7 +181,7 @@ def _run(
 ) -> bool:
     """Run the session on the screen or by plain prompts; return True if it is complete."""
     from adis_gonio.faces.cli.line_prompts import PlainBench, choose_face
-    from adis_gonio.faces.free_hands import free_hands
+    from adis_gonio.faces.free_hands import FREE_RATE_HZ, free_hands
     from adis_gonio.record.source import open_source
 
     resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
@@ -189,6 +189,8 @@ def _run(
         free_hands(url) as (port, hands),
         open_source(port, variant=options["variant"], check=not options["no_check"]) as sensor,
     ):
+        if hands is not None and options["rate_hz"] is None and not resume:
+            options["rate_hz"] = FREE_RATE_HZ
         runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
         prompts = PlainBench(runner, auto=options["auto"], hands=hands)
         plain = plain or options["auto"] or not runner.on_screen

@@ -17,15 +17,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import click
-from rich.padding import Padding
-from rich.text import Text
 
 from adis_gonio.base.errors import install_extra
 from adis_gonio.base.numbers import counted, signed
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import drawing, to_do, turn_to_do
 from adis_gonio.faces import bench_words as words
-from adis_gonio.faces.cli.show import WIDTH, console
+from adis_gonio.faces.cli.show import console, print_indented
 from adis_gonio.faces.cli.trace_commands import loop_lines
 from adis_gonio.faces.tui.bench_state import LEAST_SIZE
 from adis_gonio.record.plans import GYRO_TURNS
@@ -156,12 +154,12 @@ class PlainBench:
                 self._ask_position(event)
             case events.GuardRaised():
                 self._hide()
-                self._say_wrapped(event.message, "bold yellow")
+                print_indented(self._screen, event.message, style="bold yellow")
                 meaning = words.answers_to(event)[event.default].meaning
                 self._put(f"  {words.ENTER}: {meaning}", event)
             case events.RepetitionOffered() | events.ExtensionOffered():
                 reason, offer = words.reason_of(event, len(self._plan))
-                self._say_wrapped(reason, "yellow")
+                print_indented(self._screen, reason, style="yellow")
                 if not self._auto:
                     self._put(f"  {offer}", event)
             case events.Paused():
@@ -314,15 +312,10 @@ class PlainBench:
             *words.lines_about(event),
             *([] if self._auto else words.lines_of_result(event)),
         ]:
-            self._say_wrapped(line, "yellow" if level == "warned" else "")
+            print_indented(self._screen, line, style="yellow" if level == "warned" else "")
 
     def _say(self, text: str, style: str = "") -> None:
         self._screen.print(text, style=style or None)
-
-    def _say_wrapped(self, text: str, style: str = "") -> None:
-        """Print a text, wrapped to the screen and indented by two columns."""
-        width = min(self._screen.width, WIDTH)
-        self._screen.print(Padding(Text(text, style=style), (0, 0, 0, 2)), width=width)
 
     # -- the line that moves ----------------------------------------------------------------------
 

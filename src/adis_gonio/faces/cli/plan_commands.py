@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -240,7 +241,7 @@ def _setting_rows() -> list[tuple[str, str]]:
     "--output --plan --effect",
     {
         "Plan": "--positions --check --order",
-        "Simulated bench": "--set --date --seed --sensor --like --list-effects --list-settings",
+        "Simulated bench": "--set --date --serial --seed --sensor --like --list-effects --list-settings",
     },
 )
 @option.output(
@@ -264,6 +265,11 @@ def _setting_rows() -> list[tuple[str, str]]:
     "--set", "settings", multiple=True, metavar="NAME=VALUE",
     help="A setting of the simulated world, such as delta_k=0.01; may be repeated.",
 )  # fmt: skip
+@click.option(
+    "--date", type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M"]), metavar="DATE",
+    help="Date of the session, such as 2024-05-31 (UTC; default: now). CSV keeps no date.",
+)  # fmt: skip
+@click.option("--serial", default="", help="Serial number of the part.")
 @option.dwell()
 @option.rate
 @option.filter
@@ -274,7 +280,7 @@ def _setting_rows() -> list[tuple[str, str]]:
 )  # fmt: skip
 @_list_option("--list-effects", _effect_rows, "List the effects with their causes.")
 @_list_option("--list-settings", _setting_rows, "List the settings with their defaults.")
-def simulate_command(*, output: Path, **options: Any) -> None:
+def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> None:
     """Record a session from the simulated sensor, with hidden parameters and effects by name.
 
     The driver measures the session frame by frame, like a session from a real sensor.
@@ -313,6 +319,8 @@ def simulate_command(*, output: Path, **options: Any) -> None:
             gravity_mps2=world.settings.gravity_mps2,
             fixture_sigma_deg=world.settings.fixture_sigma_deg,
             title=options["title"],
+            serial=options["serial"],
+            created_utc="" if date is None else date.replace(tzinfo=UTC).isoformat(),
         )
         complete = PlainBench(runner, auto=True).run()
         with ArchiveView(archive) as view:

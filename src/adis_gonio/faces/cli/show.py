@@ -49,6 +49,14 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
     return screen if screen.width == width else make(width)
 
 
+def print_indented(screen: Console, text: str, indent: int = 2, style: str = "") -> None:
+    """Print a text, wrapped to the screen, with all of its lines indented."""
+    from rich.padding import Padding
+    from rich.text import Text
+
+    screen.print(Padding(Text(text, style=style), (0, 0, 0, indent)), width=min(screen.width, WIDTH))
+
+
 def say(text: str, *, err: bool = True) -> None:
     """Print a line for people, on standard error by default; a terminal gets it folded to its width."""
     screen = console(stderr=err, most=WIDTH)
