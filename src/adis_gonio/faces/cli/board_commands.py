@@ -73,7 +73,7 @@ def bringup_command(
             raise KeyboardInterrupt from None
 
     def tell(row: Row) -> None:
-        say(f"{row.result.verdict:13} {row.name:15} {row.result.text}", err=as_json)
+        say(f"{row.result.verdict:13} {row.name:15} {row.result.text}", err=as_json, hang=30)
 
     part = find_variant(variant)
     permission = Permission(allow_writes, flash, not leave_registers, ask)

@@ -57,10 +57,18 @@ def print_indented(screen: Console, text: str, indent: int = 2, style: str = "")
     screen.print(Padding(Text(text, style=style), (0, 0, 0, indent)), width=min(screen.width, WIDTH))
 
 
-def say(text: str, *, err: bool = True) -> None:
-    """Print a line for people, on standard error by default; a terminal gets it folded to its width."""
+def say(text: str, *, err: bool = True, hang: int = 0) -> None:
+    """Print a line for people, on standard error by default; a terminal gets it folded to its width.
+
+    Lines after the first are indented by `hang`.
+    """
     screen = console(stderr=err, most=WIDTH)
-    click.echo("\n".join(fold_text(text, screen.width - 1)) if screen.is_terminal else text, err=err)
+    if screen.is_terminal and len(text) >= screen.width:
+        room = screen.width - 1 - hang
+        # Only the rest is folded: the first line may begin with aligned columns.
+        cut = text.rfind(" ", 0, screen.width)
+        text = "\n".join([text[:cut], *fold_text(text[cut + 1 :], room + hang, hang)])
+    click.echo(text, err=err)
 
 
 LEAST_TEXT = 16
