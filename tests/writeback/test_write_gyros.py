@@ -403,7 +403,7 @@ def test_the_command_shows_the_plan_in_dps_writes_and_undoes(bus, path, capsys):
     assert main(["write", str(path), URL, "--yes", *QUICK]) == 0
     out, err = capsys.readouterr()
     rows = [line.split() for line in out.splitlines()]
-    assert rows[1][:3] == ["XGYRO_OFF", "0", "-66"]
+    assert rows[1][:3] == ["XGYRO_OFF", "0", "−66"]
     assert "°/s" in out
     assert "mg" not in out
     assert "zero rate by this dwell alone" in err
