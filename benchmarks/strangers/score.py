@@ -231,12 +231,12 @@ def rate_table(verdicts: list[Verdict]) -> str:
 
 
 def badness(verdict: Verdict) -> float:
-    """Order of the worst sessions: sure and wrong first, then by the error of the check dwells."""
+    """Sort key of the worst sessions: sure and wrong, wrongly adequate, check dwells against bias alone."""
     sure = max([0.0, *verdict.wrong.values()])
     if verdict.covariates and not verdict.covariates_right:
         sure = max(sure, verdict.covariate_probability)
-    ratio = verdict.check_mg / min(verdict.oracle.bias_check_mg, 3 * verdict.oracle.check_mg)
-    return 2 * (sure > CERTAIN) + 2 * (verdict.adequate and verdict.residual_left) + ratio
+    harm = verdict.check_mg / verdict.oracle.bias_check_mg
+    return (sure > CERTAIN) + (verdict.adequate and verdict.residual_left) + harm
 
 
 def sentence(verdict: Verdict) -> str:

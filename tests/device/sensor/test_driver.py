@@ -23,7 +23,8 @@ from adis_gonio.device.sensor.registers import BY_NAME, FAST, NORMAL, REGISTERS
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.chip import State
 from adis_gonio.sim.sampling import OUTPUTS, SignalChain
-from fakes.buses import ConstantBus, RecordingBus, ScriptedBus
+from adis_gonio.testing import ExpectedFrames
+from fakes.buses import ConstantBus, RecordingBus
 from fakes.numbered_scans import Judge, NumberedChip
 
 SIM = "sim:?seed=3"
@@ -168,7 +169,7 @@ def test_the_frames_of_a_verified_write_are_the_data_sheets():
         (0xA034, 0x0000), (0xA102, 0x0000),  # XACCL_OFF low, high
         (0x2000, 0x0000), (0x0000, 0x0234),  # read back, one frame late
     ]  # fmt: skip
-    with Adis16354(ScriptedBus(script), check=False) as sensor:
+    with Adis16354(ExpectedFrames(script), check=False) as sensor:
         sensor.write("XACCL_OFF", 0x234)
 
 
@@ -177,7 +178,7 @@ def test_a_write_that_does_not_stick_is_an_error():
         *CONFIGURATION,
         (0xA034, 0), (0xA102, 0), (0x2000, 0), (0x0000, 0x0034),
     ]  # fmt: skip
-    sensor = Adis16354(ScriptedBus(script), check=False)
+    sensor = Adis16354(ExpectedFrames(script), check=False)
     with pytest.raises(VerifyError, match="XACCL_OFF: wrote 0x0234, read back 0x0034"):
         sensor.write("XACCL_OFF", 0x234)
 
@@ -397,7 +398,7 @@ def test_a_flash_update_that_was_not_done_is_found_by_the_counter():
         *checked_reading((0x0000, 7)),  # before
         (0xBE08, 0), *checked_reading((0x0000, 7)),  # the command, and the counter stands still
     ]  # fmt: skip
-    sensor = Adis16354(ScriptedBus(script), check=False)
+    sensor = Adis16354(ExpectedFrames(script), check=False)
     with pytest.raises(VerifyError, match="ENDURANCE was 7 and is 7"):
         sensor.save_to_flash()
 
@@ -405,7 +406,7 @@ def test_a_flash_update_that_was_not_done_is_found_by_the_counter():
 def test_a_worn_flash_is_not_written_unless_forced():
     script = [*CONFIGURATION, *checked_reading((0x0000, 10_000))]
     with (
-        Adis16354(ScriptedBus(script), check=False) as sensor,
+        Adis16354(ExpectedFrames(script), check=False) as sensor,
         pytest.raises(ChipError, match="made for 10000"),
     ):
         sensor.save_to_flash()
