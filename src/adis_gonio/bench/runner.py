@@ -252,6 +252,7 @@ class SessionRunner(Operator):
         super().__init__()
         self._bench = bench
         self._archive = archive
+        archive.utc = bench.utc
         self._resumed = resumed
         self._ran = False
         self._ledger = Ledger(archive, lambda: bench.now_s)
@@ -275,10 +276,8 @@ class SessionRunner(Operator):
         fixture_sigma_deg: float | None = None,
         title: str = "",
         note: str = "",
-        operator: str = "",
-        serial: str = "",
-        stage: str = "",
         advisor: Advisor | None = None,
+        **metadata: str,
     ) -> SessionRunner:
         """Begin a new session in a new file.
 
@@ -296,10 +295,12 @@ class SessionRunner(Operator):
             Local gravity in m/s².
         fixture_sigma_deg : float or None
             Standard uncertainty of a declared angle in degrees; None if it is not stated.
-        title, note, operator, serial, stage : str
-            Notes to keep: the operator's name, the serial number of the sensor, the stage.
+        title, note : str
+            Notes to keep.
         advisor : Advisor or None
             Source of further positions when the plan is done.
+        metadata : str
+            Further notes by the names in `adis_gonio.model.records.METADATA`, such as the operator's name.
 
         Raises
         ------
@@ -326,10 +327,9 @@ class SessionRunner(Operator):
             fixture_sigma_deg=fixture_sigma_deg if plan.name == GYRO_TURNS else stated,
             title=title,
             note=note,
-            operator=operator.strip(),
-            serial=serial.strip(),
-            stage=stage.strip(),
             simulated=bench.simulated,
+            created_utc=bench.utc(),
+            **{name: text.strip() for name, text in metadata.items()},
         )
         archive = Archive.create(path, header)
         return cls(bench, archive, auto=auto, extend=extend, resumed=False, advisor=advisor)
@@ -397,6 +397,11 @@ class SessionRunner(Operator):
     def virtual_time(self) -> bool:
         """True if the sensor's time stops while no event is taken."""
         return self._bench.virtual_time
+
+    @property
+    def replayed(self) -> bool:
+        """True if a recording answers instead of the sensor and the operator."""
+        return self._bench.replayed
 
     def run(self) -> Iterator[Event]:
         """Run the session to its end; can be used once.

@@ -185,13 +185,16 @@ class Coefficients(ParameterTable):
         value = function(self.values)
         if self.covariance is None:
             return value, np.full(value.shape, np.nan)
-        variance = np.zeros(value.shape)
-        for direction in _directions(self.covariance):
-            step = STEP * direction
-            # Derivative along each principal axis; these contributions are independent.
-            rise = difference(function(self.values + step), function(self.values - step))
-            variance += (rise / (2 * STEP)) ** 2
-        return value, variance
+        return value, np.asarray((self._rises(function, difference) ** 2).sum(axis=0))
+
+    def _rises(
+        self, function: Callable[[Floats], Floats], difference: Callable[[Floats, Floats], Floats]
+    ) -> Floats:
+        """Changes (k, …) of a function of the parameters by one u of each of k independent parts."""
+        assert self.covariance is not None
+        steps = STEP * _directions(self.covariance)
+        rises = [difference(function(self.values + step), function(self.values - step)) for step in steps]
+        return np.asarray(rises) / (2 * STEP)
 
 
 def _directions(covariance: Floats) -> Floats:

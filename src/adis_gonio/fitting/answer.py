@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
+from adis_gonio.base.conformity import ErrorCurve
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import (
     DASH,
@@ -98,6 +99,10 @@ class Answer:
     def _angle(self) -> dict[str, Value]:
         """Entry `angle` of `values`, the error of the calibrated angle; empty without declared angles."""
         return {} if self.result.angle is None else {"angle": self.result.angle}
+
+    def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
+        """Error of the angle over the turn, without and with the calibration by this answer."""
+        return self.result.error_curves()
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
@@ -266,6 +271,8 @@ def with_notes(best: FitResult, given: FitResult) -> FitResult:
         warnings=(*best.doubts, *notes, *best.warnings),
         session_notes=notes,
         session=given.session,
+        provenance=given.provenance,
+        overrides=given.overrides,
         position_findings=given.position_findings,
         links=given.links,
     )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, mean_direction, unsolvable, wrap_radians
+from adis_gonio.base.conformity import ErrorCurve
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, format_uncertain
@@ -263,6 +264,33 @@ class FitResult(ParameterTable):
         u, dof = made.sources.uncertainty(shown.gradient, shown.reading)
         variances = made.sources.by_place(shown.gradient, shown.reading)
         return Value(math.nan, u, "deg", dof, factor_over(variances, dof))
+
+    @cached_property
+    def angle_roots_deg(self) -> Floats | None:
+        """Change (m, k) of the calibrated angle by one standard uncertainty of each independent cause.
+
+        The m angles are around the turn; noise of the reading is not included. None if the session leaves
+        the angle undetermined, or if the noise is unknown.
+        """
+        made = self.origin
+        if made is None or made.sources is None or not made.readings.planar or self._around is None:
+            return None
+        return made.sources.roots(self._around.gradient, self._around.reading)
+
+    def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
+        """Error of the angle without and with this calibration; see `Calibration.error_curves`.
+
+        In the plane the uncertainty also covers biases that the fit had to take as zero.
+        """
+        # A free turn has no stage; its result is made without readings of positions.
+        curves = calibration_as_recorded(self).error_curves(stage=self.origin is not None)
+        if self.shown_angle is None or self.origin is None:
+            return curves
+        if self.angle_roots_deg is None:
+            raise FitError("this session does not determine the angle, so conformity cannot be stated")
+        before, after = curves
+        after = replace(after, root_deg=self.angle_roots_deg, dof=self.shown_angle.dof)
+        return before and replace(after, error_deg=before.error_deg), after
 
     @cached_property
     def angle(self) -> Value | None:

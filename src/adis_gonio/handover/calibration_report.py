@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base import __version__
+from adis_gonio.base.conformity import ErrorCurve, Tolerance, state_conformity
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.numbers import (
     DASH,
@@ -34,7 +35,7 @@ from adis_gonio.fitting.answer import Answer, format_dof, format_share
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.position_diagnosis import Angle
-from adis_gonio.model.records import Session
+from adis_gonio.model.records import METADATA, Session
 from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
 from adis_gonio.page.svg import Role, Series, Style, plot
 from adis_gonio.record.provenance import digest_of_file
@@ -96,7 +97,78 @@ def answer_section(answer: Answer) -> Section:
         "square over held-out dwells; its u belongs to a displayed angle.",
     )
     sentences = [*answer.doubts, f"By method {answer.title}.", answer.why, *answer.remarks]
-    return Section("Answer", words=sentences, tables=[table], key=_key(answer.values))
+    return Section("Answer", words=sentences, tables=[table])
+
+
+def certificate_section(
+    session: Session,
+    answer: Answer,
+    observed: Readings | None,
+    positions: Sequence[PositionFinding] = (),
+    tolerance: Tolerance | None = None,
+) -> Section:
+    """First page of the report, for a laboratory to sign: results, conformity, instrument, conditions."""
+    try:
+        curves = answer.error_curves()
+    except AdisGonioError as error:
+        figures, stated = [], [f"Conformity is not stated: {error}."]
+    else:
+        figures = _error_figures(curves, tolerance)
+        stated = ["Conformity is not stated: no tolerance was given."]
+        if tolerance is not None:
+            first, *lines = state_conformity(tolerance, curves).lines
+            stated = [f"{first}.", *(f"{line[:1].upper()}{line[1:]}." for line in lines)]
+    doubts = [*answer.doubts, *dict.fromkeys(found.sentence for found in positions)]
+    who = ("serial", "stage", "operator", "laboratory", "customer")
+    instrument = [["sensor", session.sensor], *([n, getattr(session, n) or "not stated"] for n in who)]
+    known = dict(facts(session, observed, "", answer.reference_temperature_c))
+    conditions = [
+        ["date (UTC)", known["begun (UTC)"][:16].replace("T", " ") or "not stated"],
+        ["positions", "a free turn" if session.free_turn else str(len(session.dwells))],
+        *([name, known[name]] for name in ("temperature", "supply", "local gravity")),
+        ["u of a stage angle", known["standard uncertainty of a declared angle"]],
+    ]
+    signature = [["date", NO_BREAK], ["name, signature", NO_BREAK]]
+    key = _key(answer.values)
+    results = [] if key else [Table(HEAD, [line.cells for line in answer.lines], numeric=(2, 3, 4, 5))]
+    return Section(
+        "Certificate",
+        key=key,
+        words=[*doubts, *stated],
+        figures=figures,
+        tables=[
+            *results,
+            *(Table(["", ""], rows) for rows in (instrument, conditions, signature[:1], signature[1:])),
+        ],
+        notes=[
+            f"Method {answer.title}. U = k·u covers 95 %. The stated errors are those of the mean of many "
+            "readings; traceable to the declared angles of the stage only. The annex follows."
+        ],
+        sheet=True,
+    )
+
+
+def _error_figures(
+    curves: tuple[ErrorCurve | None, ErrorCurve], tolerance: Tolerance | None
+) -> list[Figure]:
+    """Draw the error of the angle over the turn with its band, without and with calibration."""
+    figures = []
+    for curve, role, state in zip(curves, _ROLES, ("without", "with"), strict=True):
+        if curve is None:
+            continue
+        angle = np.linspace(0, 360, len(curve.angle_deg) + 1)
+        error, band = (
+            np.interp(angle, curve.angle_deg, each, period=360) for each in (curve.error_deg, curve.U_deg)
+        )
+        series = [Series(angle, error, f"{state} calibration", band, role, "line")]
+        if tolerance is not None:
+            for k, limit in enumerate((tolerance.limit_deg, -tolerance.limit_deg)):
+                edges = np.full(2, limit)
+                series.append(Series([0, 360], edges, "" if k else "tolerance", None, "model", "line"))
+        caption = f"Error of the angle {state} calibration; the band is ± U."
+        axes = ("angle / °", "error of the angle / °")
+        figures.append(Figure(plot(series, *axes, title=caption, x_range=(0, 360), zero=True), caption))
+    return figures
 
 
 def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
@@ -460,9 +532,7 @@ def facts(
     start, end = float(dwells[0].time_s[0]), float(dwells[-1].time_s[-1])
     return [
         ("title", session.title),
-        ("operator", session.operator),
-        ("serial number of the part", session.serial),
-        ("stage", session.stage),
+        *((name, getattr(session, name)) for name in METADATA),
         ("file", Path(session.source).name),
         ("SHA-256 of the file", digest_of_file(session.source) if Path(session.source).is_file() else ""),
         ("sensor", session.sensor + (" (simulated)" if stored.get("simulated") else "")),
@@ -484,7 +554,7 @@ def facts(
         ("the chip compensates", "\n".join(compensations(configuration))),
         ("unit of the accelerations", session.accel_unit),
         ("plane of rotation", "xy" if session.plane == "xy" else "none: attitudes in space"),
-        ("standard uncertainty of a declared angle", _fixture(session.fixture_sigma_deg)),
+        ("standard uncertainty of a declared angle", _fixture(session)),
         ("local gravity", f"{session.gravity_mps2:.5f} m/s²"),
         ("standard uncertainty of a reading", _noise(observed)),
         ("reference temperature of the parameters", "" if reference_c is None else f"{reference_c:.1f} °C"),
@@ -493,10 +563,13 @@ def facts(
     ]
 
 
-def _fixture(sigma: float | None) -> str:
-    if sigma is None:
-        return "not stated"
-    return "free: declared angles are not used" if math.isinf(sigma) else f"{sigma:g}°"
+def _fixture(session: Session) -> str:
+    sigma = session.fixture_sigma_deg
+    if sigma is not None and math.isinf(sigma):
+        return "free: declared angles are not used"
+    known = [f"certificate {session.stage_curve.name}"] if session.stage_curve else []
+    known += [] if sigma is None else [f"{sigma:g}°"]
+    return ", ".join(known) or "not stated"
 
 
 def _noise(observed: Readings | None) -> str:
@@ -611,6 +684,7 @@ def build_page(
     shown: Views | None = None,
     sections: Sequence[Section] = (),
     failures: Mapping[str, str] | None = None,
+    tolerance: Tolerance | None = None,
 ) -> str:
     """Render the calibration report as HTML.
 
@@ -627,6 +701,8 @@ def build_page(
         Further sections, before data and configuration.
     failures : mapping of str to str, optional
         Reason of each method that failed.
+    tolerance : Tolerance, optional
+        Tolerance of the angle for the statement of conformity.
 
     Returns
     -------
@@ -637,14 +713,14 @@ def build_page(
     result = traced if isinstance(traced, TraceResult) else None
     best = next((fit for fit in reversed(fits) if fit.comparison is not None), None)
     answer = None if best is None else answer_with_trace(best, result, own=False)
-    body = [answer_section(answer)] if answer is not None else []
-    body += [summary_section(traced, fits)]
+    positions = next((fit.position_findings for fit in fits if fit.position_findings), ())
     if result is not None:
-        body += positions_section(result.position_findings)
-    else:
-        body += positions_section(
-            next((fit.position_findings for fit in fits if fit.position_findings), ())
-        )
+        positions = result.position_findings
+    body = []
+    if answer is not None:
+        first = certificate_section(session, answer, _observed(session), positions, tolerance)
+        body += [first, answer_section(answer)]
+    body += [summary_section(traced, fits), *positions_section(positions)]
     if answer is not None:
         body += [budget_section(answer), scores_section(answer)]
     body += [fitted_section(fits, failures or {})]

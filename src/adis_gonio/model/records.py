@@ -214,8 +214,62 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 MG_PER_G = 1000.0
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 
-METADATA = ("operator", "serial", "stage")
+METADATA = ("operator", "serial", "stage", "laboratory", "customer")
 """Fields of a session with notes of the operator in addition to the title."""
+
+
+WIDEST_STEP_DEG = 45.0
+"""Widest step between angles of a certificate across which the errors of a stage are interpolated."""
+
+
+@dataclass(frozen=True, eq=False)
+class StageCurve:
+    """Errors of a stage at angles of the turn, by its own certificate.
+
+    Attributes
+    ----------
+    name : str
+        Name of the certificate.
+    angle_deg : (m,) float
+        Angles indicated by the stage, ascending in 0 to 360.
+    error_deg : (m,) float
+        Indicated minus true angle.
+    covariance_deg2 : (m, m) float
+    """
+
+    name: str
+    angle_deg: Floats
+    error_deg: Floats
+    covariance_deg2: Floats
+
+    def check(self, session: Session) -> None:
+        """Check that the certificate covers the declared angles of a session.
+
+        Raises
+        ------
+        UsageError
+            There are none, or one is between angles of the certificate that are too far apart.
+        """
+        session.require_angles("there is nothing that a stage's certificate corrects")
+        steps = np.diff(self.angle_deg, prepend=self.angle_deg[-1] - 360)
+        for dwell in session.dwells:
+            angle = (dwell.angle_deg or 0.0) % 360
+            after = int(np.searchsorted(self.angle_deg, angle)) % len(steps)
+            if steps[after] > WIDEST_STEP_DEG and angle not in self.angle_deg:
+                raise UsageError(f"{self.name}: the certificate has no errors of the stage near {angle:g}°")
+
+    def at(self, angle_deg: Floats) -> tuple[Floats, Floats]:
+        """Errors (n,) in degrees at declared angles (n,), and their changes (n, k) by independent causes.
+
+        Errors between the angles of the certificate are interpolated on straight lines.
+        """
+        rows = [
+            np.interp(angle_deg, self.angle_deg, unit, period=360) for unit in np.eye(len(self.angle_deg))
+        ]
+        weights = np.array(rows).T  # (n, m)
+        size, axis = np.linalg.eigh(self.covariance_deg2)
+        kept = size > 1e-12 * max(float(size.max()), 0.0)
+        return weights @ self.error_deg, weights @ (axis[:, kept] * np.sqrt(size[kept]))
 
 
 @dataclass(frozen=True)
@@ -302,11 +356,14 @@ class Session(ComputedOnce):
         stated.
     plane : {"xy", "none"}
         Plane of rotation, or none for attitudes anywhere in space.
+    stage_curve : StageCurve or None
+        Errors of the stage by its certificate, which correct the declared angles; `fixture_sigma_deg` is
+        then the uncertainty of a declared angle besides them.
     reading_u_mg : float or None
         Standard uncertainty of a dwell that has one sample only.
-    title, operator, serial, stage : str
-        Name of the session, the operator, the sensor's serial number and the stage, as written down; each
-        is kept as one printable line.
+    title, operator, serial, stage, laboratory, customer : str
+        Name of the session, the operator, the sensor's serial number, the stage, and for a certificate the
+        laboratory and the customer, as written down; each is kept as one printable line.
     source : str
         File that it came from.
     notes : tuple of str
@@ -330,11 +387,14 @@ class Session(ComputedOnce):
     gravity_mps2: float = STANDARD_GRAVITY_MPS2
     fixture_sigma_deg: float | None = None
     plane: Plane = "xy"
+    stage_curve: StageCurve | None = None
     reading_u_mg: float | None = None
     title: str = ""
     operator: str = ""
     serial: str = ""
     stage: str = ""
+    laboratory: str = ""
+    customer: str = ""
     source: str = ""
     notes: tuple[str, ...] = ()
     cut_by_stillness: bool = False
@@ -344,7 +404,7 @@ class Session(ComputedOnce):
     turns_from: Callable[[], tuple[Turn, ...]] | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for name in ("title", "operator", "serial", "stage"):
+        for name in ("title", *METADATA):
             object.__setattr__(self, name, one_line(getattr(self, name)))
         object.__setattr__(self, "notes", tuple(one_line(note) for note in self.notes))
 
@@ -394,6 +454,11 @@ class Session(ComputedOnce):
     def gravity_mg(self) -> float:
         """Local gravity in mg (thousandths of the standard 9.80665 m/s²)."""
         return 1000.0 * self.gravity_mps2 / STANDARD_GRAVITY_MPS2
+
+    def require_angles(self, otherwise: str) -> None:
+        """Raise a `UsageError` if no angle is declared."""
+        if all(dwell.angle_deg is None for dwell in self.dwells):
+            raise UsageError(f"{self.source}: no angle is declared, {otherwise}")
 
     def used_for(self, use: Use) -> Session:
         """Copy of the session that contains only the dwells for one use, such as fit or check."""

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.conformity import Conformity, ErrorCurve, Tolerance
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import join_words
@@ -279,6 +280,8 @@ class PlanUncertainty:
     fitted_deg : float
         Part of `angle_worst` due to the fitted parameters, which a plan can lower, as a standard
         uncertainty; NaN if the angle is not determined.
+    roots_deg : (m, k) float or None
+        Change of the calibrated angle around the turn by one standard uncertainty of independent causes.
     undetermined : tuple of str
         Parameters that the plan cannot determine.
     notes : tuple of str
@@ -292,6 +295,18 @@ class PlanUncertainty:
     fitted_deg: float
     undetermined: tuple[str, ...]
     notes: tuple[str, ...]
+    roots_deg: Floats | None = field(default=None, compare=False)
+
+    def conformity(self, tolerance: Tolerance) -> Conformity | None:
+        """Conformity of the calibrated angle with a tolerance after such a session.
+
+        None if the plan does not determine the angle.
+        """
+        if self.roots_deg is None or math.isnan(self.fitted_deg):
+            return None
+        m = len(self.roots_deg)
+        angle_deg = np.arange(m) * 360.0 / m
+        return tolerance.decide(ErrorCurve(angle_deg, np.zeros(m), self.roots_deg))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON object of the uncertainties, without the values, which are unknown."""
@@ -430,6 +445,8 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
     parameters = {name: median(value, u_by_name(name)) for name, value in known.items()}
     sure = {name: value for name, value in parameters.items() if value.u is not None}
     fitted = median(exact.angle, lambda one: one.fitted_deg if one.angle.u is not None else None)
+    # The shape over the turn of the exact session, with the size of the median session.
+    size = (fitted.u or math.nan) / exact.fitted_deg
     return replace(
         exact,
         parameters=sure,
@@ -438,6 +455,7 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
         fitted_deg=math.nan if fitted.u is None else fitted.u,
         undetermined=tuple(name for name in (*parameters, *exact.undetermined) if name not in sure),
         notes=(*exact.notes, _DEPENDS),
+        roots_deg=None if exact.roots_deg is None else size * exact.roots_deg,
     )
 
 
@@ -459,6 +477,7 @@ def _reach(result: FitResult) -> PlanUncertainty:
         fitted if sure else math.nan,
         result.undetermined,
         result.warnings,
+        result.angle_roots_deg,
     )
 
 
@@ -471,10 +490,7 @@ def fitted_variance(result: FitResult) -> Floats:
     assert origin is not None
     assert origin.sources is not None
     shown = ShownAngle.around(origin.fit)
-    own = sum(source.reading_mg2 for source in origin.sources.each)
-    # The share of the reading itself, g C gᵀ for each place of the turn.
-    noise = np.einsum("ma,ab,mb->m", shown.reading, own, shown.reading)
-    return np.asarray(origin.sources.by_place(shown.gradient, shown.reading) - noise)
+    return np.asarray((origin.sources.roots(shown.gradient, shown.reading) ** 2).sum(axis=1))
 
 
 # -- effects ------------------------------------------------------------------------------------------

@@ -36,6 +36,7 @@ from adis_gonio.base.shapes import (
 )
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
+from adis_gonio.model.records import METADATA
 from adis_gonio.record.blocks import GENERIC, UNITS, Block
 from adis_gonio.record.plans import MOST_POSITIONS, Plan, Position
 
@@ -160,8 +161,8 @@ class Header:
         The first plan; an extension is a record.
     settings : mapping
         JSON form of the runner's settings.
-    title, note, operator, serial, stage : str
-        Notes of the operator; the last three are empty in sessions of older programs.
+    title, note, operator, serial, stage, laboratory, customer : str
+        Notes of the operator; all but the first two are empty in sessions of older programs.
     simulated : bool
         True if the bus is simulated, so that the truth is known.
     """
@@ -177,6 +178,8 @@ class Header:
     operator: str = ""
     serial: str = ""
     stage: str = ""
+    laboratory: str = ""
+    customer: str = ""
     simulated: bool = False
     created_utc: str = ""
     software: str = field(default=f"adis-gonio {__version__}")
@@ -296,7 +299,7 @@ META = fields(
     {
         "simulated": truth_value,
         "created_utc": moment,
-        **dict.fromkeys(("title", "note", "operator", "serial", "stage", "software"), text),
+        **dict.fromkeys(("title", "note", *METADATA, "software"), text),
     },
 )
 """Shapes of the values in the table `meta` by key: the fields of `Header`."""

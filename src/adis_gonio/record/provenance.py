@@ -49,7 +49,7 @@ class Provenance:
     gravity_mps2 : float
     counts : bool
         True if readings are counts of unknown scale, False if they are in mg.
-    title, serial, operator, stage : str
+    title, serial, operator, stage, laboratory, customer : str
         Free text, or empty.
     source : str
         Name of the file, without its folder.
@@ -80,6 +80,8 @@ class Provenance:
     serial: str = ""
     operator: str = ""
     stage: str = ""
+    laboratory: str = ""
+    customer: str = ""
     source: str = ""
     sha256: str = ""
     recorded_utc: str = ""

@@ -19,7 +19,7 @@ import numpy as np
 
 from adis_gonio.base.errors import DataError, OutputError, SessionError, UsageError
 from adis_gonio.base.output import ends_in, exists_error, replacing, write_utf8
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session
+from adis_gonio.model.records import METADATA, STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session
 from adis_gonio.record.blocks import GENERIC, Block, session_columns
 from adis_gonio.record.plans import Plan
 from adis_gonio.record.samples_columns import COLUMNS, KEYS, without_formulas
@@ -126,7 +126,7 @@ def template_text(
         raise UsageError("a generic sensor has no LSB that is known: give --unit mg, g, mps2 or counts")
     planar = plan.plane == "xy"
     keys: dict[str, Any] = {
-        **dict.fromkeys(("title", "operator", "serial", "stage")),
+        **dict.fromkeys(("title", *METADATA)),
         "sensor": sensor,
         "accel_unit": accel_unit,
         "gravity_mps2": gravity_mps2,

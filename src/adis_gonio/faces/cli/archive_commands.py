@@ -22,6 +22,7 @@ from adis_gonio.faces.cli.show import (
 )
 
 if TYPE_CHECKING:
+    from adis_gonio.base.conformity import Tolerance
     from adis_gonio.fleet.fleet_pages import FleetResult
     from adis_gonio.fleet.fleet_run import Scan
     from adis_gonio.fleet.session_record import SessionRecord
@@ -183,10 +184,7 @@ def history_command(
 @option.command("due")
 @click.argument("serial")
 @option.places
-@click.option(
-    "--limit", "limit_deg", type=option.POSITIVE, metavar="DEG",
-    help="Permissible error of an angle for your use (default: assume 0.1°).",
-)  # fmt: skip
+@option.tolerance("Permissible error of an angle for your use (default: assume 0.1°).")
 @option.with_default(
     "--first", "first_days", type=option.POSITIVE, default=365.25, metavar="DAYS",
     help="Interval of a sensor without a known history.",
@@ -197,7 +195,7 @@ def history_command(
 )  # fmt: skip
 @option.with_default(
     "--shorter", type=click.FloatRange(0, 1, min_open=True), default=0.5, metavar="FACTOR",
-    help="Factor after a calibration outside the limit.",
+    help="Factor after a calibration outside the tolerance.",
 )  # fmt: skip
 @option.index
 @option.json
@@ -205,7 +203,7 @@ def due_command(
     *,
     serial: str,
     places: tuple[Path, ...],
-    limit_deg: float | None,
+    tolerance: Tolerance | None,
     index_path: Path | None,
     trace: bool,
     as_json: bool,
@@ -214,12 +212,13 @@ def due_command(
     """Compute when a sensor's next calibration is due, with the rule and the reason (ILAC-G24 / OIML D 10).
 
     Staircase: the interval grows if the previous calibration was still good, and shrinks if it was not.
-    Control chart: the day on which drift and U reach the permissible error. The earlier date counts.
+    Control chart: the last day on which the error by drift conforms to the tolerance. The earlier date
+    counts.
     """
-    from adis_gonio.fleet.calibration_due import DEFAULT_LIMIT_DEG, Rules, due_of
+    from adis_gonio.fleet.calibration_due import DEFAULT_TOLERANCE, Rules, due_of
     from adis_gonio.fleet.sensor_history import history_of
 
-    limits = Rules(DEFAULT_LIMIT_DEG if limit_deg is None else limit_deg, limit_deg is None, **factors)
+    limits = Rules(tolerance or DEFAULT_TOLERANCE, tolerance is None, **factors)
     with _indexed(places, index_path, trace=trace) as (store, _):
         found = due_of(history_of(serial, _records_of(store, serial)), limits)
     if as_json:
@@ -233,8 +232,7 @@ def due_command(
         if rule.assumes:
             screen.print(f"    assumes: {rule.assumes}")
     if found.limits.assumed:
-        limit = f"{found.limits.limit_deg:g}°"
-        screen.print(f"  {limit} is assumed as permissible error of an angle: set yours with --limit")
+        screen.print(f"  {found.limits.tolerance} is assumed as tolerance: set yours with --tolerance")
 
 
 @option.command("fleet")

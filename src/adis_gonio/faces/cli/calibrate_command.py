@@ -41,7 +41,7 @@ _TURNED = {
         "Plan": "--positions --check --duration --turns --auto --extend --trace --max-extra",
         "Measuring": "--dwell --settle --rate --filter --range --record-turns --poll",
         "Place and fixture": "--gravity --latitude --height --fixture",
-        "Record": "--title --note --operator --serial --stage",
+        "Record": "--title --note --operator --serial --stage --laboratory --customer",
     },
 )
 @option.url
@@ -97,6 +97,8 @@ _TURNED = {
 @click.option("--operator", help="Operator; a terminal asks for it.")
 @click.option("--serial", help="Serial number of the part; a terminal asks for it.")
 @click.option("--stage", help="Stage or fixture in your own words; a terminal asks for it.")
+@click.option("--laboratory", default="", help="Laboratory, for the certificate.")
+@click.option("--customer", default="", help="Customer, for the certificate.")
 @option.flag("--plain", help="Prompt in plain lines, for logs and simple terminals.")
 @option.variant
 @option.no_check
@@ -349,11 +351,11 @@ def _gravity_and_fixture(
 
 
 def _metadata(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
-    """Operator, serial number and stage from the options.
+    """Operator, serial number, stage, laboratory and customer from the options.
 
-    Missing ones are asked for if somebody sits at a terminal.
+    A missing one of the first three is asked for if somebody sits at a terminal.
     """
-    written = {}
+    written = {name: options[name] for name in ("laboratory", "customer")}
     for name, what in _METADATA.items():
         given = options[name]
         if given is None and ask:

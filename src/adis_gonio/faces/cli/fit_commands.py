@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from adis_gonio.base.conformity import Tolerance
     from adis_gonio.base.uncertainty import Value
     from adis_gonio.fitting.allan.allan_result import Part
     from adis_gonio.fitting.answer import Answer
@@ -38,7 +39,11 @@ _PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
 @option.command(
     "fit",
     "--method --all --json",
-    {"Uncertainty": "--monte-carlo --seed", "Gyros": "--sensor-part --calibration --gyros"},
+    {
+        "Uncertainty": "--monte-carlo --seed",
+        "Conformity": "--tolerance --rule --risk",
+        "Gyros": "--sensor-part --calibration --gyros",
+    },
 )
 @option.session
 @click.option(
@@ -61,6 +66,7 @@ _PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
     "--gyros",
     help="For poses in space: another session of this part (plan gyro-turns), or its gyros' calibration.",
 )
+@option.tolerance("State if the angle error is within this tolerance, such as 0.1deg.")
 @option.overrides
 @option.json
 def fit_command(
@@ -74,6 +80,7 @@ def fit_command(
     trials: int | None,
     seed: int,
     as_json: bool,
+    tolerance: Tolerance | None,
     overrides: Overrides,
 ) -> None:
     """Compute ΔK, Δφ and the other parameters of a recorded session, with their uncertainties.
@@ -86,14 +93,13 @@ def fit_command(
     if part == "gyro":
         if gyros is not None:
             raise UsageError("--gyros goes with the accelerometers: leave out --sensor-part gyro")
-        if everything or trials is not None:
-            raise UsageError(
-                "--all and --monte-carlo work for accelerometers only: gyros have one method, gyro"
-            )
+        if everything or trials is not None or tolerance is not None:
+            raise UsageError("--all, --monte-carlo and --tolerance work for accelerometers only")
         show_gyro_fit(option.load(session, overrides), method, as_json=as_json, calibration=calibration)
         return
     if calibration is not None:
         raise UsageError("--calibration goes with --sensor-part gyro")
+    from adis_gonio.base.conformity import state_conformity
     from adis_gonio.faces.api import fit
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.model.records import METADATA
@@ -103,6 +109,9 @@ def fit_command(
     with report_progress(f"fitting {what} of {session.name}"):
         answer = Answer.of(fit(loaded, method=method, gyros=gyros), own=method is not None)
         document = answer.as_dict()
+    stated = None if tolerance is None else state_conformity(tolerance, answer.error_curves())
+    if stated is not None:
+        document |= {"conformity": stated.as_dict()}
     run = None
     if trials is not None:
         import numpy as np
@@ -122,6 +131,9 @@ def fit_command(
     truth = loaded.facts.get("truth") if loaded.free_turn else None
     print_answer(answer, truth, head, shown=loaded.notes, everything=everything)
     print_gains(loaded)
+    if stated is not None:
+        first, *rest = stated.lines
+        console(most=WIDTH).print("\n".join([f"\n{first}", *(f"  {line}" for line in rest)]))
     if run is not None:
         _print_monte_carlo(console(most=WIDTH), run)
 

@@ -17,12 +17,17 @@ from adis_gonio.faces.cli.show import check_page, print_json, report_progress, w
 from adis_gonio.handover.formats import BY_NAME, format_of
 
 if TYPE_CHECKING:
+    from adis_gonio.base.conformity import Tolerance
     from adis_gonio.record.loading import Overrides
 
 STANDARD_OUTPUT = "-"
 
 
-@option.command("export", "--output --format --method", {"Content": "--trace --samples --name --gyros"})
+@option.command(
+    "export",
+    "--output --format --method",
+    {"Content": "--trace --samples --name --gyros", "Conformity": "--tolerance --rule --risk"},
+)
 @option.session
 @click.option(
     "--format", "kind", type=click.Choice(list(BY_NAME)),
@@ -37,6 +42,7 @@ STANDARD_OUTPUT = "-"
     "--gyros", help="Another session of this part (plan gyro-turns), or a calibration file of its gyros."
 )
 @option.flag("--force", help="Replace an existing file.")
+@option.tolerance("Certificate: state if the angle error is within this tolerance.")
 @option.overrides
 def export_command(
     *,
@@ -49,6 +55,7 @@ def export_command(
     name: str | None,
     gyros: Path | None,
     force: bool,
+    tolerance: Tolerance | None,
     overrides: Overrides,
 ) -> None:
     """Export a session's coefficients or data for other programs.
@@ -73,7 +80,9 @@ def export_command(
         )
     kind = kind or format_of(str(output))
     named = {} if name is None else {"name": name}
-    source = ExportSource(session, method, traced, samples, **named, overrides=overrides, gyros=gyros)
+    source = ExportSource(
+        session, method, traced, samples, **named, overrides=overrides, gyros=gyros, tolerance=tolerance
+    )
     source.check(kind)
     if output is None and BY_NAME[kind].holds == "samples":
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")

@@ -16,7 +16,7 @@ from adis_gonio.faces.cli.command_groups import SectionedCommand
 from adis_gonio.model.records import ACCEL_UNITS, SENSORS, checked_gravity_mps2
 
 if TYPE_CHECKING:
-    from adis_gonio.model.records import Session
+    from adis_gonio.model.records import Session, StageCurve
     from adis_gonio.record.loading import AngleChange, Overrides
     from adis_gonio.record.settings import Settings
 
@@ -26,11 +26,15 @@ FILE = click.Path(path_type=Path)
 POSITIVE = click.FloatRange(min=0, min_open=True)
 UNITS = f"[{'|'.join(ACCEL_UNITS)}]"
 """Units of acceleration in the help of a command."""
-_OVERRIDDEN = ("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns")
+_OVERRIDDEN = (
+    *("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns"),
+    *("laboratory", "customer"),
+)
 _SHARED_SECTIONS = {
     "Measuring": "--dwell --settle --rate --filter --range --poll",
     "Sensor": "--variant --no-check --sensor-part",
-    "Corrections of the file": "--gravity --fixture --angles --reverse --unit --sensor --columns",
+    "Corrections of the file": "--gravity --fixture --angles --reverse --unit --sensor --columns"
+    " --laboratory --customer",
 }
 
 
@@ -79,6 +83,15 @@ def parse_fixture(text: str) -> float:
     if sigma is None or not 0 <= sigma < 180:
         raise click.BadParameter(f"'{text}': give degrees, 0 or more, or free if the angles are unknown")
     return sigma
+
+
+def _parse_stage(text: str) -> float | StageCurve:
+    """Parse the uncertainty of a declared angle, or read the stage's certificate from `dcc:FILE`."""
+    if str(text).startswith("dcc:"):
+        from adis_gonio.handover.certificate import read_stage_curve
+
+        return read_stage_curve(Path(str(text).removeprefix("dcc:")))
+    return parse_fixture(text)
 
 
 def parse_unit(text: str) -> str:
@@ -216,9 +229,14 @@ filter = with_default(
 title = click.option("--title", default="", help="Title to keep with the session.")
 _OVERRIDES = (
     gravity("Correct the local gravity to this value in m/s²."),
-    fixture(
+    click.option(
+        "--fixture",
         "fixture_sigma_deg",
-        help="Correct the standard uncertainty of a stage angle in degrees; free: the angles are unknown.",
+        type=_parse_stage,
+        multiple=True,
+        metavar="DEGREES|dcc:FILE",
+        help="Correct the standard uncertainty of a stage angle in degrees; free: the angles are unknown;"
+        " dcc:stage.xml: correct the angles by the stage's certificate.",
     ),
     click.option(
         "--angles",
@@ -236,6 +254,8 @@ _OVERRIDES = (
         metavar="NAME=COLUMN,…",
         help="Column names of a CSV, such as time=t,ax=Acc_X,ay=Acc_Y.",
     ),
+    click.option("--laboratory", help="Laboratory, for the certificate."),
+    click.option("--customer", help="Customer, for the certificate."),
 )
 
 
@@ -252,6 +272,63 @@ def index(function: F) -> F:
     return with_trace
 
 
+def _parse_tolerance(text: str) -> float:
+    value = _number(str(text).strip().removesuffix("deg").removesuffix("°"))
+    if value is None:
+        raise click.BadParameter(f"'{text}' is no angle: give degrees, such as 0.1deg")
+    return value
+
+
+def _parse_risk(text: str) -> float:
+    value = _number(str(text).strip().removesuffix("%"))
+    if value is None:
+        raise click.BadParameter(f"'{text}' is no risk: give a percentage, such as 2%")
+    return value / 100 if str(text).strip().endswith("%") else value
+
+
+def tolerance(help: str) -> Option[Any]:
+    """Return a decorator with the options `--tolerance`, `--rule` and `--risk`.
+
+    The command gets them as one argument, `tolerance`, which is None without `--tolerance`.
+    """
+    options = (
+        click.option("--tolerance", type=_parse_tolerance, metavar="ANGLE", help=help),
+        click.option(
+            "--rule",
+            type=click.Choice(("guarded", "simple", "shared")),
+            help="Decision rule of the conformity (default: guarded; docs/handover.md).",
+        ),
+        click.option(
+            "--risk",
+            type=_parse_risk,
+            metavar="PERCENT",
+            help="With rule guarded: largest risk of a wrong statement (default: 2.5%).",
+        ),
+    )
+
+    def decorate(function: F) -> F:
+        @wraps(function)
+        def with_tolerance(
+            tolerance: float | None, rule: str | None, risk: float | None, **arguments: Any
+        ) -> Any:
+            from adis_gonio.base.conformity import Tolerance
+
+            given = {"rule": rule, "risk": risk}
+            chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+            if chosen and tolerance is None:
+                raise UsageError(f"--{next(iter(chosen))} goes with --tolerance, such as 0.1deg")
+            if risk is not None and rule not in (None, "guarded"):
+                raise UsageError(f"--risk goes with the rule guarded, not with {rule}")
+            made = None if tolerance is None else Tolerance(tolerance, **chosen)
+            return function(tolerance=made, **arguments)
+
+        for option in reversed(options):
+            with_tolerance = option(with_tolerance)
+        return with_tolerance  # type: ignore[return-value]
+
+    return decorate
+
+
 def overrides(function: F) -> F:
     """Decorate a command with the options that correct a file.
 
@@ -265,6 +342,12 @@ def overrides(function: F) -> F:
         taken = {name: arguments.pop(name) for name in _OVERRIDDEN}
         taken["columns"] = taken["columns"] or {}
         taken["angles"] = taken["angles"] or ()
+        given = taken.pop("fixture_sigma_deg")
+        sigmas = [one for one in given if isinstance(one, float)]
+        curves = [one for one in given if not isinstance(one, float)]
+        if len(sigmas) > 1 or len(curves) > 1:
+            raise UsageError("--fixture: give one uncertainty and one certificate at most")
+        taken |= {"fixture_sigma_deg": next(iter(sigmas), None), "stage_curve": next(iter(curves), None)}
         return function(overrides=Overrides(**taken), **arguments)
 
     for option in reversed(_OVERRIDES):

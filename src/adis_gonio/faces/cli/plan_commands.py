@@ -12,6 +12,7 @@ import click
 import numpy as np
 
 from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import check_output, ends_in
 from adis_gonio.faces.cli import options as option
@@ -19,6 +20,7 @@ from adis_gonio.faces.cli.show import print_json, report_progress
 from adis_gonio.model.records import SENSORS, STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
+    from adis_gonio.base.conformity import Tolerance
     from adis_gonio.plan import Bench, BestPlan, Prediction
 
 
@@ -26,7 +28,8 @@ if TYPE_CHECKING:
     "plan",
     "--fixture --positions --output",
     {
-        "Search": "--angle-error --minutes --best --beware --grid --start --seed",
+        "Search": "--minutes --best --beware --grid --start --seed",
+        "Conformity": "--tolerance --rule --risk",
         "Evaluation of a given plan": "--plan --check",
         "Sensor and place": "--sensor --noise --flicker --gravity",
     },
@@ -41,10 +44,7 @@ if TYPE_CHECKING:
     help="Minimum of the Allan deviation in mg (default: the variant's figure).",
 )  # fmt: skip
 @click.option("--positions", type=int, metavar="N", help="Number of positions.")
-@click.option(
-    "--angle-error", "angle_deg", type=float, metavar="DEGREES",
-    help="Find the fewest positions with at most this angle error (rms over the turn).",
-)  # fmt: skip
+@option.tolerance("Find the fewest positions that can decide if the angle error is within this tolerance.")
 @click.option(
     "--minutes", type=float, metavar="MINUTES", help="Take as many positions as fit into this time."
 )
@@ -77,17 +77,19 @@ if TYPE_CHECKING:
 @option.output("Plan file to write, for calibrate --plan FILE.")
 @option.flag("--force", help="Replace an existing plan file.")
 @option.json
-def plan_command(*, output: Path | None, force: bool, as_json: bool, **options: Any) -> None:
+def plan_command(
+    *, output: Path | None, force: bool, as_json: bool, tolerance: Tolerance | None, **options: Any
+) -> None:
     """Predict the uncertainties and detectable effects of a plan of positions, or find the best plan.
 
-    Give one of --positions, --angle-error and --minutes to search for the best plan, including the order of
+    Give one of --positions, --tolerance and --minutes to search for the best plan, including the order of
     its positions and the side from which each is approached. Give --plan to evaluate a plan by its name or
     file.
 
     calibrate, simulate and template take the plan file of -o as --plan FILE.
     """
     from adis_gonio.plan.optimal_plan import prediction_lines
-    from adis_gonio.plan.plan_file import document_of, write_plan
+    from adis_gonio.record.plans import document_of, write_plan
 
     if output is not None:
         if not ends_in(output, ".json"):
@@ -99,14 +101,16 @@ def plan_command(*, output: Path | None, force: bool, as_json: bool, **options: 
         prediction = _predict_given(bench, **options)
     else:
         with report_progress("searching for the best plan"):
-            found = _search(bench, **options)
+            found = _search(bench, tolerance, **options)
         prediction = found.prediction
     if output is not None:
         write_plan(output, prediction.plan, None if found is None else found.made_for())
     if as_json:
-        print_json({"plan": document_of(prediction.plan), **(found or prediction).as_dict()})
+        stated = {} if tolerance is None else {"conformity": prediction.reach.conformity(tolerance)}
+        shown = (found or prediction).as_dict()
+        print_json({"plan": document_of(prediction.plan), **shown, **json_object(**stated)})
         return
-    for line in prediction_lines(prediction, found):
+    for line in prediction_lines(prediction, found, tolerance):
         click.echo(line)
     if output is not None:
         dwell = f" --dwell {options['dwell_s']:g}"
@@ -128,7 +132,7 @@ def _bench(*, gravity_mps2: float | None, **options: Any) -> Bench:
 def _predict_given(bench: Bench, **options: Any) -> Prediction:
     from adis_gonio.plan import find_plan, predict
 
-    search = {"--angle-error": "angle_deg", "--minutes": "minutes", "--best": "best"}
+    search = {"--minutes": "minutes", "--best": "best"}
     wrong = [flag for flag, name in search.items() if options[name] is not None]
     if options["beware"]:
         wrong.append("--beware")
@@ -139,9 +143,9 @@ def _predict_given(bench: Bench, **options: Any) -> Prediction:
 
 def _search(
     bench: Bench,
+    tolerance: Tolerance | None,
     *,
     positions: int | None,
-    angle_deg: float | None,
     minutes: float | None,
     beware: str,
     best: Any,
@@ -152,18 +156,19 @@ def _search(
 ) -> BestPlan:
     from adis_gonio.plan import best_plan, fewest_positions, positions_in
 
-    if sum(value is not None for value in (positions, angle_deg, minutes)) != 1:
-        raise UsageError("give one of --positions, --angle-error and --minutes, or --plan to evaluate one")
+    given = sum(value is not None for value in (positions, minutes))
+    if given > 1 or (not given and tolerance is None):
+        raise UsageError("give one of --positions, --tolerance and --minutes, or --plan to evaluate one")
     if check:
         raise UsageError("--check goes with --plan; calibrate --plan FILE --check adds them to a plan file")
     if seed < 0:
         raise UsageError(f"seed is {seed}: take 0 or more")
     names = tuple(name.strip() for name in beware.split(",") if name.strip())
     best = best or ("tell-apart" if names else "angle")
-    if angle_deg is not None:
-        return fewest_positions(bench, angle_deg, best, names, grid_deg=grid_deg, seed=seed)
+    if not given and tolerance is not None:
+        return fewest_positions(bench, tolerance, best, names, grid_deg=grid_deg, seed=seed)
     count = positions_in(bench, minutes) if minutes is not None else positions
-    assert count is not None  # one of the three was given
+    assert count is not None  # one of the two was given
     return best_plan(bench, count, best, names, grid_deg=grid_deg, seed=seed)
 
 

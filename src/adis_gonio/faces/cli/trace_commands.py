@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
 
+    from adis_gonio.base.conformity import Tolerance
     from adis_gonio.model.records import Session
     from adis_gonio.page.document import Section
     from adis_gonio.record.loading import Overrides
@@ -257,17 +258,26 @@ def _confounded_groups(summary: Mapping[str, Any]) -> str:
     return "\n".join([*lines[:_MOST_GROUPS], *more]) or "–"
 
 
-@option.command("report", "--output --time-limit")
+@option.command("report", "--output --time-limit", {"Conformity": "--tolerance --rule --risk"})
 @option.session
 @option.output("Page to write; an existing page is replaced.", required=True)
 @option.time_limit("End the trace after this time with the best model so far.")
+@option.tolerance("State on the certificate if the angle error is within this tolerance.")
 @option.overrides
-def report_command(*, session: Path, output: Path, time_limit: float | None, overrides: Overrides) -> None:
+def report_command(
+    *,
+    session: Path,
+    output: Path,
+    time_limit: float | None,
+    tolerance: Tolerance | None,
+    overrides: Overrides,
+) -> None:
     """Write the calibration report: one self-contained HTML page.
 
-    The page shows the results of every method that the session supports, the trace with a figure for each
-    step, the effects that could not be seen, measurements to make next, and the data. It depends only on
-    the session's file, so an older page of the same name is replaced.
+    The first page is a certificate to sign. The annex shows the results of every method that the session
+    supports, the trace with a figure for each step, the effects that could not be seen, measurements to
+    make next, and the data. The page depends only on the session's file, so an older page of the same name
+    is replaced.
     """
     if output.exists() and session.exists() and output.samefile(session):
         raise UsageError(f"{output}: is the session itself; name another file for the page")
@@ -275,11 +285,11 @@ def report_command(*, session: Path, output: Path, time_limit: float | None, ove
     loaded = option.load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
     with report_progress(f"report of {what} of {session.name}"):
-        page = _report_page(loaded, time_limit)
+        page = _report_page(loaded, time_limit, tolerance)
     write_page(output, page)
 
 
-def _report_page(session: Session, time_limit: float | None) -> str:
+def _report_page(session: Session, time_limit: float | None, tolerance: Tolerance | None) -> str:
     """Build the HTML report of a session from all fits, the trace and the digital twin."""
     from adis_gonio.base.budget import current, with_progress
     from adis_gonio.fitting import applicable_methods, fit
@@ -301,11 +311,11 @@ def _report_page(session: Session, time_limit: float | None) -> str:
         traced = trace(session, time_limit=time_limit)
         drawn = views(session, traced)
     except AdisGonioError as error:
-        return build_page(session, fits, str(error), sections=gyros, failures=failures)
+        return build_page(session, fits, str(error), None, gyros, failures, tolerance)
     tell("its digital twin")
     twin = _twin_sections(session, traced)
     tell("its figures")
-    return build_page(session, fits, traced, drawn, sections=[*gyros, *twin], failures=failures)
+    return build_page(session, fits, traced, drawn, [*gyros, *twin], failures, tolerance)
 
 
 def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:
