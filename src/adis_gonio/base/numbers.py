@@ -118,7 +118,7 @@ def format_unit(unit: str) -> str:
 
 def with_unit(text: str, unit: str) -> str:
     """Append a unit to text; the unit `1` adds nothing, and degrees become the sign °."""
-    unit = format_unit(unit)
+    unit = "" if text == DASH else format_unit(unit)
     if unit == "°":
         return f"({text})°" if "±" in text else f"{text}°"
     return f"{text}{NO_BREAK}{unit}" if unit else text

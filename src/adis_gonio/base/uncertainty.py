@@ -22,8 +22,6 @@ INADEQUATE = 0.01
 """p-value of χ² below which a residual is too large for the noise that was measured."""
 FOUND_WITHIN = 0.01
 """Probability of any finding inside the dwells of a session without faults (family-wise)."""
-FOUND_IN_ONE_POSE = 0.01
-"""Probability that one pose without effects shows one, over all candidates."""
 OUTLYING = 0.01
 """Probability that a fleet without any outlying unit, stage or operator names one (family-wise)."""
 DRIFTING = 0.05

@@ -34,7 +34,7 @@ from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
 from adis_gonio.bench.session_state import vector
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.settings import Status
-from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase, utc_now
+from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase
 from adis_gonio.record.blocks import (
     SUPPLY_LIMITS_V,
     WITHOUT_NEWS,
@@ -327,8 +327,7 @@ class DwellRecorder(Recorder):
         return Recording(
             place,
             self._ledger.plan.positions[place],
-            utc_now(),
-            bench.now_s,
+            *bench.moment(),
             bench.settings.dwell_s,
             bench.settle_s,
             bench.period_s,

@@ -103,9 +103,9 @@ class GyroTurn(FollowedTurn):
     rest_before_s = REST_S
 
     def __init__(
-        self, place: int, position: Position, wanted_deg: float, rest: Block, now_s: float
+        self, place: int, position: Position, wanted_deg: float, rest: Block, began: tuple[str, float]
     ) -> None:
-        super().__init__(place, position, round(abs(wanted_deg) / 360.0), PATIENCE_S, now_s)
+        super().__init__(place, position, round(abs(wanted_deg) / 360.0), PATIENCE_S, began)
         rates, force = _rates_and_force(rest)
         self.wanted_deg, self._zero = wanted_deg, rates.mean(axis=0)
         self._up = -force.mean(axis=0) / np.linalg.norm(force.mean(axis=0))
@@ -221,7 +221,7 @@ class GyroTurnsRecorder(DwellRecorder):
             return False
         rest = self._rest(before)
         position = self._ledger.plan.positions[place]
-        turn = GyroTurn(place, position, wanted_deg, rest, self._bench.now_s)
+        turn = GyroTurn(place, position, wanted_deg, rest, self._bench.moment())
         why = yield from self._record_turn(turn)
         blocks = turn.blocks
         number = self._write(turn, "interrupted", why or TURNED)

@@ -252,6 +252,7 @@ class SessionRunner(Operator):
         super().__init__()
         self._bench = bench
         self._archive = archive
+        archive.utc = bench.utc
         self._resumed = resumed
         self._ran = False
         self._ledger = Ledger(archive, lambda: bench.now_s)
@@ -328,6 +329,7 @@ class SessionRunner(Operator):
             title=title,
             note=note,
             simulated=bench.simulated,
+            created_utc=bench.utc(),
             **{name: text.strip() for name, text in metadata.items()},
         )
         archive = Archive.create(path, header)
@@ -396,6 +398,11 @@ class SessionRunner(Operator):
     def virtual_time(self) -> bool:
         """True if the sensor's time stops while no event is taken."""
         return self._bench.virtual_time
+
+    @property
+    def replayed(self) -> bool:
+        """True if a recording answers instead of the sensor and the operator."""
+        return self._bench.replayed
 
     def run(self) -> Iterator[Event]:
         """Run the session to its end; can be used once.

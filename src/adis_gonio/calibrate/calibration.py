@@ -322,11 +322,11 @@ class Calibration(Coefficients):
 
         return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
 
-    def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
+    def error_curves(self, *, stage: bool = True) -> tuple[ErrorCurve | None, ErrorCurve]:
         """Error of the angle over the turn in the plane of x and y: without and with this calibration.
 
-        The angle is the stage's if its start angle is known, else the angle of gravity. The noise of single
-        readings is not included. The first curve is None for a sensor of unknown scale.
+        The angle is the stage's if its start angle is known (and `stage`), else the angle of gravity. The
+        noise of single readings is not included. The first curve is None for a sensor of unknown scale.
 
         Raises
         ------
@@ -341,9 +341,9 @@ class Calibration(Coefficients):
         readings = self.readings_of(gravity)
         conditions = self._conditions(CURVE_PLACES, None, None)
         # A stage angle is the start angle minus the angle of gravity.
-        start = "alpha" in self
+        start = stage and "alpha" in self
         sign, zero = (-1.0, self["alpha"].value) if start else (1.0, 0.0)
-        varying = np.array([name == "alpha" for name in self.names])
+        varying = np.array([start and name == "alpha" for name in self.names])
 
         def angle(values: Floats) -> Floats:
             found = self._gravity(values, readings, conditions)

@@ -272,6 +272,8 @@ def with_notes(best: FitResult, given: FitResult) -> FitResult:
         warnings=(*best.doubts, *notes, *best.warnings),
         session_notes=notes,
         session=given.session,
+        provenance=given.provenance,
+        overrides=given.overrides,
         position_findings=given.position_findings,
         links=given.links,
     )

@@ -272,18 +272,19 @@ class FitResult(ParameterTable):
         The m angles are around the turn; noise of the reading is not included. None if the session leaves
         the angle undetermined, or if the noise is unknown.
         """
-        made, shown = self.origin, None if self.shown_angle is None else self._around
-        if made is None or made.sources is None or shown is None:
+        made = self.origin
+        if made is None or made.sources is None or not made.readings.planar or self._around is None:
             return None
-        return made.sources.roots(shown.gradient, shown.reading)
+        return made.sources.roots(self._around.gradient, self._around.reading)
 
     def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
         """Error of the angle without and with this calibration; see `Calibration.error_curves`.
 
         In the plane the uncertainty also covers biases that the fit had to take as zero.
         """
-        curves = calibration_as_recorded(self).error_curves()
-        if self.shown_angle is None:
+        # A free turn has no stage; its result is made without readings of positions.
+        curves = calibration_as_recorded(self).error_curves(stage=self.origin is not None)
+        if self.shown_angle is None or self.origin is None:
             return curves
         if self.angle_roots_deg is None:
             raise FitError("this session does not determine the angle, so conformity cannot be stated")

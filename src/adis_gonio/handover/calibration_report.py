@@ -130,12 +130,17 @@ def certificate_section(
         ["u of a stage angle", known["standard uncertainty of a declared angle"]],
     ]
     signature = [["date", NO_BREAK], ["name, signature", NO_BREAK]]
+    key = _key(answer.values)
+    results = [] if key else [Table(HEAD, [line.cells for line in answer.lines], numeric=(2, 3, 4, 5))]
     return Section(
         "Certificate",
-        key=_key(answer.values),
+        key=key,
         words=[*doubts, *stated],
         figures=figures,
-        tables=[Table(["", ""], rows) for rows in (instrument, conditions, signature[:1], signature[1:])],
+        tables=[
+            *results,
+            *(Table(["", ""], rows) for rows in (instrument, conditions, signature[:1], signature[1:])),
+        ],
         notes=[
             f"Method {answer.title}. U = k·u covers 95 %. The stated errors are those of the mean of many "
             "readings; traceable to the declared angles of the stage only. The annex follows."
@@ -552,7 +557,7 @@ def facts(
         ("the chip compensates", "\n".join(compensations(configuration))),
         ("unit of the accelerations", session.accel_unit),
         ("plane of rotation", "xy" if session.plane == "xy" else "none: attitudes in space"),
-        ("standard uncertainty of a declared angle", _fixture(session.fixture_sigma_deg)),
+        ("standard uncertainty of a declared angle", _fixture(session)),
         ("local gravity", f"{session.gravity_mps2:.5f} m/s²"),
         ("standard uncertainty of a reading", _noise(observed)),
         ("reference temperature of the parameters", "" if reference_c is None else f"{reference_c:.1f} °C"),
@@ -561,10 +566,13 @@ def facts(
     ]
 
 
-def _fixture(sigma: float | None) -> str:
-    if sigma is None:
-        return "not stated"
-    return "free: declared angles are not used" if math.isinf(sigma) else f"{sigma:g}°"
+def _fixture(session: Session) -> str:
+    sigma = session.fixture_sigma_deg
+    if sigma is not None and math.isinf(sigma):
+        return "free: declared angles are not used"
+    known = [f"certificate {session.stage_curve.name}"] if session.stage_curve else []
+    known += [] if sigma is None else [f"{sigma:g}°"]
+    return ", ".join(known) or "not stated"
 
 
 def _noise(observed: Readings | None) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError, install_extra
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.output import write_utf8
@@ -135,6 +136,8 @@ class ExportSource:
         Prefix of every name in a C header.
     overrides : Overrides or None
         Corrections of the session's metadata.
+    tolerance : Tolerance or None
+        Tolerance of the angle, whose conformity a certificate states.
     gyros : Path or None
         Session or calibration of the sensor's gyros, used instead of the gyros of this session.
     """
@@ -146,6 +149,7 @@ class ExportSource:
     name: str = DEFAULT_NAME
     overrides: Overrides | None = None
     gyros: Path | None = None
+    tolerance: Tolerance | None = None
 
     def check(self, kind: str) -> None:
         """Raise `UsageError` if an option has no meaning for the format `kind`."""
@@ -160,6 +164,8 @@ class ExportSource:
             raise UsageError("--method and --trace exclude each other: a trace has its own model")
         if self.name != DEFAULT_NAME and not BY_NAME[kind].named:
             raise UsageError("--name goes with --format c-header")
+        if self.tolerance is not None and kind != "dcc":
+            raise UsageError("--tolerance goes with --format dcc")
 
     def write(self, kind: str, path: Path) -> list[str]:
         """Write the source in a format to a new or empty file; return remarks on the content.
@@ -175,7 +181,8 @@ class ExportSource:
         self.check(kind)
         chosen = BY_NAME[kind]
         if chosen.holds == "coefficients":
-            options = {"name": self.name} if chosen.named else {}
+            options: dict[str, Any] = {"name": self.name} if chosen.named else {}
+            options |= {"tolerance": self.tolerance} if kind == "dcc" else {}
             given, remarks = calibration_in(self.path), []
             if given is None:
                 session = load_session(self.path, self.overrides)

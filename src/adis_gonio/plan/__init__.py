@@ -13,10 +13,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from adis_gonio.base import lazily
+from adis_gonio.record.plans import find_plan, read_plan, write_plan
 
 if TYPE_CHECKING:
     from adis_gonio.plan.optimal_plan import BestPlan, best_plan, fewest_positions, positions_in
-    from adis_gonio.plan.plan_file import find_plan, read_plan, write_plan
     from adis_gonio.plan.prediction import Bench, Prediction, predict
 
 __all__ = [
@@ -26,7 +26,6 @@ __all__ = [
 
 _MODULES = {
     "optimal_plan": ("BestPlan", "best_plan", "fewest_positions", "positions_in"),
-    "plan_file": ("find_plan", "read_plan", "write_plan"),
     "prediction": ("Bench", "Prediction", "predict"),
 }
 __getattr__ = lazily(__name__, {name: module for module, names in _MODULES.items() for name in names})

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
-from adis_gonio.device.bus import Capability, FrameStream, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus.forwarding import ForwardingBus
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, Register, register, registers
@@ -390,49 +391,18 @@ class Bringup:
         }
 
 
-class ClockCeiling(SpiBus):
+class ClockCeiling(ForwardingBus):
     """A bus that forwards to another bus and limits its clock to `ceiling_hz`.
 
     A new limit acts from the next `configure` on.
     """
 
     def __init__(self, inner: SpiBus, ceiling_hz: float) -> None:
-        super().__init__(inner.timing)
-        self.inner = inner
+        super().__init__(inner)
         self.ceiling_hz = ceiling_hz
-        self.url = inner.url
-        self.capabilities = inner.capabilities
-        self.edge_rises = inner.edge_rises
-        self.unbroken_frames = inner.unbroken_frames
-
-    def now_s(self) -> float:
-        """Present time in s on the monotonic clock of the bus."""
-        return self.inner.now_s()
-
-    def sleep_s(self, seconds: float) -> None:
-        """Wait for some seconds on the clock of the bus."""
-        self.inner.sleep_s(seconds)
-
-    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """See `SpiBus`."""
-        return self.inner.stream(frames, block_scans=block_scans)
-
-    def hard_reset(self) -> None:
-        """See `SpiBus`."""
-        self.inner.hard_reset()
-
-    def read_event_counter(self) -> int:
-        """See `SpiBus`."""
-        return self.inner.read_event_counter()
-
-    def _exchange(self, frames: Words) -> Words:
-        return self.inner.exchange_array(frames)
 
     def _configure(self, timing: SpiTiming) -> SpiTiming:
         return self.inner.configure(replace(timing, clock_hz=min(timing.clock_hz, self.ceiling_hz)))
-
-    def _close(self) -> None:
-        self.inner.close()
 
 
 FALSE_ALARM = 1e-4

@@ -17,10 +17,15 @@ from adis_gonio.faces.cli.show import check_page, print_json, report_progress, r
 from adis_gonio.handover.formats import BY_NAME, FORMATS, format_of
 
 if TYPE_CHECKING:
+    from adis_gonio.base.conformity import Tolerance
     from adis_gonio.record.loading import Overrides
 
 
-@option.command("export", "--output --format --method", {"Content": "--trace --samples --name --gyros"})
+@option.command(
+    "export",
+    "--output --format --method",
+    {"Content": "--trace --samples --name --gyros", "Conformity": "--tolerance --rule --risk"},
+)
 @option.session
 @click.option(
     "--format", "kind", type=click.Choice(list(BY_NAME)),
@@ -34,6 +39,7 @@ if TYPE_CHECKING:
 @option.file(
     "--gyros", help="Another session of this part (plan gyro-turns), or a calibration file of its gyros."
 )
+@option.tolerance("Certificate: state if the angle error is within this tolerance.")
 @option.overrides
 def export_command(
     *,
@@ -45,6 +51,7 @@ def export_command(
     samples: bool,
     name: str | None,
     gyros: Path | None,
+    tolerance: Tolerance | None,
     overrides: Overrides,
 ) -> None:
     """Export a session's coefficients or data for other programs.
@@ -65,7 +72,9 @@ def export_command(
         )
     kind = kind or format_of(str(output))
     named = {} if name is None else {"name": name}
-    source = ExportSource(session, method, traced, samples, **named, overrides=overrides, gyros=gyros)
+    source = ExportSource(
+        session, method, traced, samples, **named, overrides=overrides, gyros=gyros, tolerance=tolerance
+    )
     source.check(kind)
     if output is None and BY_NAME[kind].holds == "samples":
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")

@@ -218,8 +218,12 @@ class PlainBench:
     ) -> None:
         """Open a question.
 
-        If `wait` is set or the sensor's clock is simulated, the answer is waited for.
+        If `wait` is set or the sensor's clock is simulated, the answer is waited for. A recording gives its
+        own answers.
         """
+        if self._runner.replayed:
+            self._say(text)
+            return
         self._progress.update(self._task, visible=False)
         self._progress.stop()
         self._question = _Question(text, keys, takes_notes)

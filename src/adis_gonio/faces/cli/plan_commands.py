@@ -89,7 +89,7 @@ def plan_command(
     calibrate, simulate and template take the plan file of -o as --plan FILE.
     """
     from adis_gonio.plan.optimal_plan import prediction_lines
-    from adis_gonio.plan.plan_file import document_of, write_plan
+    from adis_gonio.record.plans import document_of, write_plan
 
     if output is not None and not ends_in(output, ".json"):
         raise UsageError(f"{output}: a plan is a JSON file: name it .json")

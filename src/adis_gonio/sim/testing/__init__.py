@@ -1,4 +1,4 @@
-"""For tests of other packages: the bus contract, simulated sensors and boards, faults by seed.
+"""For tests of other packages: the bus contract, simulated sensors and boards, faults, expected frames.
 
 pytest finds the fixtures `simulated_sensor` and `simulated_board` by the plugin; only `BusContract` needs
 pytest. Names are imported when they are first used. See docs/handover.md.
@@ -16,6 +16,7 @@ _HOMES = {
     "WatchedChip": "bus_contract",
     "WireFrame": "bus_contract",
     "BusFaults": "faults",
+    "ExpectedFrames": "expected_frames",
     "FaultyBus": "faults",
     "Faults": "faults",
     "SimulatedBoard": "doubles",
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from adis_gonio.sim.testing.doubles import SimulatedSensor as SimulatedSensor
     from adis_gonio.sim.testing.doubles import open_board as open_board
     from adis_gonio.sim.testing.doubles import open_simulated as open_simulated
+    from adis_gonio.sim.testing.expected_frames import ExpectedFrames as ExpectedFrames
     from adis_gonio.sim.testing.faults import BusFaults as BusFaults
     from adis_gonio.sim.testing.faults import Faults as Faults
     from adis_gonio.sim.testing.faults import FaultyBus as FaultyBus
