@@ -35,4 +35,10 @@ if TYPE_CHECKING:
     from adis_gonio.record.loading import load_session as load_session
     from adis_gonio.tracing.trace_result import TraceResult as TraceResult
 
+
 __getattr__ = lazily(__name__, _HOMES)
+
+
+def __dir__() -> list[str]:
+    """Public names, also those that were not imported yet."""
+    return sorted(globals()["__all__"])

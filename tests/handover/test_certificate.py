@@ -9,6 +9,7 @@ from datetime import date
 
 import pytest
 
+from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError
 from adis_gonio.calibrate import NotCorrected
 from adis_gonio.handover.certificate import certificate_text
@@ -143,6 +144,22 @@ def test_the_laboratory_and_the_customer_are_in_their_places():
     )
     assert root.find(f".//{DCC}customer/{DCC}name/{DCC}content").text == "A. Customer"
     assert "laboratory" not in certificate_text(own).partition("Made by a program")[2].partition("</")[0]
+
+
+@pytest.mark.parametrize(("limit_deg", "verdicts"), [(0.1, ["pass", "fail"]), (2.5e-4, ["noPass", "fail"])])
+def test_conformity_is_stated_for_machines(limit_deg, verdicts):
+    text = certificate_text(calibration(PLANE), tolerance=Tolerance(limit_deg))
+    statements = judge(text).findall(f".//{DCC}statement")
+    found = [s for s in statements if s.find(f"{DCC}conformity") is not None]
+    assert [s.find(f"{DCC}conformity").text for s in found] == verdicts
+    assert "With calibration" in found[0].find(f"{DCC}declaration/{DCC}content").text
+    assert f"±{limit_deg:g}°" in text
+
+
+def test_no_conformity_is_stated_with_a_bias_that_nobody_determined():
+    blind = replace(calibration(PLANE), assumed=("bias_x", "bias_y"))
+    with pytest.raises(FitError, match="bias_x, bias_y not determined"):
+        certificate_text(blind, tolerance=Tolerance(0.1))
 
 
 def _most(name):

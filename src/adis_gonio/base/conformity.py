@@ -234,16 +234,16 @@ class Statement(JsonRecord):
     with_calibration: Conformity
 
     @property
+    def states(self) -> dict[str, Conformity]:
+        """Conformity by the state of the sensor, in words."""
+        known = {"with calibration": self.with_calibration, "without calibration": self.without_calibration}
+        return {name: one for name, one in known.items() if one is not None}
+
+    @property
     def lines(self) -> list[str]:
         """Text of the statement: the tolerance and the rule, and a line for each state of the sensor."""
-        states = {
-            "with calibration": self.with_calibration,
-            "without calibration": self.without_calibration,
-        }
-        return [
-            f"Conformity with {self.tolerance}",
-            *(f"{name}: {one.verdict.upper()}, {one.reason}" for name, one in states.items() if one),
-        ]
+        found = [f"{name}: {one.verdict.upper()}, {one.reason}" for name, one in self.states.items()]
+        return [f"Conformity with {self.tolerance}", *found]
 
 
 def state_conformity(tolerance: Tolerance, curves: tuple[ErrorCurve | None, ErrorCurve]) -> Statement:

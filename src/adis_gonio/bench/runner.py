@@ -296,7 +296,8 @@ class SessionRunner(Operator):
         advisor : Advisor or None
             Source of further positions when the plan is done.
         metadata : str
-            Notes to keep: `title`, `note` and the names in `adis_gonio.model.records.METADATA`.
+            Notes to keep: `title`, `note` and the names in `adis_gonio.model.records.METADATA`; or
+            `created_utc`, the time of its begin in ISO 8601 (default: now).
 
         Raises
         ------
@@ -455,8 +456,12 @@ class SessionRunner(Operator):
             bench.bring_world_to(archive, last)
         elif bench.simulated:
             bench.take_up(archive, last)
-        if noise is not None:
-            yield self._knowledge.take_noise(noise)
+        if noise is None:
+            return
+        yield self._knowledge.take_noise(noise)
+        running = self._knowledge.running() if self._resumed else None
+        if running is not None:
+            yield running
 
     def _finish(self) -> Finished:
         bench, ledger = self._bench, self._ledger

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.conformity import Tolerance, Verdict, state_conformity
 from adis_gonio.base.errors import DataError, FitError, one_line
 from adis_gonio.base.uncertainty import coverage_factor
 from adis_gonio.calibrate.calibration import Calibration
@@ -73,27 +74,42 @@ _NAMES = {
     "gyro_misalignment": "Misalignment of gyro and axis",
     "g_sensitivity": "Sensitivity to acceleration of gyro and axis",
 }
+_CONFORMITY: dict[Verdict, str] = {"pass": "pass", "fail": "fail", "undecided": "noPass"}
 _TURN_DEG = tuple(range(0, 360, 30))
 
 
-def certificate_text(calibration: Calibration, issued: date | None = None) -> str:
+def certificate_text(
+    calibration: Calibration, issued: date | None = None, tolerance: Tolerance | None = None
+) -> str:
     """Render a calibration as a digital calibration certificate in XML.
 
     Parameters
     ----------
     issued : date, optional
         Date of the calibration if the session does not state it; by default today.
+    tolerance : Tolerance, optional
+        Tolerance of the angle, whose conformity is stated.
 
     Raises
     ------
     FitError
-        A parameter has a unit without a known D-SI notation.
+        A parameter has a unit without a known D-SI notation, or conformity cannot be stated.
     """
     for prefix, space in (("dcc", DCC), ("si", SI), ("xsi", XSI)):
         ET.register_namespace(prefix, space)
     root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion=VERSION)
     root.set(f"{{{XSI}}}schemaLocation", f"{DCC} {DCC}/v{VERSION}/dcc.xsd")
-    _administrative(_add(root, "administrativeData"), calibration, issued)
+    administrative = _add(root, "administrativeData")
+    _administrative(administrative, calibration, issued)
+    if tolerance is not None:
+        zero = [name for name in calibration.assumed if name.startswith("bias")]
+        if zero:
+            raise FitError(f"conformity cannot be stated: {', '.join(zero)} not determined, taken as zero")
+        stated = state_conformity(tolerance, calibration.error_curves())
+        for name, one in stated.states.items():
+            text = f"{name.capitalize()}, the error of the angle within {tolerance}: {one.reason}."
+            statement = _named(administrative[-1], "statement", text, "declaration")
+            _add(statement, "conformity", _CONFORMITY[one.verdict])
     _results(_add(_add(root, "measurementResults"), "measurementResult"), calibration)
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"

@@ -242,7 +242,7 @@ def _figures(found: TwinComparison) -> list[Figure]:
             found.density_measured,
             found.density_twin,
             "frequency / Hz",
-            "density / mg/√Hz",
+            "spectral density / mg/√Hz",
         ),
     )
     figures = []
@@ -252,7 +252,7 @@ def _figures(found: TwinComparison) -> list[Figure]:
                 Series(x, ours[:, k], "measured", role="before"),
                 Series(x, theirs[:, k], "twin", role="after", style="line"),
             ]
-            title = f"{y_label.split(' /')[0]} of {_AXES[k]}"
+            title = f"{y_label.split(' /')[0].capitalize()} of {_AXES[k]}"
             svg = plot(series, x_label, y_label, title=title, x_log=True, y_log=True)
             figures.append(Figure(svg, f"{title}, within the dwells."))
     series = [

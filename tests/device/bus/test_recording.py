@@ -190,6 +190,18 @@ def test_a_session_is_recorded_again_from_a_recording_byte_for_byte(
     assert Path("b.session").read_bytes() == original
 
 
+@pytest.mark.parametrize("options", [[], ["--allow-writes", "--yes", "--flash"]])
+def test_a_bring_up_is_repeated_from_a_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["bringup", "record:run.rec:sim:?seed=1&flash=part.flash", "-o", "a.html", *options]) == 0
+    Path("part.flash").unlink(missing_ok=True)
+    assert main(["bringup", "replay:run.rec?mode=strict", "-o", "b.html", *options]) == 0
+    assert Path("b.json").read_bytes() == Path("a.json").read_bytes()
+    assert main(["frames", "run.rec", "--errors"]) == 0
+
+
 def rows_of(path: Path) -> list[FrameRow]:
     return list(FrameLog(variant("adis16354")).rows(BusRecording(path)))
 

@@ -126,7 +126,8 @@ class _Run:
         self._stopped = False
 
     def all(self, steps: tuple[BringupStep, ...]) -> Bringup:
-        begun, failure = datetime.now(UTC).isoformat(timespec="seconds"), ""
+        begun = self._bus.witness("utc", lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+        failure = ""
         with self._until_stopped():
             try:
                 sensor = Adis16354(self._bus, self._variant, check=False)
@@ -227,7 +228,7 @@ class _Run:
 def _bridge(bus: ClockCeiling) -> dict[str, Any]:
     """Facts about the bridge for the document: bus, capabilities, limits, firmware."""
     inner = bus.inner
-    facts: dict[str, Any] = {"bus": type(inner).__name__, "capabilities": sorted(inner.capabilities)}
+    facts: dict[str, Any] = {"bus": inner.kind, "capabilities": sorted(inner.capabilities)}
     facts["unbroken_frames"] = inner.unbroken_frames
     facts["clock_hz_used_at_most"] = bus.ceiling_hz
     firmware = getattr(inner, "firmware", None)

@@ -127,6 +127,11 @@ class SpiBus(Closing):
     # -- public methods --------------------------------------------------------------------------
 
     @property
+    def kind(self) -> str:
+        """Class of the bus, for a report."""
+        return type(self).__name__
+
+    @property
     def timing(self) -> SpiTiming:
         """Timing that the bus uses now."""
         return self._timing

@@ -28,6 +28,11 @@ class ForwardingBus(SpiBus):
         self.unbroken_frames = inner.unbroken_frames
 
     @property
+    def kind(self) -> str:
+        """Class of the inner bus."""
+        return self.inner.kind
+
+    @property
     def stage(self) -> Any:
         """Stage of the inner bus; None if that bus has no stage."""
         return getattr(self.inner, "stage", None)

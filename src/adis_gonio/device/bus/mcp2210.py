@@ -49,7 +49,14 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from adis_gonio.base.errors import BusError, BusTimeoutError, NotInstalledError, ProtocolError, UsageError
+from adis_gonio.base.errors import (
+    BusError,
+    BusTimeoutError,
+    NotInstalledError,
+    ProtocolError,
+    UsageError,
+    install_extra,
+)
 from adis_gonio.device.bus.contract import SpiTiming
 from adis_gonio.device.bus.host import (
     RESET_PULSE_S,
@@ -605,7 +612,7 @@ def _load(backend: str) -> Any:
                 "mcp2210: module 'hid' belongs to package hid, not hidapi: pip uninstall hid;"
                 " pip install --force-reinstall hidapi"
             )
-    raise NotInstalledError("mcp2210: hidapi is not installed: pip install 'adis-gonio[hid]'")
+    raise NotInstalledError(f"mcp2210: hidapi is not installed: {install_extra('hid')}")
 
 
 def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack) -> Any:

@@ -192,6 +192,7 @@ class RecordingBus(ForwardingBus):
         super().__init__(inner)
         self.writer = _Writer(check_output(path, cure=_OTHER_NAME))
         header = {
+            "kind": inner.kind,
             "url": inner.url,
             "timing": asdict(inner.timing),
             "capabilities": sorted(inner.capabilities),
@@ -482,6 +483,7 @@ class ReplayBus(SpiBus):
         super().__init__(SpiTiming(**header["timing"]))
         self.url = header["url"]
         self._path = path
+        self._kind: str = header["kind"]
         self.virtual_time = header["virtual_time"]
         self.stage, self.world = (self._helper(name, header["helpers"][name]) for name in _HELPERS)
         self.capabilities = frozenset(map(Capability, header["capabilities"]))
@@ -492,6 +494,11 @@ class ReplayBus(SpiBus):
         self._damage = f" (it {recording.damage})" if recording.damage else ""
         self._next = 0
         self._now_s = self._calls[0].begin_s if self._calls else 0.0
+
+    @property
+    def kind(self) -> str:
+        """Class of the recorded bus."""
+        return self._kind
 
     def now_s(self) -> float:
         """Time in s that the recorded clock showed here; otherwise the end of the last recorded call."""
