@@ -323,8 +323,7 @@ class SessionRunner(Operator):
             gravity_mps2=gravity_mps2,
             fixture_sigma_deg=fixture_sigma_deg if plan.name == GYRO_TURNS else stated,
             simulated=bench.simulated,
-            created_utc=bench.utc(),
-            **{name: text.strip() for name, text in metadata.items()},
+            **{"created_utc": bench.utc()} | {name: t.strip() for name, t in metadata.items() if t.strip()},
         )
         archive = Archive.create(path, header)
         return cls(bench, archive, auto=auto, extend=extend, resumed=False, advisor=advisor)
