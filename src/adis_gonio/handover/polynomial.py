@@ -13,7 +13,7 @@ Factors are readings a (|a| ≤ 2), their moduli, t = (T − 25 °C)/128 and v =
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,14 +41,6 @@ GENERIC_V = 1e-3
 MOST_PASSES = 16
 SETTLED_G = 2.0**-30
 """Tolerance of the solution: half of the last place of the fixed point."""
-
-
-def angle_u_deg(calibration: Calibration, angles_deg: Sequence[float]) -> Floats:
-    """Standard uncertainty (n,) that the calibration adds to angles in the x-y plane; NaN if unknown."""
-    psi = np.radians(angles_deg)
-    gravity = np.zeros((len(psi), calibration.axes))
-    gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
-    return calibration.angle(calibration.readings_of(gravity), plane="xy").u_deg
 
 
 @dataclass(frozen=True)

@@ -280,10 +280,10 @@ def _parse_tolerance(text: str) -> float:
 
 
 def _parse_risk(text: str) -> float:
-    value = _number(str(text).strip().removesuffix("%"))
+    value, percent = _number(str(text).strip().removesuffix("%")), str(text).strip().endswith("%")
     if value is None:
         raise click.BadParameter(f"'{text}' is no risk: give a percentage, such as 2%")
-    return value / 100 if str(text).strip().endswith("%") else value
+    return value / 100 if percent else value
 
 
 def tolerance(help: str) -> Option[Any]:
