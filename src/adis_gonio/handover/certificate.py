@@ -87,7 +87,7 @@ def certificate_text(
     issued : date, optional
         Date of the calibration if the session does not state it; by default today.
     tolerance : Tolerance, optional
-        Tolerance of the angle, whose conformity is stated.
+        Tolerance of the angle, for the statement of conformity.
 
     Raises
     ------
