@@ -329,8 +329,7 @@ class SessionRunner(Operator):
             title=title,
             note=note,
             simulated=bench.simulated,
-            created_utc=bench.utc(),
-            **{name: text.strip() for name, text in metadata.items()},
+            **{"created_utc": bench.utc()} | {name: t.strip() for name, t in metadata.items() if t.strip()},
         )
         archive = Archive.create(path, header)
         return cls(bench, archive, auto=auto, extend=extend, resumed=False, advisor=advisor)
