@@ -188,6 +188,7 @@ RATES: tuple[Rate, ...] = (
     ("… in the dwells of the fit", _one(lambda v: v.adequate and v.fit_residual_left)),
     ("not adequate although none is left", _one(lambda v: not v.adequate and not v.residual_left)),
     ("control: the oracle leaves a residual", _one(lambda v: v.oracle_residual_left)),
+    ("fit worse than with bias alone", _one(lambda v: v.promised_mg > 1.02 * v.oracle.bias_fit_mg)),
     ("check dwells worse than with bias alone", _one(lambda v: v.check_mg > 1.02 * v.oracle.bias_check_mg)),
     (
         "check angle worse than with bias alone",

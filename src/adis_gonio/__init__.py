@@ -44,6 +44,11 @@ if TYPE_CHECKING:
     from adis_gonio.tracing.trace_result import TraceResult as TraceResult
 
 
+def __dir__() -> list[str]:
+    """Public names, also those that were not imported yet."""
+    return sorted(__all__)
+
+
 def __getattr__(name: str) -> Any:
     """Import a public name from its home when it is first asked for (PEP 562)."""
     if name in _HOMES:

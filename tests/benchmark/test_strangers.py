@@ -24,7 +24,13 @@ from strangers.session import (
 
 ROOT = Path(__file__).resolve().parents[2]
 ORACLE = Oracle(
-    check_mg=0.1, fit_mg=0.1, check_deg=0.01, bias_check_mg=0.5, bias_check_deg=0.05, log_likelihood_gain=99
+    check_mg=0.1,
+    fit_mg=0.1,
+    check_deg=0.01,
+    bias_check_mg=0.5,
+    bias_fit_mg=0.5,
+    bias_check_deg=0.05,
+    log_likelihood_gain=99,
 )
 
 

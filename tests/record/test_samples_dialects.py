@@ -235,6 +235,13 @@ def test_a_header_that_does_not_say_it_is_refused_with_what_to_write(tmp_path, h
     assert words in refusal(saved(tmp_path, f"{header}\n{rows}"))
 
 
+def test_prose_gets_no_proposal_of_columns(tmp_path):
+    prose = (
+        "Driver and tool for the sensor in a goniometer, a\ndevice that measures, by gravity, its tilt\n"
+    )
+    assert "--columns" not in refusal(saved(tmp_path, prose))
+
+
 def test_header_and_key_that_disagree_are_refused_until_the_user_tells(tmp_path):
     path = saved(tmp_path, "# accel_unit: mg\ntime_s,position,ax [g],ay [g]\n0,0,1,2\n")
     assert "the header says accelerations in g" in refusal(path)

@@ -24,6 +24,8 @@ error                  who acts
 
 from __future__ import annotations
 
+import re
+
 
 def one_line(text: str) -> str:
     """Convert a text to one printable line: single spaces, and `?` for each unprintable letter.
@@ -40,7 +42,8 @@ class AdisGonioError(Exception):
     exit_code = 1
 
     def __str__(self) -> str:
-        return one_line(super().__str__())
+        # A message about a device begins with its URL and a colon, and a bare URL (`serial:`) ends in one.
+        return re.sub(r"^([\w-]+:): ", r"\1 ", one_line(super().__str__()))
 
 
 class UsageError(AdisGonioError, ValueError):
@@ -59,6 +62,11 @@ class NotInstalledError(AdisGonioError):
 
 class BusError(AdisGonioError):
     """Base class of errors in the communication between the host and the chip."""
+
+
+def install_extra(extra: str) -> str:
+    """Command that installs an extra of this package, which comes as a clone."""
+    return f"run pip install '.[{extra}]' in the folder of adis-gonio"
 
 
 class CannotOpenError(BusError):

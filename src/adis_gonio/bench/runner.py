@@ -303,7 +303,8 @@ class SessionRunner(Operator):
         advisor : Advisor or None
             Source of further positions when the plan is done.
         metadata : str
-            Further notes by the names in `adis_gonio.model.records.METADATA`, such as the operator's name.
+            Further notes by the names in `adis_gonio.model.records.METADATA`, such as the operator's name;
+            or `created_utc`, the time of its begin in ISO 8601 (default: now).
 
         Raises
         ------
@@ -335,8 +336,7 @@ class SessionRunner(Operator):
             title=title,
             note=note,
             simulated=bench.simulated,
-            created_utc=bench.utc(),
-            **{name: text.strip() for name, text in metadata.items()},
+            **{"created_utc": bench.utc()} | {name: t.strip() for name, t in metadata.items() if t.strip()},
         )
         archive = Archive.create(path, header)
         return cls(bench, archive, auto=auto, extend=extend, resumed=False, advisor=advisor)
@@ -468,8 +468,12 @@ class SessionRunner(Operator):
             bench.bring_world_to(archive, last)
         elif bench.simulated:
             bench.take_up(archive, last)
-        if noise is not None:
-            yield self._knowledge.take_noise(noise)
+        if noise is None:
+            return
+        yield self._knowledge.take_noise(noise)
+        running = self._knowledge.running() if self._resumed else None
+        if running is not None:
+            yield running
 
     def _finish(self) -> Finished:
         bench, ledger = self._bench, self._ledger

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
-from adis_gonio.base.numbers import format_uncertain
 from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.tables import ParameterTable
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.record.provenance import Provenance
 
@@ -59,7 +59,8 @@ class Coefficient(JsonRecord):
         return cls(name, float(estimate.value), None if u is None else float(u), estimate.unit, dof)
 
     def __str__(self) -> str:
-        return f"{self.name} {format_uncertain(self.value, self.u, self.unit)}"
+        dof = {} if self.dof is None else {"dof": self.dof}
+        return f"{self.name} {Value(self.value, self.u, self.unit, **dof)}"
 
 
 @dataclass(frozen=True)

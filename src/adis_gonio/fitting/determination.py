@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.numbers import signed
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
@@ -239,6 +240,6 @@ def format_directions(null: Floats, names: Sequence[str]) -> list[str]:
         if len(parts) == 1:
             words.append(names[parts[0]])
             continue
-        terms = [f"{lead * direction[k]:+.2f}·{names[k]}" for k in parts]
+        terms = [f"{signed(lead * direction[k], 2)}·{names[k]}" for k in parts]
         words.append(" ".join(terms).removeprefix("+"))
     return words

@@ -14,7 +14,7 @@ from adis_gonio.base.arrays import Floats, mean_direction, unsolvable, wrap_radi
 from adis_gonio.base.conformity import ErrorCurve
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.numbers import counted, format_uncertain
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.calibrate.calibration import Calibration
@@ -186,7 +186,7 @@ class FitResult(ParameterTable):
         lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
             :2
         ]
-        values = ", ".join(f"{one.name} {format_uncertain(one.value, one.u, one.unit)}" for one in lead)
+        values = ", ".join(f"{one.name} {one.stated}" for one in lead)
         return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
 
     def calibration(self) -> Calibration:
@@ -415,7 +415,7 @@ def stage_warnings(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
     if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:
         return []
     return [
-        f"u of delta_phi is {u_deg:.2g}°: only the stage determines it in these positions "
+        f"u of Δφ is {u_deg:.2g}°: only the stage determines it in these positions "
         f"({math.degrees(sigma_rad):.3g}°), and the uncertainties of gains and biases, "
         "which are linear in it, are rough; five or more positions all around the turn need no stage for it"
     ]

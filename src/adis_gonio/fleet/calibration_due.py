@@ -28,7 +28,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.conformity import ErrorCurve, Tolerance, Verdict
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, signed
 from adis_gonio.fleet.control_charts import LEAST, YEAR_DAYS
 from adis_gonio.fleet.sensor_history import History, date_of, own_u
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
@@ -298,7 +298,7 @@ def _control_chart(history: History, limits: Rules) -> Rule:
         why = f"the error conforms to {limit} for {years}"
         return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)
     drifts_text = ", ".join(
-        f"{name} {drift.slope.value:+.2g} ± {drift.slope.U:.2g} {drift.slope.unit}"
+        f"{name} {signed(drift.slope.value, digits=2)} ± {drift.slope.U:.2g} {drift.slope.unit}"
         for name, drift in drifts.items()
     )
     why = f"the error conforms to {limit} until {good} d after the last calibration, by {drifts_text}"

@@ -108,7 +108,7 @@ def _summary(done: Study) -> Section:
 def _cell(spread: MethodSpread) -> str:
     if spread.mean is None:
         return "not determined"
-    return f"{format_fixed(spread.mean, 4)} ±{NO_BREAK}{format_fixed(spread.spread or 0.0, 4)}"
+    return f"{format_fixed(spread.mean, 4)}{NO_BREAK}({format_fixed(spread.spread or 0.0, 4)})"
 
 
 def _table(done: Study) -> Section:
@@ -128,7 +128,7 @@ def _table(done: Study) -> Section:
         "Table 1",
         words=(
             "Measured is the truth of the simulated parts. Next to each printed value is the result of our"
-            " sessions: mean ± standard deviation over the sessions, and u, the standard uncertainty"
+            " sessions: mean (standard deviation) over the sessions, and u, the standard uncertainty"
             " that the method states for one session. SF is a relative error, Δφ an offset in g, N an angle"
             " in degrees.",
             "Two positions do not determine an offset, the paper's Δφ, so that the printed offset cannot"
@@ -137,7 +137,7 @@ def _table(done: Study) -> Section:
         ),
         tables=(Table(head, rows, numeric=tuple(range(1, len(head)))),),
         notes=(
-            f"The specification of SF is printed with RMSD {RMSD}.",
+            f"Specifications are averages; RMSDs are printed for SF, {RMSD['SF']}, and Δφ, {RMSD['Δφ']}.",
             f"Command: {done.command} --json (table_1)",
         ),
     )

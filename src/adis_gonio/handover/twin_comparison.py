@@ -235,7 +235,7 @@ def _figures(found: TwinComparison) -> list[Figure]:
     density = found.density_measured, found.density_twin
     pairs = (
         (found.tau_s, *allan, "averaging time / s", "Allan deviation / mg"),
-        (found.frequency_hz, *density, "frequency / Hz", "density / mg/√Hz"),
+        (found.frequency_hz, *density, "frequency / Hz", "spectral density / mg/√Hz"),
     )
     figures = []
     for x, ours, theirs, x_label, y_label in pairs:
@@ -244,7 +244,7 @@ def _figures(found: TwinComparison) -> list[Figure]:
                 Series(x, ours[:, k], "measured", role="before"),
                 Series(x, theirs[:, k], "twin", role="after", style="line"),
             ]
-            title = f"{y_label.split(' /')[0]} of {_AXES[k]}"
+            title = f"{y_label.split(' /')[0].capitalize()} of {_AXES[k]}"
             svg = plot(series, x_label, y_label, title=title, x_log=True, y_log=True)
             figures.append(Figure(svg, f"{title}, within the dwells."))
     series = [

@@ -314,7 +314,7 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
         relative,
         degrees,
         f"{counted(len(angles), 'position')} cannot see a bias: {bias_mg:g} mg on each axis would put"
-        f" {degrees:.2f}° into delta_phi and {relative:.4f} into delta_k; the opposite positions cancel it",
+        f" {degrees:.2f}° into Δφ and {relative:.4f} into ΔK; the opposite positions cancel it",
     )
 
 

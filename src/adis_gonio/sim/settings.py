@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 import itertools
 import math
 from collections.abc import Mapping
@@ -326,3 +327,22 @@ class WorldSettings(GyroSettings):
             except ValueError:
                 raise UsageError(f"{name}: '{text}' is no number") from None
         return cls(**values)
+
+
+def described_settings() -> list[tuple[str, str]]:
+    """Names of the settings in groups, each with its description and defaults, from the docstrings."""
+    default = {entry.name: entry.default for entry in fields(WorldSettings)}
+    rows: list[tuple[str, str]] = []
+    for settings in (WorldSettings, GyroSettings):
+        listed = inspect.cleandoc(settings.__doc__ or "").split("----------\n")[-1]
+        for line in listed.splitlines():
+            if not line.startswith(" "):
+                rows.append((line.partition(" : ")[0], ""))
+            else:
+                rows[-1] = (rows[-1][0], f"{rows[-1][1]} {line.strip()}".strip())
+    shown = []
+    for names, text in rows:
+        values = [default[name] for name in names.split(", ") if name in default]
+        each = dict.fromkeys("from the seed" if value is None else f"{value:g}" for value in values)
+        shown.append((names, f"{text.replace('`', '')} [{', '.join(each)}]"))
+    return shown

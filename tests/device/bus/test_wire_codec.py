@@ -104,7 +104,7 @@ def test_without_the_library_a_codec_names_the_extra(monkeypatch):
     load_cobs.cache_clear()
     monkeypatch.setitem(sys.modules, "cobs", None)
     for use in (Receiver, lambda: encode(Packet(wire.PacketType.STOP_REPLY, 7))):
-        with pytest.raises(NotInstalledError, match=r"cobs is not installed.*adis-gonio\[serial\]"):
+        with pytest.raises(NotInstalledError, match=r"cobs is not installed.*\[serial\]"):
             use()
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.errors import BusTimeoutError, UsageError
+from adis_gonio.base.numbers import signed
 from adis_gonio.bench.bringup.bringup_step import (
     BOARD_CLOCK_U,
     HOST_CLOCK_U,
@@ -145,7 +146,7 @@ class Rate(BringupStep):
                 f" SMPL_PRD = 0x{code:02X}"
             )
         return found.differs(
-            f"{rate:.2f} updates a second, {100 * (rate * expected - 1):+.2f} % from the nominal rate"
+            f"{rate:.2f} updates a second, {signed(100 * (rate * expected - 1), 2)} % from the nominal rate"
         )
 
 
@@ -463,5 +464,5 @@ class SamplePeriods(BringupStep):
             return not_measured(why)
         text = f"{len(found.figures)} steps of both time bases have their nominal period"
         if bench.clock_known:
-            text += f" by the part's own clock ({100 * (1 / bench.clock - 1):+.2f} %)"
+            text += f" by the part's own clock ({signed(100 * (1 / bench.clock - 1), 2)} %)"
         return found.settle("sample_period", "; ".join(off) or text, differs=bool(off))

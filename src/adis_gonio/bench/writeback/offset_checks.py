@@ -24,6 +24,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import NAMED_BY_UNIT, OPTIONAL, JsonRecord
+from adis_gonio.base.numbers import format_fixed, signed
 from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
@@ -230,7 +231,8 @@ class Agreement(JsonRecord):
     def __str__(self) -> str:
         unit, places = UNITS[self.unit], 2 if self.unit == "mg" else 3
         figures = [
-            f"{name} {m:.{places}f} {unit}, expected {e:.{places}f} {unit} (u {u:.2g} {unit})"
+            f"{name} {format_fixed(m, places)} {unit}, expected {format_fixed(e, places)} {unit}"
+            f" (u {u:.2g} {unit})"
             for name, m, e, u in zip(self.names, self.measured, self.expected, self.u, strict=True)
         ]
         return f"{self.what}: {'; '.join(figures)}"
@@ -413,15 +415,15 @@ class AutonullFound(JsonRecord):
     def by(self) -> str:
         """The differences that exceed the limit, as text."""
         return ", ".join(
-            f"{axis.upper()} {off:+.3f} °/s (u {u:.2g} °/s)"
+            f"{axis.upper()} {signed(off, 3)} °/s (u {u:.2g} °/s)"
             for axis, off, u in zip(AXES, self.off_dps, self.u_dps, strict=True)
             if abs(off) > SIGMAS * u
         )
 
     def __str__(self) -> str:
         figures = [
-            f"{axis.upper()} {c:+.3f} °/s (u {uc:.2g}), session {s:+.3f} °/s"
-            f" (u {us:.2g}, {f:+.3f} by force)"
+            f"{axis.upper()} {signed(c, 3)} °/s (u {uc:.2g}), session {signed(s, 3)} °/s"
+            f" (u {us:.2g}, {signed(f, 3)} by force)"
             for axis, c, uc, s, us, f in zip(
                 AXES,
                 self.chip_dps,

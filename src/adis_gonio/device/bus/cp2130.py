@@ -46,6 +46,7 @@ from adis_gonio.base.errors import (
     NotInstalledError,
     ProtocolError,
     UsageError,
+    install_extra,
 )
 from adis_gonio.device.bus.contract import Capability, SpiTiming, Words
 from adis_gonio.device.bus.host import (
@@ -557,7 +558,7 @@ def _load() -> Any:
         import usb.core
         import usb.util
     except ImportError:
-        raise NotInstalledError("cp2130: pyusb is not installed: pip install 'adis-gonio[usb]'") from None
+        raise NotInstalledError(f"cp2130: pyusb is not installed: {install_extra('usb')}") from None
     return usb
 
 
@@ -575,7 +576,7 @@ def _libusb() -> Any:
 def _boards(usb: Any, backend: Any) -> list[Any]:
     backend = backend or _libusb()
     if backend is None:
-        raise NotInstalledError("cp2130: libusb is not installed: pip install 'adis-gonio[usb]'")
+        raise NotInstalledError(f"cp2130: libusb is not installed: {install_extra('usb')}")
     try:
         found = usb.core.find(find_all=True, backend=backend, idVendor=VENDOR_ID, idProduct=PRODUCT_ID)
         return sorted(found, key=lambda board: (board.bus or 0, board.address or 0))

@@ -52,7 +52,14 @@ from urllib.parse import quote
 
 import numpy as np
 
-from adis_gonio.base.errors import BusError, BusTimeoutError, NotInstalledError, ProtocolError, UsageError
+from adis_gonio.base.errors import (
+    BusError,
+    BusTimeoutError,
+    NotInstalledError,
+    ProtocolError,
+    UsageError,
+    install_extra,
+)
 from adis_gonio.device.bus.contract import Capability, SpiTiming, Words
 from adis_gonio.device.bus.host import (
     RESET_PULSE_S,
@@ -734,7 +741,7 @@ def _load(backend: str) -> Any:
                 "mcp2210: module 'hid' belongs to package hid, not hidapi: pip uninstall hid;"
                 " pip install --force-reinstall hidapi"
             )
-    raise NotInstalledError("mcp2210: hidapi is not installed: pip install 'adis-gonio[hid]'")
+    raise NotInstalledError(f"mcp2210: hidapi is not installed: {install_extra('hid')}")
 
 
 def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack) -> HidDevice:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from urllib.parse import parse_qsl
 
-from adis_gonio.base.errors import BusError, NotInstalledError, UsageError, one_line
+from adis_gonio.base.errors import BusError, NotInstalledError, UsageError, install_extra, one_line
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.bus.contract import SpiBus
 
@@ -88,7 +88,7 @@ def open_bus(url: str) -> SpiBus:
             except ImportError as error:
                 raise NotInstalledError(
                     f"'{url}': the bus '{parsed.scheme}' needs {error.name or error}:"
-                    f" pip install 'adis-gonio[{parsed.scheme}]'"
+                    f" {install_extra(parsed.scheme)}"
                 ) from error
             return opener(parsed)
     sources = {point.name for point in entry_points(group=SOURCE_GROUP)}
@@ -128,7 +128,7 @@ def find_devices() -> list[Device]:
         try:
             devices += _found(point)
         except ImportError as error:
-            need = f"not usable: {error.name or error} is missing; pip install 'adis-gonio[{point.name}]'"
+            need = f"not usable: {error.name or error} is missing; {install_extra(point.name)}"
             devices.append(Device(f"{point.name}:", need))
         except (BusError, NotInstalledError) as error:
             devices.append(Device(f"{point.name}:", f"not usable: {error}"))

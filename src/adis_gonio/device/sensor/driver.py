@@ -29,6 +29,7 @@ from adis_gonio.base.errors import (
     VariantError,
     VerifyError,
 )
+from adis_gonio.base.numbers import use_minus
 from adis_gonio.device.bus import Capability, SpiBus, open_bus
 from adis_gonio.device.sensor.data_ready import (
     UPDATE_EDGE,
@@ -116,7 +117,7 @@ class Quantity:
     unit: str
 
     def __str__(self) -> str:
-        return f"{self.value:.6g} {self.unit}" if self.unit else f"{self.number}"
+        return use_minus(f"{self.value:.6g} {self.unit}" if self.unit else f"{self.number}")
 
 
 def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> Adis16354:

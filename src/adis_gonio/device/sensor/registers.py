@@ -1,8 +1,7 @@
 """The register table of the ADIS16350 family, one row for each register, and read and write frames.
 
 Sources: DS is the data sheet of the ADIS16350/ADIS16355, Rev. B. The confidence rates the validity of a row
-for the ADIS16354: A, the data sheet and independent code for this part agree; B, the sibling's data
-sheet only; C, derived, or code only; D, an estimate.
+for the ADIS16354 (`CONFIDENCES`).
 
 A frame is bit 15 write, bit 14 zero, bits 13:8 byte address, bits 7:0 data (DS, A). Replies are
 pipelined: the word of frame k is shifted out during frame k + 1. Only `write_frames` sets the write bit.
@@ -21,6 +20,13 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.device.bus import SpiTiming, Words
 
 Confidence = Literal["A", "B", "C", "D"]
+CONFIDENCES: dict[Confidence, str] = {
+    "A": "the siblings' data sheet and independent code for this part agree",
+    "B": "the siblings' data sheet only",
+    "C": "derived, or code only",
+    "D": "an estimate",
+}
+"""Evidence for a row of the table, by letter."""
 
 
 class Access(StrEnum):

@@ -18,7 +18,14 @@ import errno
 import time
 from typing import Any
 
-from adis_gonio.base.errors import BusError, BusTimeoutError, NotInstalledError, ProtocolError, UsageError
+from adis_gonio.base.errors import (
+    BusError,
+    BusTimeoutError,
+    NotInstalledError,
+    ProtocolError,
+    UsageError,
+    install_extra,
+)
 from adis_gonio.device.bus.host import WALL, Clock, UrlOptions, busy, gone, missing, no_permission, several
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.device.bus.serial.bus import BOOT_S, SerialBus
@@ -47,9 +54,7 @@ def load() -> Any:
         import serial
         import serial.tools.list_ports
     except ImportError:
-        raise NotInstalledError(
-            "serial: pyserial is not installed: pip install 'adis-gonio[serial]'"
-        ) from None
+        raise NotInstalledError(f"serial: pyserial is not installed: {install_extra('serial')}") from None
     if not hasattr(serial, "serial_for_url"):
         raise NotInstalledError(
             "serial: module 'serial' belongs to package serial, not pyserial: pip uninstall serial;"
