@@ -69,10 +69,14 @@ class ErrorCurve:
     dof: float = math.inf
 
     @property
+    def u_deg(self) -> Floats:
+        """Standard uncertainty (m,) of the error at each angle."""
+        return np.asarray(np.sqrt((self.root_deg**2).sum(axis=1)))
+
+    @property
     def U_deg(self) -> Floats:  # noqa: N802 (GUM)
         """Expanded uncertainty (m,) of the error at each angle, for 95 %."""
-        u = np.sqrt((self.root_deg**2).sum(axis=1))
-        return np.asarray(coverage_factor(self.dof) * u)
+        return coverage_factor(self.dof) * self.u_deg
 
     @cached_property
     def _independent(self) -> Floats:

@@ -30,7 +30,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.base.numbers import counted, signed
 from adis_gonio.fleet.control_charts import LEAST, YEAR_DAYS
-from adis_gonio.fleet.sensor_history import History, date_of
+from adis_gonio.fleet.sensor_history import History, date_of, own_u
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 PARAMETERS = ("delta_k", "delta_phi", "bias_x", "bias_y")
@@ -215,10 +215,11 @@ def staircase_of(history: History, limits: Rules) -> list[Stair]:
 
 def _difference(history: History, before: int, after: int) -> tuple[dict[str, float], dict[str, float]]:
     """Change of each parameter that both sessions determine, and the standard uncertainty of the change."""
-    one, other = history.sessions[before].values, history.sessions[after].values
+    pair = [history.sessions[before], history.sessions[after]]
+    one, other = (record.values for record in pair)
     names = [name for name in PARAMETERS if name in one and name in other]
     change = {name: other[name].value - one[name].value for name in names}
-    u = {name: float(np.hypot(one[name].u or 0.0, other[name].u or 0.0)) for name in names}
+    u = {name: float(np.linalg.norm(own_u(pair, name))) for name in names}
     return change, u
 
 

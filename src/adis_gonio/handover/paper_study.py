@@ -497,12 +497,7 @@ def reproduce(
     )
     columns: dict[Axis, Sequence[Results]] = {axis: results[axis] for axis in AXES}
     return Study(
-        seed,
-        sessions,
-        table_of(columns),
-        mapped,
-        errors_with_bias(results["bias"], again),
-        results,
+        seed, sessions, table_of(columns), mapped, errors_with_bias(results["bias"], again), results
     )
 
 

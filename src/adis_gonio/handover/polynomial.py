@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,14 +41,6 @@ GENERIC_V = 1e-3
 MOST_PASSES = 16
 SETTLED_G = 2.0**-30
 """Tolerance of the solution: half of the last place of the fixed point."""
-
-
-def angle_u_deg(calibration: Calibration, angles_deg: Sequence[float]) -> Floats:
-    """Standard uncertainty (n,) that the calibration adds to angles in the x-y plane; NaN if unknown."""
-    psi = np.radians(angles_deg)
-    gravity = np.zeros((len(psi), calibration.axes))
-    gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
-    return calibration.angle(calibration.readings_of(gravity), plane="xy").u_deg
 
 
 @dataclass(frozen=True)
@@ -186,7 +178,7 @@ def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
         axis = int(np.abs(change).max(axis=0).argmax())
         own = np.eye(calibration.axes)[axis]
         # The own axis comes first in a product of readings.
-        axes = sorted(range(calibration.axes), key=lambda k, first=axis: k != first)  # type: ignore[misc]
+        axes = [axis, *(k for k in range(calibration.axes) if k != axis)]
         factors = {"t": t, "v": v} | {AXES[k]: ideal[:, k] for k in axes}
         factors |= {f"|{AXES[k]}|": np.abs(ideal[:, k]) for k in axes}
         for names in _products(factors):

@@ -229,21 +229,11 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
 
 
 def _figures(found: TwinComparison) -> list[Figure]:
+    allan = found.allan_measured_mg, found.allan_twin_mg
+    density = found.density_measured, found.density_twin
     pairs = (
-        (
-            found.tau_s,
-            found.allan_measured_mg,
-            found.allan_twin_mg,
-            "averaging time / s",
-            "Allan deviation / mg",
-        ),
-        (
-            found.frequency_hz,
-            found.density_measured,
-            found.density_twin,
-            "frequency / Hz",
-            "spectral density / mg/√Hz",
-        ),
+        (found.tau_s, *allan, "averaging time / s", "Allan deviation / mg"),
+        (found.frequency_hz, *density, "frequency / Hz", "spectral density / mg/√Hz"),
     )
     figures = []
     for x, ours, theirs, x_label, y_label in pairs:

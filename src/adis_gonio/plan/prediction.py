@@ -301,7 +301,7 @@ class PlanUncertainty:
 
         None if the plan does not determine the angle.
         """
-        if self.roots_deg is None or math.isnan(self.fitted_deg):
+        if self.roots_deg is None:
             return None
         m = len(self.roots_deg)
         angle_deg = np.arange(m) * 360.0 / m
@@ -444,7 +444,9 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
     sure = {name: value for name, value in parameters.items() if value.u is not None}
     fitted = median(exact.angle, lambda one: one.fitted_deg if one.angle.u is not None else None)
     # The shape over the turn of the exact session, with the size of the median session.
-    size = (fitted.u or math.nan) / exact.fitted_deg
+    roots = exact.roots_deg
+    if roots is not None:
+        roots = None if fitted.u is None else fitted.u / exact.fitted_deg * roots
     return replace(
         exact,
         parameters=sure,
@@ -453,7 +455,7 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
         fitted_deg=math.nan if fitted.u is None else fitted.u,
         undetermined=tuple(name for name in (*parameters, *exact.undetermined) if name not in sure),
         notes=(*exact.notes, _DEPENDS),
-        roots_deg=None if exact.roots_deg is None else size * exact.roots_deg,
+        roots_deg=roots,
     )
 
 
@@ -465,7 +467,8 @@ def _reach(result: FitResult) -> PlanUncertainty:
     assert angle is not None
     shown = ShownAngle.around(origin.fit)
     whole = float(np.sqrt(origin.sources.by_place(shown.gradient, shown.reading).max()))
-    fitted = float(np.sqrt(fitted_variance(result).max()))
+    roots = origin.sources.roots(shown.gradient, shown.reading)
+    fitted = math.sqrt(float((roots**2).sum(axis=1).max()))
     sure = angle.u is not None
     return PlanUncertainty(
         result.method,
@@ -475,20 +478,8 @@ def _reach(result: FitResult) -> PlanUncertainty:
         fitted if sure else math.nan,
         result.undetermined,
         result.warnings,
-        result.angle_roots_deg,
+        roots if sure else None,
     )
-
-
-def fitted_variance(result: FitResult) -> Floats:
-    """Return the variance (m,) in degrees² of the shown angle, at m places around the turn.
-
-    The noise of the reading from which the angle is computed is not included.
-    """
-    origin = result.origin
-    assert origin is not None
-    assert origin.sources is not None
-    shown = ShownAngle.around(origin.fit)
-    return np.asarray((origin.sources.roots(shown.gradient, shown.reading) ** 2).sum(axis=1))
 
 
 # -- effects ------------------------------------------------------------------------------------------
