@@ -27,7 +27,7 @@ from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing import averaging, selection as choice
 from adis_gonio.tracing.averaging import AveragedTerm, average
-from adis_gonio.tracing.credible_sets import CredibleSet, Names
+from adis_gonio.tracing.credible_sets import CredibleSet, Names, probability_of
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.linear_problem import LinearProblem, _project_off_base, orthonormal
 from adis_gonio.tracing.model_search import Model, ModelPosterior, _present, search, weigh
@@ -453,8 +453,8 @@ class TestPosterior:
         terms = [named("cubic"), wave, *(named(name) for name in "abc")]
         shares = {(0, 1): 0.2, (0, 1, 2): 0.4, (0, 1, 3): 0.3, (0, 1, 4): 0.1}
         assert sum(shares.values()) > 1
-        names, covariates = _present(terms, shares)
-        assert (names["cubic"], covariates[("angle",)]) == (1.0, 1.0)
+        names = _present(terms, shares)
+        assert names["cubic"] == 1.0
         assert names["b"] == 0.3
 
     def test_the_model_is_the_best_of_the_names_that_are_most_probable_together(self) -> None:
@@ -536,7 +536,7 @@ class TestSelection:
         selection = chosen(data, terms, ((0, 1), 0.6), ((0, 2), 0.2), ((0, 3), 0.15), ((0,), 0.05))
         told = selection.without_functions([wave])
         assert {term.label for term in told.terms} == {"bias[xy]", "line"}
-        assert told.verdict.covariates == pytest.approx({("time",): 0.75})
+        assert probability_of(told, "unnamed: time") == pytest.approx(0.75)
 
     def test_a_bias_that_is_far_larger_than_the_rest_is_taken_out_before_forms_with_a_constant(
         self,
@@ -579,7 +579,7 @@ class TestSelection:
         self, monkeypatch: pytest.MonkeyPatch, worse: str, taken: int
     ) -> None:
         shares = (0.35, 0.02, 0.2, 0.3, 0.1, 0.03)
-        verdict: Any = ModelPosterior((1,), {(k,): share for k, share in enumerate(shares)}, {}, {}, {})
+        verdict: Any = ModelPosterior((1,), {(k,): share for k, share in enumerate(shares)}, {}, {})
         problem: Any = SimpleNamespace()
         about: Any = SimpleNamespace()
 

@@ -109,8 +109,8 @@ def test_a_large_effect_beside_an_unknown_cause_keeps_its_name() -> None:
 def test_a_trace_states_the_unnamed_part_with_the_probability_of_its_set() -> None:
     c = surroundings()
     data = noisy(c, 21)
-    wave = np.outer(0.6 * np.sin(2 * np.pi * 2.6 * c.time_s / np.ptp(c.time_s) + 1), [1.0, 0.0])
-    result = trace_readings(replace(data, mean=data.mean + wave))
+    jump = np.outer(c.order >= 13, [0.9, 0.0])
+    result = trace_readings(replace(data, mean=data.mean + jump))
     assert result.unnamed is not None
     (one,) = [one for one in result.sets if one.cause.startswith("unnamed")]
     stated = dict(zip(one.names, one.probability, strict=True))[one.cause]

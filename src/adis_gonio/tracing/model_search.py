@@ -300,15 +300,12 @@ class ModelPosterior:
         The other models of each class.
     names : dict of str to float
         Posterior probability that each effect is present.
-    covariates : dict of tuple of str to float
-        Posterior probability that an unnamed term with these covariates is present.
     """
 
     best: Model
     weights: dict[Model, float]
     same: dict[Model, list[Model]]
     names: dict[str, float]
-    covariates: dict[tuple[str, ...], float]
 
 
 def posterior(found: Search) -> dict[Model, float]:
@@ -324,38 +321,28 @@ def posterior(found: Search) -> dict[Model, float]:
 
 
 def weigh(found: Search) -> ModelPosterior:
-    """Return the posterior probabilities of the models, of names and of covariates."""
-    terms = found.problem.terms
+    """Return the posterior probabilities of the models and of names."""
     each = posterior(found)
     same = _classes(found, list(each))
     weights = {m: sum(each[k] for k in (m, *others)) for m, others in same.items()}
-    names, covariates = _present(terms, weights)
+    names = _present(found.problem.terms, weights)
     # The result reports names and covariates: choose the best set of these, then its best model.
     skeletons: dict[Skeleton, float] = defaultdict(float)
     for model, weight in weights.items():
         skeletons[skeleton(found, model)] += weight
     likely = max(skeletons, key=lambda s: skeletons[s])
     best = max((m for m in weights if skeleton(found, m) == likely), key=lambda m: weights[m])
-    return ModelPosterior(best, weights, same, names, covariates)
+    return ModelPosterior(best, weights, same, names)
 
 
-def _present(
-    terms: Sequence[Term], weights: Mapping[Model, float]
-) -> tuple[dict[str, float], dict[tuple[str, ...], float]]:
-    """Return the probability that each name is present, and for each set of covariates a function."""
+def _present(terms: Sequence[Term], weights: Mapping[Model, float]) -> dict[str, float]:
+    """Return the probability that each name is present."""
     names: dict[str, float] = defaultdict(float)
-    covariates: dict[tuple[str, ...], float] = defaultdict(float)
     for model, weight in weights.items():
-        for name in {terms[k].name for k in model}:
-            if name is not None:
-                names[name] += weight
-        for which in {terms[k].covariates for k in model if terms[k].name is None}:
-            covariates[which] += weight
+        for name in {terms[k].name for k in model} - {None}:
+            names[str(name)] += weight
     # A sum of weights may exceed 1 by rounding.
-    return (
-        {name: min(weight, 1.0) for name, weight in names.items()},
-        {which: min(weight, 1.0) for which, weight in covariates.items()},
-    )
+    return {name: min(weight, 1.0) for name, weight in names.items()}
 
 
 def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
