@@ -163,7 +163,7 @@ def _outputs() -> list[Register]:
     ]  # fmt: skip
     for kind, stem, base, bits, meaning in (
         (Kind.GYRO, "GYRO", 0x04, 14, "rate of turn about {0}"),
-        (Kind.ACCEL, "ACCL", 0x0A, 14, "acceleration along {0}; level with Z up, Z reads -1 g"),
+        (Kind.ACCEL, "ACCL", 0x0A, 14, "acceleration along {0}; level with Z up, Z reads −1 g"),
         (Kind.TEMPERATURE, "TEMP", 0x10, 12, "temperature of the die of gyro {0}, 0 = 25 °C"),
     ):
         for k, axis in enumerate(_AXES):
