@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, optimize, signal, stats
+from scipy import fft, optimize, special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
@@ -90,7 +90,7 @@ def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[flo
     last = int(highest * n)
     if last - _LOWEST < 4 * _WIDTH:
         return None
-    lines = fft.rfft(record * signal.windows.hann(n, sym=False))[: last + 2]
+    lines = fft.rfft(record * np.hanning(n + 1)[:-1])[: last + 2]
     power = lines.real**2 + lines.imag**2
     level = _level(power[_LOWEST:last])
     # The rest of a subtracted sinusoid does not count again.
@@ -481,7 +481,7 @@ class Likelihood:
         mean = np.maximum(mean[kept], 1e-12)
         distance = float(np.sum(sums[kept] * (mean - 1 - np.log(mean))))
         dof = int(kept.sum()) - int((theta > 0).sum())
-        return float(stats.chi2.sf(distance, dof)) if dof > 0 else 1.0
+        return float(special.chdtrc(dof, distance)) if dof > 0 else 1.0
 
 
 def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> Profile:
@@ -491,7 +491,7 @@ def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> 
     """
     absent, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
     ratio = max(deviance - least, 0.0)
-    p_value = 0.5 * float(stats.chi2.sf(ratio, 1)) if theta[index] > 0 else 1.0
+    p_value = 0.5 * float(special.chdtrc(1, ratio)) if theta[index] > 0 else 1.0
     u_squared = likelihood.u_squared(theta, index)
     sigma = math.sqrt(theta[index])
     u = u_squared / (2 * sigma) if sigma > 0 else math.nan

@@ -634,13 +634,13 @@ def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
 
     `noise_dof` is the number of degrees of freedom of the measured noise.
     """
-    from scipy import stats
+    from scipy.special import chdtrc, fdtrc
 
     if dof <= 0:
         return 1.0
     if np.isinf(noise_dof):
-        return float(stats.chi2.sf(chi2, dof))
-    return float(stats.f.sf(chi2 / dof, dof, max(noise_dof, 1.0)))
+        return float(chdtrc(dof, chi2))
+    return float(fdtrc(dof, max(noise_dof, 1.0), chi2 / dof))
 
 
 def nameless_spread(model: Measurement, term: Term) -> float:

@@ -335,9 +335,10 @@ def _fit_session(session: Session, readings: Readings | None = None) -> GyroFit:
 
 
 def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
-    """Fit the gyro model to readings; `scored=False` omits the scores, which take most of the time.
+    """Fit the gyro model to readings; `scored=False` omits the scores and the fits with a drift.
 
-    The scores are the prediction errors for dwells that are left out of the fit, one at a time.
+    The scores are the prediction errors for dwells that are left out of the fit, one at a time. Both take
+    most of the time.
     """
     if len(data) < 1:
         raise FitError("no dwell holds samples of the gyros")
@@ -367,7 +368,11 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
         residual_dps=fit.misfit,
         positions=tuple(data.position.tolist()),
         turns=turns,
-        warnings=(*data.notes, *_warnings(data, model, parameters, inflation)),
+        warnings=(
+            *data.notes,
+            *_warnings(data, model, inflation),
+            *(_drifting(data, model, parameters) if scored else ()),
+        ),
         undetermined=tuple(model.lost),
         inflation={axis: own for axis, (own, _) in inflation.items()},
         reference_temperature_c=None if temperature is None else float(temperature.mean()),
@@ -595,7 +600,7 @@ def _left_out(model: _Model, rows: NDArray[np.intp]) -> GyroScore | None:
 
 
 def _warnings(
-    data: Readings, model: _Model, parameters: dict[str, Value], inflation: dict[str, tuple[float, float]]
+    data: Readings, model: _Model, inflation: dict[str, tuple[float, float]]
 ) -> list[str]:
     warnings = []
     lost = [name for name in CALIBRATED if _lacks(data, name)] + _kinds(model.lost)
@@ -609,7 +614,7 @@ def _warnings(
             f"the residual is larger than the measured noise ({', '.join(large)} times):"
             " uncertainties are stated by the residual; trace --sensor-part gyro reports the missing effect"
         )
-    return warnings + _drifting(data, model, parameters)
+    return warnings
 
 
 def _kinds(names: Sequence[str]) -> list[str]:

@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, rotation_matrices
 from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.model.records import Dwell, Session, Turn
 
@@ -461,13 +461,11 @@ def _to_end(steps_rad: Floats) -> Floats:
     The argument has the angles (n, 3) turned between samples. The products run within about √n blocks of
     about √n steps, all blocks at once, then over the blocks.
     """
-    from scipy.spatial.transform import Rotation
-
     n = len(steps_rad)
     size = max(1, math.isqrt(n))
     blocks = -(-n // size)
     turns = np.broadcast_to(np.eye(3), (blocks * size, 3, 3)).copy()
-    turns[:n] = Rotation.from_rotvec(-steps_rad).as_matrix()
+    turns[:n] = rotation_matrices(-steps_rad)
     turns = turns.reshape(blocks, size, 3, 3)
     # The last step acts last: Φ of a sample is the product of all later steps, the latest on the left.
     for k in range(size - 2, -1, -1):
