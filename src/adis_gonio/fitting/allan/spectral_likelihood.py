@@ -13,7 +13,7 @@ boundary θ = 0, and the likelihood ratio has there the distribution ½χ²₀ +
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -348,6 +348,12 @@ class Likelihood:
         typical = float(np.average(data.power, weights=data.weight))
         # Scales: each process alone would make up the whole power.
         self.scale = typical / np.average(data.shapes, axis=0, weights=data.weight)
+        # The single ordinates of all records, one after another: their bins and their records.
+        size = np.array([len(c) for _, c, _ in data.lines])
+        self._singles = np.concatenate([np.arange(f, f + len(c)) for f, c, _ in data.lines])
+        self._record = np.repeat(np.arange(len(size)), size)
+        self._c = np.concatenate([c for _, c, _ in data.lines])
+        self._d = np.concatenate([d for _, _, d in data.lines])
 
     def expected(self, theta: Floats) -> Floats:
         """Expected variance (b,) in each bin for the squared coefficients θ."""
@@ -355,25 +361,29 @@ class Likelihood:
             np.maximum(self._data.shapes @ theta + self._data.rounding, self._least), np.float64
         )
 
-    def _lines(self, v: Floats) -> Iterator[tuple[slice, Floats, Floats, float, float]]:
-        """Yield the sums for the weighted fit of a straight line to each record, if bins have variance v.
+    def _by_record(self, terms: Floats) -> Floats:
+        """Sum terms (s, k) of the single ordinates over each of r records, as (r, k)."""
+        count = len(self._data.lines)
+        return np.stack([np.bincount(self._record, column, count) for column in terms.T], axis=1)
 
-        Each item has the slice of single bins, the terms of Σ d²/v and Σ c d/v, and these two sums; c are
-        the ordinates of the record, and d the ordinates of a line of slope 1.
+    def _lines(self, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Terms and sums for the weighted fit of a straight line to each of r records.
+
+        The bins have the variances v. The results are the terms (s,) of a = Σ d²/v and of b = Σ c d/v over
+        the single ordinates of all records, then a (r,) and b (r,); c are the ordinates of a record, and d
+        the ordinates of a line of slope 1. Records without a line have an infinite a.
         """
-        for first, c, d in self._data.lines:
-            here = slice(first, first + len(c))
-            square, product = d**2 / v[here], c * d / v[here]
-            yield here, square, product, float(np.sum(square)), float(np.sum(product))
+        square, product = self._d**2 / v[self._singles], self._c * self._d / v[self._singles]
+        a, b = self._by_record(np.stack([square, product], axis=1)).T
+        return square, product, np.where(a > 0, a, np.inf), b
 
     def deviance(self, theta: Floats) -> float:
         """Deviance, −2 log likelihood up to a constant, of the squared coefficients θ."""
         v = self.expected(theta)
         total = float(self._data.weight @ (np.log(v) + self._data.power / v))
-        for _, _, _, a, b in self._lines(v):
-            if a > 0:
-                total += math.log(a) - b**2 / a
-        return total
+        _, _, a, b = self._lines(v)
+        seen = np.isfinite(a)
+        return total + float((np.log(a[seen]) - b[seen] ** 2 / a[seen]).sum())
 
     def slope_and_information(self, theta: Floats) -> tuple[Floats, Floats]:
         """Gradient (4,) of the deviance by the squared coefficients θ, and Fisher information (4, 4)."""
@@ -382,14 +392,13 @@ class Likelihood:
         relative = data.shapes / v[:, None]
         slope = relative.T @ (data.weight * (1 - data.power / v))
         information = relative.T @ (data.weight[:, None] * relative)
-        for here, square, product, a, b in self._lines(v):
-            if a <= 0:
-                continue
-            # Derivatives of ln a − b²/a, the REML term of the record's line.
-            shape = relative[here]
-            da, db = -shape.T @ square, -shape.T @ product
-            slope += da / a - 2 * b * db / a + b**2 * da / a**2
-            information += -2 * shape.T @ (square[:, None] * shape) / a + np.outer(da, da) / a**2
+        square, product, a, b = self._lines(v)
+        # Derivatives of ln a − b²/a, the REML terms of the records' lines.
+        shape = relative[self._singles]
+        da = -self._by_record(square[:, None] * shape) / a[:, None]
+        db = -self._by_record(product[:, None] * shape)
+        slope += da.sum(axis=0) - 2 * (b / a) @ db + (b**2 / a) @ da
+        information += da.T @ da - 2 * shape.T @ ((square / a[self._record])[:, None] * shape)
         return slope, information / 2
 
     def maximum(self, start: Floats, fixed: dict[int, float] | None = None) -> tuple[Floats, float]:
@@ -456,8 +465,9 @@ class Likelihood:
 
     def slopes(self, theta: Floats) -> list[tuple[float, float]]:
         """Slope per sample of the straight line fitted to each record, and its standard uncertainty."""
-        sums = [(a, b) for _, _, _, a, b in self._lines(self.expected(theta))]
-        return [(b / a, 1 / math.sqrt(a)) if a > 0 else (0.0, math.inf) for a, b in sums]
+        _, _, a, b = self._lines(self.expected(theta))
+        u = np.where(np.isfinite(a), 1 / np.sqrt(a), np.inf)
+        return list(zip((b / a).tolist(), u.tolist(), strict=True))
 
     def adequacy(self, theta: Floats) -> float:
         """p-value of the spectrum under the model θ: small if these noise processes do not explain it.

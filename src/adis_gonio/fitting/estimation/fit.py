@@ -238,13 +238,11 @@ class Fit:
         The first factor is A (rows, k), the shared modes. The second is V g(λ) Vᵀ (k, k) with Aᵀ A = V λ
         Vᵀ.
         """
-        rows = self.modes
-        if rows is None:
-            return None
-        values, vectors = np.linalg.eigh(rows.T @ rows)
-        # g(λ) = 1/(r (r + 1)) with r = √(1 + λ) gives the symmetric inverse root of 1 + A Aᵀ.
-        root = np.sqrt(1 + np.maximum(values, 0.0))
-        return rows, (vectors / (root * (root + 1))) @ vectors.T
+        if self.data.model.freedom == 0 and self.data.links is None:
+            return self.data.once(
+                _fixed_factors
+            )  # without an attitude, all fits to these readings share them
+        return _factors(self.modes)
 
     def white(self, columns: Floats) -> Floats:
         """Convert columns of readings (n, axes, d) to rows (rows, d) with unit covariance of the noise.
@@ -627,6 +625,20 @@ class Fit:
         return predictable_dwells(
             rest.reshape(-1, rest.shape[2]), there.white_by_dwell(there.columns), most
         )
+
+
+def _factors(modes: Floats | None) -> tuple[Floats, Floats] | None:
+    """Factors for `Fit._shared` of shared modes (rows, k)."""
+    if modes is None:
+        return None
+    values, vectors = np.linalg.eigh(modes.T @ modes)
+    # g(λ) = 1/(r (r + 1)) with r = √(1 + λ) gives the symmetric inverse root of 1 + A Aᵀ.
+    root = np.sqrt(1 + np.maximum(values, 0.0))
+    return modes, (vectors / (root * (root + 1))) @ vectors.T
+
+
+def _fixed_factors(data: Readings) -> tuple[Floats, Floats] | None:
+    return _factors(Fit.begin(data).modes)
 
 
 def adequacy(chi2: float, dof: float, noise_dof: float) -> float:

@@ -599,9 +599,7 @@ def _left_out(model: _Model, rows: NDArray[np.intp]) -> GyroScore | None:
     )
 
 
-def _warnings(
-    data: Readings, model: _Model, inflation: dict[str, tuple[float, float]]
-) -> list[str]:
+def _warnings(data: Readings, model: _Model, inflation: dict[str, tuple[float, float]]) -> list[str]:
     warnings = []
     lost = [name for name in CALIBRATED if _lacks(data, name)] + _kinds(model.lost)
     if lost:
