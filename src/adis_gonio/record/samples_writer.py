@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Self
@@ -19,7 +20,7 @@ import numpy as np
 
 from adis_gonio.base.errors import DataError, OutputError, SessionError, UsageError
 from adis_gonio.base.output import ends_in, exists_error, replacing, write_utf8
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session, Turn
 from adis_gonio.record.blocks import GENERIC, Block, session_columns
 from adis_gonio.record.plans import Plan
 from adis_gonio.record.samples_columns import COLUMNS, KEYS, without_formulas
@@ -29,7 +30,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     """Write a session as samples CSV, gzipped if the name ends in `.gz`.
 
     Numbers are written with the fewest digits that give the same float again. Columns that no dwell has
-    are left out.
+    are left out. Samples between two dwells are rows without a position.
 
     Raises
     ------
@@ -40,15 +41,21 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     dwells = session.sampled
     if not dwells:
         raise DataError(f"{path.name}: the session has no dwell to write")
+    turns = {turn.position: turn for turn in session.turns if len(turn)}
+    declared = {number: turn.turned_deg for number, turn in turns.items()}
+    dwells = tuple(replace(d, turned_deg=declared.get(d.position, d.turned_deg)) for d in dwells)
     names = _columns_to_write(dwells, path.name)
     if session.free_turn:  # without the column the file is one continuous recording
         names.remove("position")
     stated = {name: getattr(session, name, None) for name in KEYS}
     lines = _leading_lines({name: value for name, value in stated.items() if value not in (None, "")})
     lines += [f"# note: {without_formulas(' '.join(note.split()))}" for note in session.notes]
-    data = _file_text(lines, names, chain.from_iterable(_rows(names, dwell) for dwell in dwells)).encode(
-        "utf-8", "replace"
-    )
+    rows: list[Iterator[tuple[str, ...]]] = []
+    for before, dwell in zip([None, *dwells], dwells, strict=False):
+        if before is not None and dwell.position in turns:
+            rows.append(_rows_between(names, before, turns[dwell.position], dwell))
+        rows.append(_rows(names, dwell))
+    data = _file_text(lines, names, chain.from_iterable(rows)).encode("utf-8", "replace")
     if ends_in(path, ".gz"):
         data = gzip.compress(data, compresslevel=6, mtime=0)
     path.write_bytes(data)
@@ -93,6 +100,25 @@ def _rows(names: list[str], dwell: Dwell) -> Iterator[tuple[str, ...]]:
         else:
             texts.append(list(map(column.text, values)))
     return zip(*texts, strict=True)
+
+
+def _rows_between(names: list[str], before: Dwell, turn: Turn, after: Dwell) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of a turn, without a position; none if the turn lacks a column of the file."""
+    inside = (turn.time_s > before.time_s[-1]) & (turn.time_s < after.time_s[0])
+    fields = ("time_s", "accel", "gyro", "temperature_c", "supply_v")
+    series = {name: getattr(turn, name) for name in fields}
+    cut: dict[str, Any] = {name: None if rows is None else rows[inside] for name, rows in series.items()}
+    part = Dwell(0, **cut)
+    columns, n = part.columns(), len(part)
+    if any(not COLUMNS[name].per_dwell and name not in columns for name in names):
+        return iter(())
+    return zip(
+        *(
+            [""] * n if COLUMNS[name].per_dwell else map(COLUMNS[name].text, columns[name].tolist())
+            for name in names
+        ),
+        strict=True,
+    )
 
 
 # No line of help has a colon: it would be a key.

@@ -225,7 +225,8 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
     if wanted < end and _is_rest(path, sampling, wanted, end, path.zero_dps[1]):
         end = wanted
     edge = sampling.window // 2
-    head, tail = slice(begin, begin + edge), slice(end - edge + 1, end + 1)
+    # Both ends lie within the interval, which a gap may have made shorter than a window.
+    head, tail = slice(begin, min(begin + edge, end + 1)), slice(max(end - edge + 1, begin), end + 1)
     if _shows_another_attitude(path, path.force_g[head], 0) or _shows_another_attitude(
         path, path.force_g[tail], 1
     ):
