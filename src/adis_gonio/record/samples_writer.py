@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import IO, Any, Self
 
@@ -50,10 +50,12 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     stated = {name: getattr(session, name, None) for name in KEYS}
     lines = _leading_lines({name: value for name, value in stated.items() if value not in (None, "")})
     lines += [f"# note: {without_formulas(' '.join(note.split()))}" for note in session.notes]
-    rows: list[Iterator[tuple[str, ...]]] = []
-    for before, dwell in zip([None, *dwells], dwells, strict=False):
-        if before is not None and dwell.position in turns:
-            rows.append(_rows_between(names, before, turns[dwell.position], dwell))
+    rows = [_rows(names, dwells[0])]
+    for before, dwell in pairwise(dwells):
+        if dwell.position in turns:
+            part = _between(before, turns[dwell.position], dwell)
+            # A turn that lacks a column of the file, such as the gyros, is left out.
+            rows += [_rows(names, part, between=True)] if set(names) <= part.columns().keys() else []
         rows.append(_rows(names, dwell))
     data = _file_text(lines, names, chain.from_iterable(rows)).encode("utf-8", "replace")
     if ends_in(path, ".gz"):
@@ -90,35 +92,24 @@ def _columns_to_write(dwells: tuple[Dwell, ...], file: str) -> list[str]:
     return names
 
 
-def _rows(names: list[str], dwell: Dwell) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of a dwell as texts, one text for each named column."""
-    columns, texts = dwell.columns(), []
+def _rows(names: list[str], part: Dwell, *, between: bool = False) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of a dwell, or of samples between dwells, as texts, one for each named column."""
+    columns, texts = part.columns(), []
     for name in names:
         column, values = COLUMNS[name], columns[name].tolist()
         if column.per_dwell:
-            texts.append([column.text(values[0])] * len(values))
+            texts.append(["" if between else column.text(values[0])] * len(values))
         else:
             texts.append(list(map(column.text, values)))
     return zip(*texts, strict=True)
 
 
-def _rows_between(names: list[str], before: Dwell, turn: Turn, after: Dwell) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of a turn, without a position; none if the turn lacks a column of the file."""
+def _between(before: Dwell, turn: Turn, after: Dwell) -> Dwell:
+    """Samples of a turn that lie between two dwells in time."""
     inside = (turn.time_s > before.time_s[-1]) & (turn.time_s < after.time_s[0])
-    fields = ("time_s", "accel", "gyro", "temperature_c", "supply_v")
-    series = {name: getattr(turn, name) for name in fields}
-    cut: dict[str, Any] = {name: None if rows is None else rows[inside] for name, rows in series.items()}
-    part = Dwell(0, **cut)
-    columns, n = part.columns(), len(part)
-    if any(not COLUMNS[name].per_dwell and name not in columns for name in names):
-        return iter(())
-    return zip(
-        *(
-            [""] * n if COLUMNS[name].per_dwell else map(COLUMNS[name].text, columns[name].tolist())
-            for name in names
-        ),
-        strict=True,
-    )
+    series = {n: getattr(turn, n) for n in ("time_s", "accel", "gyro", "temperature_c", "supply_v")}
+    cut: dict[str, Any] = {n: None if rows is None else rows[inside] for n, rows in series.items()}
+    return Dwell(0, **cut)
 
 
 # No line of help has a colon: it would be a key.
