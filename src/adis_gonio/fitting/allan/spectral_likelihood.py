@@ -211,7 +211,7 @@ def ordinates(
     # Sums over the ordinates of each bin.
     weight = np.add.reduceat(kept.astype(np.float64), starts - 1)
     power = np.add.reduceat(square, starts - 1) / np.maximum(weight, 1.0)
-    rounded = grid.mean(ordinate_variances(rounding, n, grid.points))
+    rounded = _rounded(rounding.tobytes(), n, filter_m, period_s)
     singles = min(SINGLES, n - 1)
     number = np.arange(1, singles + 1)
     slope = np.where(kept[:singles], line(n, number.astype(np.float64)), 0.0)
@@ -273,6 +273,13 @@ def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
     points = starts[owner] + (step + 0.5) / count[owner] * (stops - starts)[owner] - 0.5
     shapes = np.add.reduceat(variances(filter_m, n, points, period_s), first, axis=0) / count[:, None]
     return _Grid(starts, (stops - 1) / (2 * n), points, first, count, shapes)
+
+
+@lru_cache(maxsize=8)
+def _rounded(rounding: bytes, n: int, filter_m: int, period_s: float) -> Floats:
+    """Mean variance (b,) in each bin by the converter's rounding, from the bytes of its autocovariance."""
+    grid = _grid(n, filter_m, period_s)
+    return grid.mean(ordinate_variances(np.frombuffer(rounding), n, grid.points))
 
 
 def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -346,57 +353,57 @@ class Likelihood:
         self._has = np.array([k not in without for k in range(data.shapes.shape[1])])
         self._least = 1e-12 * float(np.max(data.power, initial=1e-300))
         typical = float(np.average(data.power, weights=data.weight))
+        # Bins with equal expectations, as those of records of equal length, count as one.
+        same = np.column_stack([data.shapes, data.rounding])
+        kinds, self._owner = np.unique(same, axis=0, return_inverse=True)
+        self._shapes, self._rounding = kinds[:, :-1], kinds[:, -1]
+        self._weight = np.bincount(self._owner, data.weight)
+        self._power = np.bincount(self._owner, data.weight * data.power) / np.maximum(self._weight, 1e-300)
         # Scales: each process alone would make up the whole power.
         self.scale = typical / np.average(data.shapes, axis=0, weights=data.weight)
         # The single ordinates of all records, one after another: their bins and their records.
         size = np.array([len(c) for _, c, _ in data.lines])
-        self._singles = np.concatenate([np.arange(f, f + len(c)) for f, c, _ in data.lines])
-        self._record = np.repeat(np.arange(len(size)), size)
+        self._singles = self._owner[np.concatenate([np.arange(f, f + len(c)) for f, c, _ in data.lines])]
+        self._has_line = size > 0
+        self._starts = (np.cumsum(size) - size)[self._has_line]
+        self._record = np.repeat(np.arange(len(self._starts)), size[self._has_line])
         self._c = np.concatenate([c for _, c, _ in data.lines])
         self._d = np.concatenate([d for _, _, d in data.lines])
 
     def expected(self, theta: Floats) -> Floats:
-        """Expected variance (b,) in each bin for the squared coefficients θ."""
-        return np.asarray(
-            np.maximum(self._data.shapes @ theta + self._data.rounding, self._least), np.float64
-        )
-
-    def _by_record(self, terms: Floats) -> Floats:
-        """Sum terms (s, k) of the single ordinates over each of r records, as (r, k)."""
-        count = len(self._data.lines)
-        return np.stack([np.bincount(self._record, column, count) for column in terms.T], axis=1)
+        """Expected variance (k,) in each kind of bin for the squared coefficients θ."""
+        return np.asarray(np.maximum(self._shapes @ theta + self._rounding, self._least), np.float64)
 
     def _lines(self, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Terms and sums for the weighted fit of a straight line to each of r records.
+        """Terms and sums for the weighted fit of a straight line to each of r records with ordinates.
 
         The bins have the variances v. The results are the terms (s,) of a = Σ d²/v and of b = Σ c d/v over
         the single ordinates of all records, then a (r,) and b (r,); c are the ordinates of a record, and d
         the ordinates of a line of slope 1. Records without a line have an infinite a.
         """
         square, product = self._d**2 / v[self._singles], self._c * self._d / v[self._singles]
-        a, b = self._by_record(np.stack([square, product], axis=1)).T
+        a, b = np.add.reduceat(square, self._starts), np.add.reduceat(product, self._starts)
         return square, product, np.where(a > 0, a, np.inf), b
 
     def deviance(self, theta: Floats) -> float:
         """Deviance, −2 log likelihood up to a constant, of the squared coefficients θ."""
         v = self.expected(theta)
-        total = float(self._data.weight @ (np.log(v) + self._data.power / v))
+        total = float(self._weight @ (np.log(v) + self._power / v))
         _, _, a, b = self._lines(v)
         seen = np.isfinite(a)
         return total + float((np.log(a[seen]) - b[seen] ** 2 / a[seen]).sum())
 
     def slope_and_information(self, theta: Floats) -> tuple[Floats, Floats]:
         """Gradient (4,) of the deviance by the squared coefficients θ, and Fisher information (4, 4)."""
-        data = self._data
         v = self.expected(theta)
-        relative = data.shapes / v[:, None]
-        slope = relative.T @ (data.weight * (1 - data.power / v))
-        information = relative.T @ (data.weight[:, None] * relative)
+        relative = self._shapes / v[:, None]
+        slope = relative.T @ (self._weight * (1 - self._power / v))
+        information = relative.T @ (self._weight[:, None] * relative)
         square, product, a, b = self._lines(v)
         # Derivatives of ln a − b²/a, the REML terms of the records' lines.
         shape = relative[self._singles]
-        da = -self._by_record(square[:, None] * shape) / a[:, None]
-        db = -self._by_record(product[:, None] * shape)
+        da = -np.add.reduceat(square[:, None] * shape, self._starts, axis=0) / a[:, None]
+        db = -np.add.reduceat(product[:, None] * shape, self._starts, axis=0)
         slope += da.sum(axis=0) - 2 * (b / a) @ db + (b**2 / a) @ da
         information += da.T @ da - 2 * shape.T @ ((square / a[self._record])[:, None] * shape)
         return slope, information / 2
@@ -466,8 +473,9 @@ class Likelihood:
     def slopes(self, theta: Floats) -> list[tuple[float, float]]:
         """Slope per sample of the straight line fitted to each record, and its standard uncertainty."""
         _, _, a, b = self._lines(self.expected(theta))
-        u = np.where(np.isfinite(a), 1 / np.sqrt(a), np.inf)
-        return list(zip((b / a).tolist(), u.tolist(), strict=True))
+        slope, u = np.zeros(len(self._has_line)), np.full(len(self._has_line), np.inf)
+        slope[self._has_line], u[self._has_line] = b / a, np.where(np.isfinite(a), 1 / np.sqrt(a), np.inf)
+        return list(zip(slope.tolist(), u.tolist(), strict=True))
 
     def adequacy(self, theta: Floats) -> float:
         """p-value of the spectrum under the model θ: small if these noise processes do not explain it.
@@ -475,7 +483,7 @@ class Likelihood:
         The test compares the mean power in groups of neighbouring ordinates with the model.
         """
         data = self._data
-        v = self.expected(theta)
+        v = self.expected(theta)[self._owner]
         order = np.argsort(data.frequency, kind="stable")
         weight, ratio = data.weight[order], (data.power / v)[order]
         filled = np.cumsum(weight)
