@@ -2,7 +2,7 @@
 """Hand damaged and forged files to the commands: one clear line each, in bounded time and memory.
 
 Each file comes from its number and `--seed`: a session, a samples CSV, a calibration or a plan
-(tests/session/strange_files.py) and a command that takes it. The command runs in a process forked from one
+(tests/record/strange_files.py) and a command that takes it. The command runs in a process forked from one
 that has imported numpy, scipy and the commands. Outcomes:
 
     OK         exit status 0
@@ -39,13 +39,11 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "session"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from strange_files import KINDS, SoundFiles
-
-from adis_gonio.faces.cli import COMMANDS as HOMES
-from adis_gonio.faces.cli import main as adis_gonio
+from adis_gonio.faces.cli import COMMANDS as HOMES, main as adis_gonio
 from adis_gonio.faces.cli.terminal import replace_missing_letters
+from record.strange_files import KINDS, SoundFiles
 
 OUTCOMES = ("OK", "TOLD", "NOISY", "TRACEBACK", "HUNG", "BIG")
 FAILURES = ("TRACEBACK", "HUNG", "BIG")

@@ -1,1 +1,1 @@
-"""Speed against named baselines, as ratios taken in the same run; `scripts/bench.py` runs it."""
+"""Speed against named baselines, as ratios taken in the same run; `scripts/speed_ratios.py` runs it."""

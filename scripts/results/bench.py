@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import bench
+import speed_ratios
 from results.section import Effort, Section
 
 SAMPLES = 10**8
@@ -11,10 +11,10 @@ SAMPLES = 10**8
 
 def run(effort: Effort) -> Section:
     """Measure all benchmarks with an installed baseline; `missing` lists the others."""
-    names = [name for name in bench.BENCHMARKS if not bench.absent([name])]
-    missing = bench.absent(list(bench.BENCHMARKS))
-    samples = bench.SAMPLES_FAST if effort.fast else SAMPLES
-    rows = bench.measure(names, effort.seed, fast=effort.fast, samples=samples)
-    machine = bench.machine()
+    names = [name for name in speed_ratios.BENCHMARKS if not speed_ratios.absent([name])]
+    missing = speed_ratios.absent(list(speed_ratios.BENCHMARKS))
+    samples = speed_ratios.SAMPLES_FAST if effort.fast else SAMPLES
+    rows = speed_ratios.measure(names, effort.seed, fast=effort.fast, samples=samples)
+    machine = speed_ratios.machine()
     document = {"machine": machine, "missing": missing, "rows": [row.as_dict() for row in rows]}
     return Section(document)

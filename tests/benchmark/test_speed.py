@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import bench
+import speed_ratios
 from speed import fits, growth, streams
 from speed.tedaldi import calibrate
 from speed.timing import DisagreementError, compare, require
@@ -129,14 +129,14 @@ def test_the_streamed_recording_is_the_same_at_each_reading_and_holds_its_rests(
 
 
 def test_the_script_names_the_extra_of_a_package_that_is_absent(monkeypatch, capsys):
-    monkeypatch.setattr(bench, "find_spec", lambda name: None)
-    monkeypatch.setattr(sys, "argv", ["bench.py", "fit"])
-    assert bench.main() == 2
+    monkeypatch.setattr(speed_ratios, "find_spec", lambda name: None)
+    monkeypatch.setattr(sys, "argv", ["speed_ratios.py", "fit"])
+    assert speed_ratios.main() == 2
     assert capsys.readouterr().err == "lmfit, imucal not installed: pip install 'adis-gonio[baselines]'\n"
 
 
 def test_the_script_prints_one_table():
-    command = [sys.executable, ROOT / "scripts" / "bench.py", "decode", "--fast", "--seed", "1"]
+    command = [sys.executable, ROOT / "scripts" / "speed_ratios.py", "decode", "--fast", "--seed", "1"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600)
     head, columns, _, row = done.stdout.strip().splitlines()
     assert "numpy" in head

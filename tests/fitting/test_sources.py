@@ -15,8 +15,8 @@ from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.fitting.uncertainty import FIXTURE, LINKS, MODEL, REPEATABILITY, TEMPERATURE, Source
 from adis_gonio.model.records import Session
+from fitting.gyros.test_links import linked_part
 from fitting.test_uncertainty import FOUR, NINE, turn
-from gyros.test_links import linked_part
 
 
 def source(result: FitResult, name: str) -> Source:

@@ -1,5 +1,5 @@
 // What a reader would stumble over in a laid-out page, as a list of sentences; empty where there is nothing.
-// Evaluated in the page by tests/report/browser.py; nothing of the page's own making is asked.
+// Evaluated in the page by tests/handover/browser.py; nothing of the page's own making is asked.
 (print) => {
   const found = [];
   const SLACK = 1.5; // px: coordinates are rounded

@@ -13,7 +13,7 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.findings import bias_at_middle, differs_from_zero, finding_of, zeros_of
-from calibration.sessions import planar_session
+from calibrate.sessions import planar_session
 from tracing.small_problems import U, chosen, noisy, turn
 
 BIAS_MG = (8.0, -8.0)

@@ -1,7 +1,7 @@
 """Sessions of the simulated sensor, 1/f noise included, through the archive file.
 
-They are recorded as `simulate` records them; `trace --json` is this result (tests/cli). What a further seed
-would only repeat has its rate in scripts/trace_simulated.py.
+They are recorded as `simulate` records them; `trace --json` is this result (tests/faces/cli). Rates over
+many seeds are in scripts/trace_simulated.py.
 """
 
 import json

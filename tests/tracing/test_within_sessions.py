@@ -1,7 +1,7 @@
 """From simulated chip to trace, through files: what stands inside the dwells is found, and nothing else.
 
 What a finding says is of the recorded samples: amplitudes lie behind the chip's filter. Recordings of real
-parts are in test_trace_real_data.py, the command line in tests/cli/test_trace_command.py.
+parts are in test_trace_real_data.py, the command line in tests/faces/cli/test_trace_command.py.
 """
 
 from __future__ import annotations

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats, central_differences, wrap_radians
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.conformity import ErrorCurve
+from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, join_words
 from adis_gonio.calibrate.coefficients import (
@@ -24,14 +25,13 @@ from adis_gonio.calibrate.coefficients import (
     VERSION,
     Coefficient,
     Coefficients,
-    NotCorrected,
     checked_condition,
     checked_numbers,
     checked_offsets,
 )
 from adis_gonio.model.effects import AXES, Conditions, Effect
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
-from adis_gonio.model.records import MG_PER_MPS2
+from adis_gonio.model.records import METADATA, MG_PER_MPS2
 from adis_gonio.record.provenance import Covered, Provenance
 
 if TYPE_CHECKING:
@@ -41,7 +41,10 @@ if TYPE_CHECKING:
 _PASSES = 60
 _SETTLED_MG = 1e-9
 
-_SOURCE = ("title", "serial", "operator", "stage", "source", "sha256", "recorded_utc", "software")
+_SOURCE = ("title", *METADATA, "source", "sha256", "recorded_utc", "software")
+
+CURVE_PLACES = 72
+"""Number of angles of a curve of errors, which has few harmonics of the turn."""
 
 TurnPlane = Literal["xy", "xz", "yz"]
 
@@ -89,40 +92,26 @@ class AngleReading:
         return f"AngleReading({counted(n, 'angle')}, u up to {u})"
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration(Coefficients):
+class Calibration(Coefficients, eq=False, kw_only=True):
     """Calibration of accelerometers, which converts readings to gravity and angle.
 
     Attributes
     ----------
-    method : str
-        A method of `fit`, or `trace`.
     provenance : Provenance
         Sensor, plane, gravity and the known facts about the session.
     parameters : tuple of Coefficient
         Base parameters (gains, misalignment or skews, biases; in the plane also the start angle `alpha` if
         it is known), then the values of the effects.
-    covariance : (p, p) float or None
-        In the order and units of `parameters`; None if the noise is unknown.
     effects : tuple of EffectTerm
         Effects of a trace that depend on the reading, the temperature or the supply.
-    not_corrected : tuple of NotCorrected
-        Effects that belong to the bench and not to the sensor, or that need more than one reading.
-    assumed : tuple of str
-        Parameters that the session did not determine; they keep their nominal values.
     counts_per_mg : tuple of float or None
         Rough scale of each axis for readings in counts; None for readings in mg.
     gyro : GyroCalibration or None
         Calibration of the gyros; None if the session gives none.
     """
 
-    method: str
     provenance: Provenance
-    parameters: tuple[Coefficient, ...]
-    covariance: Floats | None
     effects: tuple[EffectTerm, ...] = ()
-    not_corrected: tuple[NotCorrected, ...] = ()
-    assumed: tuple[str, ...] = ()
     counts_per_mg: tuple[float, ...] | None = None
     gyro: GyroCalibration | None = None
     schema: ClassVar[str] = "adis-gonio/calibration"
@@ -317,6 +306,39 @@ class Calibration(Coefficients):
             return np.asarray(np.radians(values[k]) - np.arctan2(gravity[:, 1], gravity[:, 0]))
 
         return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
+
+    def error_curves(self, *, stage: bool = True) -> tuple[ErrorCurve | None, ErrorCurve]:
+        """Error of the angle over the turn in the plane of x and y: without and with this calibration.
+
+        The angle is the stage's if its start angle is known (and `stage`), else the angle of gravity. The
+        noise of single readings is not included. The first curve is None for a sensor of unknown scale.
+
+        Raises
+        ------
+        FitError
+            The uncertainties of the parameters are not known.
+        """
+        if self.covariance is None:
+            raise FitError("the noise of the readings is not known, so conformity cannot be stated")
+        psi = np.linspace(0, 2 * math.pi, CURVE_PLACES, endpoint=False)
+        gravity = np.zeros((CURVE_PLACES, self.axes))
+        gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
+        readings = self.readings_of(gravity)
+        conditions = self._conditions(CURVE_PLACES, None, None)
+        # A stage angle is the start angle minus the angle of gravity.
+        start = stage and "alpha" in self
+        sign, zero = (-1.0, self["alpha"].value) if start else (1.0, 0.0)
+        varying = np.array([start and name == "alpha" for name in self.names])
+
+        def angle(values: Floats) -> Floats:
+            found = self._gravity(values, readings, conditions)
+            return np.asarray(sign * np.arctan2(found[:, 1], found[:, 0]) + np.radians(values @ varying))
+
+        rises = np.degrees(self._rises(angle, lambda up, down: wrap_radians(up - down)))
+        dof = min((one.dof for one in self.parameters if one.dof is not None), default=math.inf)
+        raw = np.degrees(sign * wrap_radians(np.arctan2(readings[:, 1], readings[:, 0]) - psi))
+        after = ErrorCurve((zero + sign * np.degrees(psi)) % 360, np.zeros(CURVE_PLACES), rises.T, dof)
+        return None if self.provenance.counts else replace(after, error_deg=raw), after
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> Calibration:
         """Return the calibration for a sensor with other numbers in its offset registers.

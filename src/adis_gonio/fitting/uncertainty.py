@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord, key
+from adis_gonio.base.numbers import format_span
 from adis_gonio.base.uncertainty import effective_dof
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
@@ -184,6 +185,13 @@ class Sources:
     def by_place(self, gradient: Floats, reading: Floats) -> Floats:
         """Total variance (m,) of each of m quantities; see `Source.parts` for the arguments."""
         return np.asarray(sum(source.by_place(gradient, reading) for source in self._counted))
+
+    def roots(self, gradient: Floats, reading: Floats) -> Floats:
+        """Change (m, k) of m quantities by one standard uncertainty of each of k independent components.
+
+        The noise of a further reading itself is not included.
+        """
+        return np.concatenate([source._moved(gradient, reading) for source in self._counted], axis=1)
 
     def uncertainty(self, gradient: Floats, reading: Floats | None = None) -> tuple[float, float]:
         """Standard uncertainty and effective degrees of freedom of a quantity; see `Source.parts`."""
@@ -372,8 +380,9 @@ def _flicker(data: Readings, response: Floats) -> Source:
         moves.append(_each(response, _diagonal(np.sqrt(data.flicker))))
         variance = variance + data.flicker.mean(axis=0)
     if data.slow is not None:
-        moves.append(np.einsum("pna,nak->pk", response, data.slow))
-        variance = variance + (data.slow**2).sum(axis=2).mean(axis=0)
+        noise = data.slow[:, :, : data.slow.shape[2] - data.stage_modes]
+        moves.append(np.einsum("pna,nak->pk", response, noise))
+        variance = variance + (noise**2).sum(axis=2).mean(axis=0)
     joined = np.concatenate(moves, axis=1)
     shown = "shown by the dwells" if data.flicker_shown else "figure of the part"
     return Source(
@@ -396,20 +405,30 @@ def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats
     else:
         moves = np.zeros((len(response), 0))
     k = moves.shape[1]
+    certified = np.zeros((len(response), 0))
+    u_rad = noise.sigma_rad
+    if data.slow is not None and data.stage_modes:
+        shared = data.slow[:, :, -data.stage_modes :]
+        certified = np.einsum("pna,nak->pk", response, shared)
+        # An error of the stage moves a reading by its length per rad.
+        length = np.linalg.norm(data.mean, axis=1)
+        u_rad = math.hypot(u_rad, math.sqrt(float(((shared**2).sum(axis=(1, 2)) / length**2).mean())))
     free = not data.planar or data.free
     estimated = math.isfinite(noise.sigma_dof)
     note = "attitudes are free: none enters" if free else ""
     if not free and not data.fixture_stated:
         note = "estimated from the residual" if estimated else "not stated: angles count as exact"
+    if certified.shape[1]:
+        note = "; ".join(filter(None, ["errors of the stage by its certificate", note]))
     return Source(
         FIXTURE,
         "A" if estimated else "B",
         "Student" if estimated else "normal",
-        None if free else math.degrees(noise.sigma_rad),
+        None if free else math.degrees(u_rad),
         "deg",
-        moves,
-        np.full(k, noise.sigma_dof),
-        np.full(k, _FIXTURE, dtype=np.intp),
+        np.concatenate([moves, certified], axis=1),
+        np.concatenate([np.full(k, noise.sigma_dof), np.full(certified.shape[1], np.inf)]),
+        np.full(k + certified.shape[1], _FIXTURE, dtype=np.intp),
         np.zeros((data.axes, data.axes)),
         note,
     )
@@ -479,7 +498,7 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
         acts = columns * spread
         moves = np.einsum("pna,nab->pb", response, acts)
         u = float(np.sqrt((spread**2).mean()))
-        note = f"dwells from {temperature.min():.1f} to {temperature.max():.1f} °C"
+        note = f"dwells at {format_span(temperature.min(), temperature.max(), 1, '°C')}"
     return Source(
         TEMPERATURE,
         "B",
@@ -561,7 +580,6 @@ ROUNDING = 1e-10
 """Relative contribution to u below which it counts as rounding error."""
 
 
-@dataclass(frozen=True)
 class BudgetRow(JsonRecord):
     """Contribution of one source to the uncertainty of one quantity.
 

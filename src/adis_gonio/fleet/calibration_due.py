@@ -1,12 +1,12 @@
 """Date of the next calibration, by two methods of ILAC-G24:2022 / OIML D 10:2022 (6.2 and 6.3).
 
 *Staircase* (automatic adjustment): each routine calibration shows the error of the previous one. The
-interval is lengthened if that error is within 80 % of the permissible error, and shortened if it is
-outside. All numbers are choices of this program; the first interval and the factors are the user's, with
-defaults.
+interval is lengthened if that error conforms to 80 % of the tolerance (`adis_gonio.base.conformity`), and
+shortened if it fails. All numbers are choices of this program; the first interval and the factors are the
+user's, with defaults.
 
 *Control chart*: the drift of the parameters, with its uncertainty, is extrapolated from the last
-calibration to the day on which error and U together reach the permissible error.
+calibration to the last day on which the error conforms to the tolerance.
 
 Error of an angle ψ by an earlier calibration, to first order in the differences δ = later − earlier of
 the parameters, with g the local gravity:
@@ -18,29 +18,27 @@ since an angle depends on the ratio of the gains alone (K_x = K_y (1 + ΔK)) and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field, replace
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.conformity import ErrorCurve, Tolerance, Verdict
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
-from adis_gonio.base.numbers import counted
-from adis_gonio.base.uncertainty import coverage_factor
+from adis_gonio.base.numbers import counted, signed
 from adis_gonio.fleet.control_charts import LEAST, YEAR_DAYS
-from adis_gonio.fleet.sensor_history import History, date_of
+from adis_gonio.fleet.sensor_history import History, date_of, own_u
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 PARAMETERS = ("delta_k", "delta_phi", "bias_x", "bias_y")
-_TURN = np.arange(0.0, 360.0, 1.0)
+_TURN = np.arange(0.0, 360.0, 5.0)
 
 
 def slopes_deg(gravity_mps2: float = STANDARD_GRAVITY_MPS2) -> Floats:
-    """Error of the angle in degrees per unit of each of `PARAMETERS` (1, °, mg, mg), (360, 4).
-
-    There is one row for each degree of the turn.
-    """
+    """Error of the angle in degrees per unit of each of `PARAMETERS` (1, °, mg, mg), (m, 4)."""
     psi = np.radians(_TURN)
     gravity_mg = 1000.0 * gravity_mps2 / STANDARD_GRAVITY_MPS2
     cos, sin = np.cos(psi), np.sin(psi)
@@ -54,68 +52,61 @@ def slopes_deg(gravity_mps2: float = STANDARD_GRAVITY_MPS2) -> Floats:
     )
 
 
-def worst_deg(
-    difference: Mapping[str, float], u: Mapping[str, float], k: float, gravity_mps2: float
-) -> tuple[float, float]:
-    """Largest |error| of the angle over a full turn, and the largest |error| + U.
+def curve_of(
+    difference: Mapping[str, float], u: Mapping[str, float], gravity_mps2: float, dof: float = math.inf
+) -> ErrorCurve:
+    """Error of the angle over a full turn by an earlier calibration.
 
     Parameters
     ----------
     difference, u : mapping of str to float
         Difference of `PARAMETERS`, later minus earlier, and its standard uncertainty; 0 for a missing
         parameter. Covariances are neglected.
-    k : float
-        Coverage factor of U.
     """
-    slopes = slopes_deg(gravity_mps2)  # (360, 4)
+    slopes = slopes_deg(gravity_mps2)  # (m, 4)
     by = np.array([difference.get(name, 0.0) for name in PARAMETERS])
     spread = np.array([u.get(name, 0.0) for name in PARAMETERS])
-    error = np.abs(slopes @ by)
-    return float(error.max()), float((error + k * np.sqrt(slopes**2 @ spread**2)).max())
+    return ErrorCurve(_TURN, slopes @ by, slopes * spread, dof)
 
 
-DEFAULT_LIMIT_DEG = 0.1
-"""Permissible error of the angle if none is given: an assumption. It is about four LSB of the ADIS16354
-at the horizontal (0.027° each), or a change of a bias by 1.7 mg."""
+DEFAULT_TOLERANCE = Tolerance(0.1)
+"""Tolerance of the angle if none is given: an assumption. It is about four LSB of the ADIS16354 at the
+horizontal (0.027° each), or a change of a bias by 1.7 mg."""
 WITHIN = 0.8
-"""Share of the permissible error within which an interval grows."""
+"""Share of the tolerance with which an error has to conform for an interval to grow."""
 ROUTINE = 0.8
 """Share of the interval that must have passed before a calibration can lengthen it."""
 SHORTEST_DAYS, LONGEST_DAYS = 30.0, 5 * YEAR_DAYS
 
 
-@dataclass(frozen=True)
 class Rules(JsonRecord):
     """Limits and factors of the rules for the calibration interval, as the user chose them.
 
     Attributes
     ----------
-    limit_deg : float
-        Permissible error of the angle.
+    tolerance : Tolerance
+        Permissible error of the angle, with the decision rule.
     assumed : bool
-        True if the limit is the default.
+        True if the tolerance is the default.
     first_days : float
         Interval after the first calibration.
     longer, shorter : float
         Factors by which the staircase rule lengthens and shortens the interval.
     """
 
-    document_keys = ("limit_deg", "assumed")
+    document_keys = ("tolerance", "assumed")
 
-    limit_deg: float = DEFAULT_LIMIT_DEG
-    assumed: bool = field(default=True, metadata=key("limit_assumed"))
+    tolerance: Tolerance = field(default=DEFAULT_TOLERANCE, metadata=INLINE)
+    assumed: bool = field(default=True, metadata=key("tolerance_assumed"))
     first_days: float = YEAR_DAYS
     longer: float = 1.5
     shorter: float = 0.5
 
     def __post_init__(self) -> None:
-        if not (self.limit_deg > 0 and self.first_days > 0 and self.longer >= 1 and 0 < self.shorter <= 1):
-            raise UsageError(
-                "the limit and the first interval must be above 0, longer ≥ 1 and 0 < shorter ≤ 1"
-            )
+        if not (self.first_days > 0 and self.longer >= 1 and 0 < self.shorter <= 1):
+            raise UsageError("the first interval must be above 0, longer ≥ 1 and 0 < shorter ≤ 1")
 
 
-@dataclass(frozen=True)
 class Stair(JsonRecord):
     """One change of the calibration interval by the staircase rule.
 
@@ -129,6 +120,8 @@ class Stair(JsonRecord):
         Time since the previous calibration, its largest error of an angle, and the next interval.
     response : str
         `longer`, `kept`, `shorter` or `early` (too early to lengthen the interval).
+    verdict : {"pass", "fail", "undecided"}
+        Conformity of that error with the tolerance.
     """
 
     when: str
@@ -136,9 +129,9 @@ class Stair(JsonRecord):
     error_deg: float
     interval_days: float
     response: str
+    verdict: Verdict
 
 
-@dataclass(frozen=True)
 class Rule(JsonRecord):
     """Date of the next calibration by one method, or the reason why the method gives no date."""
 
@@ -148,7 +141,6 @@ class Rule(JsonRecord):
     assumes: str
 
 
-@dataclass(frozen=True)
 class Due(JsonRecord):
     """Date of the next calibration of a sensor, with the dates by each method.
 
@@ -182,20 +174,24 @@ def due_of(history: History, limits: Rules | None = None) -> Due:
     return Due(history.serial, date, by, limits, rules, stairs)
 
 
-def step(interval_days: float, elapsed_days: float, error_deg: float, limits: Rules) -> tuple[float, str]:
-    """Return the next calibration interval in days, and the response, after one calibration.
+def step(
+    interval_days: float, elapsed_days: float, error: ErrorCurve, limits: Rules
+) -> tuple[float, str, Verdict]:
+    """Return the next calibration interval in days, the response and the verdict after one calibration.
 
-    An error beyond the limit shortens the interval (or the elapsed time if that is shorter). An error
-    below the share `WITHIN` of the limit lengthens the interval, if the share `ROUTINE` of it has passed.
-    Otherwise the interval is kept.
+    An error that does not conform to the tolerance shortens the interval (or the elapsed time if that is
+    shorter). An error that conforms to the share `WITHIN` of the tolerance lengthens the interval, if the
+    share `ROUTINE` of it has passed. Otherwise the interval is kept.
     """
-    if error_deg > limits.limit_deg:
-        return max(min(interval_days, elapsed_days) * limits.shorter, SHORTEST_DAYS), "shorter"
+    verdict, _ = limits.tolerance.verdict(error)
+    if verdict == "fail":
+        return max(min(interval_days, elapsed_days) * limits.shorter, SHORTEST_DAYS), "shorter", verdict
     if elapsed_days < ROUTINE * interval_days:
-        return interval_days, "early"
-    if error_deg <= WITHIN * limits.limit_deg:
-        return min(interval_days * limits.longer, LONGEST_DAYS), "longer"
-    return interval_days, "kept"
+        return interval_days, "early", verdict
+    closer = replace(limits.tolerance, limit_deg=WITHIN * limits.tolerance.limit_deg)
+    if closer.verdict(error)[0] == "pass":
+        return min(interval_days * limits.longer, LONGEST_DAYS), "longer", verdict
+    return interval_days, "kept", verdict
 
 
 def staircase_of(history: History, limits: Rules) -> list[Stair]:
@@ -204,33 +200,35 @@ def staircase_of(history: History, limits: Rules) -> list[Stair]:
     interval, stairs = limits.first_days, []
     last = 0
     for n in range(1, len(sessions)):
-        difference, _ = _difference(history, last, n)
+        difference, u = _difference(history, last, n)
         if not difference:
             continue
         gravity = sessions[n].gravity_mps2 or STANDARD_GRAVITY_MPS2
-        error, _ = worst_deg(difference, {}, 0.0, gravity)
+        error = curve_of(difference, u, gravity)
         elapsed = float(days[n] - days[last])
-        interval, response = step(interval, elapsed, error, limits)
-        stairs.append(Stair(date_of(days[n]), elapsed, error, interval, response))
+        interval, response, verdict = step(interval, elapsed, error, limits)
+        largest = float(np.abs(error.error_deg).max())
+        stairs.append(Stair(date_of(days[n]), elapsed, largest, interval, response, verdict))
         last = n
     return stairs
 
 
 def _difference(history: History, before: int, after: int) -> tuple[dict[str, float], dict[str, float]]:
     """Change of each parameter that both sessions determine, and the standard uncertainty of the change."""
-    one, other = history.sessions[before].values, history.sessions[after].values
+    pair = [history.sessions[before], history.sessions[after]]
+    one, other = (record.values for record in pair)
     names = [name for name in PARAMETERS if name in one and name in other]
     change = {name: other[name].value - one[name].value for name in names}
-    u = {name: float(np.hypot(one[name].u or 0.0, other[name].u or 0.0)) for name in names}
+    u = {name: float(np.linalg.norm(own_u(pair, name))) for name in names}
     return change, u
 
 
 def _staircase(history: History, limits: Rules, stairs: tuple[Stair, ...]) -> Rule:
     interval = stairs[-1].interval_days if stairs else limits.first_days
+    share = f"{100 * WITHIN:.0f} % of the tolerance"
     assumes = (
-        f"first interval {limits.first_days:.0f} d, "
-        f"×{limits.longer:g} within {100 * WITHIN:.0f} % of the limit, "
-        f"×{limits.shorter:g} outside; every session replaced the calibration in use"
+        f"first interval {limits.first_days:.0f} d, ×{limits.longer:g} if the error conforms to {share}, "
+        f"×{limits.shorter:g} if it fails; every session replaced the calibration in use"
     )
     date = date_of(history.days[-1] + interval)
     if not stairs:
@@ -238,15 +236,14 @@ def _staircase(history: History, limits: Rules, stairs: tuple[Stair, ...]) -> Ru
         return Rule("staircase", date, why, assumes)
     end = stairs[-1]
     response = {
-        "longer": f"within {100 * WITHIN:.0f} % of the limit, the interval grew to",
-        "kept": f"within the limit but not within {100 * WITHIN:.0f} % of it, the interval stays",
-        "shorter": f"outside the limit of {limits.limit_deg:g}°, the interval shrank to",
-        "early": "within the limit, but too early to lengthen the interval of",
+        "longer": f"conforms to {share}, the interval grew to",
+        "kept": f"{end.verdict}, but no pass with {share}: the interval stays",
+        "shorter": f"fails the tolerance of {limits.tolerance.limit_deg:g}°, the interval shrank to",
+        "early": f"{end.verdict}, but too early to lengthen the interval of",
     }[end.response]
     elapsed, error = f"{end.elapsed_days:.0f} d", f"{end.error_deg:.3g}°"
     off = f"after {elapsed} the error of the previous calibration was up to {error}"
-    why = f"{off}: {response} {interval:.0f} d"
-    return Rule("staircase", date, why, assumes)
+    return Rule("staircase", date, f"{off}: {response} {interval:.0f} d", assumes)
 
 
 def _control_chart(history: History, limits: Rules) -> Rule:
@@ -262,13 +259,17 @@ def _control_chart(history: History, limits: Rules) -> Rule:
         name: float(np.hypot(history.tracks[name].u[-1], drift.between)) for name, drift in drifts.items()
     }
     gravity = history.sessions[-1].gravity_mps2 or STANDARD_GRAVITY_MPS2
-    k = coverage_factor(min(drift.slope.dof for drift in drifts.values()))
+    dof = min(drift.slope.dof for drift in drifts.values())
+    limit = f"{limits.tolerance.limit_deg:g}°"
 
-    # Largest error and U of an angle after some days of drift.
-    def reached(days: float) -> float:
+    # Error of an angle after some days of drift.
+    def reached(days: int) -> ErrorCurve:
         change = {name: one * days for name, one in slope.items()}
         u = {name: float(np.hypot(own[name], u_slope[name] * days)) for name in slope}
-        return worst_deg(change, u, k, gravity)[1]
+        return curve_of(change, u, gravity, dof)
+
+    def passes(days: int) -> bool:
+        return limits.tolerance.verdict(reached(days))[0] == "pass"
 
     missing = [name for name in PARAMETERS if name not in drifts]
     assumes = (
@@ -276,24 +277,25 @@ def _control_chart(history: History, limits: Rules) -> Rule:
         + (f"; {', '.join(missing)} not known to drift" if missing else "")
     )
     last = float(history.days[-1])
-    if reached(0.0) >= limits.limit_deg:
+    if not passes(0):
+        bound = reached(0).bound_deg(limits.tolerance.accepted_risk)
         why = (
-            f"U of a calibration with its scatter between sessions is {reached(0.0):.3g}° already, not "
-            f"below the limit of {limits.limit_deg:g}°: calibrate with more dwells, or raise the limit"
+            f"a calibration with its scatter between sessions needs a tolerance of {bound:.3g}° already, "
+            f"not {limit}: calibrate with more dwells, or raise the tolerance"
         )
         return Rule(method, date_of(last), why, assumes)
-    if reached(LONGEST_DAYS) <= limits.limit_deg:
+    # The error grows with time: the first day without a pass, by bisection.
+    good, bad = 0, round(LONGEST_DAYS) + 1
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        good, bad = (middle, bad) if passes(middle) else (good, middle)
+    if bad > LONGEST_DAYS:
         years = f"{LONGEST_DAYS / YEAR_DAYS:.0f} years, the longest interval"
-        why = f"error and U stay within {limits.limit_deg:g}° for {years}"
+        why = f"the error conforms to {limit} for {years}"
         return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)
-    from scipy.optimize import brentq
-
-    # The error grows with time, so that there is one crossing.
-    days = float(brentq(lambda t: reached(t) - limits.limit_deg, 0.0, LONGEST_DAYS))
     drifts_text = ", ".join(
-        f"{name} {drift.slope.value:+.2g} ± {drift.slope.U:.2g} {drift.slope.unit}"
+        f"{name} {signed(drift.slope.value, digits=2)} ± {drift.slope.U:.2g} {drift.slope.unit}"
         for name, drift in drifts.items()
     )
-    by = f"{days:.0f} d after the last calibration, by {drifts_text}"
-    why = f"error and U (k = {k:.2f}) reach {limits.limit_deg:g}° {by}"
-    return Rule(method, date_of(last + days), why, assumes)
+    why = f"the error conforms to {limit} until {good} d after the last calibration, by {drifts_text}"
+    return Rule(method, date_of(last + good), why, assumes)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base import __version__
+from adis_gonio.base.conformity import ErrorCurve, Tolerance, state_conformity
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.numbers import (
     DASH,
@@ -21,20 +22,21 @@ from adis_gonio.base.numbers import (
     format_number,
     format_p,
     format_percent,
+    format_span,
     format_uncertain,
     format_unit,
     label_quantity,
     use_minus,
     with_unit,
 )
-from adis_gonio.base.uncertainty import Value
+from adis_gonio.base.uncertainty import NORMAL_95, Value
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer, format_dof, format_share
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.position_diagnosis import Angle
-from adis_gonio.model.records import Session
+from adis_gonio.model.records import METADATA, Session
 from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
 from adis_gonio.page.svg import Role, Series, Style, plot
 from adis_gonio.record.provenance import digest_of_file
@@ -71,7 +73,7 @@ def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Sec
         pair = {e.name: Value(e.value, e.u, e.unit) for e in best.parameters if e.name in _ORDER}
         by_method = _pair(pair)
     if isinstance(traced, str):
-        lines = [f"By method {best.method} (± u): {by_method}."] if best is not None and by_method else []
+        lines = [f"By method {best.method} (± U): {by_method}."] if best is not None and by_method else []
         return Section("Summary", words=[*lines, f"The session could not be traced: {traced}"])
     lines = [words.headline(traced), words.gains(traced)]
     final = {name: value for name, value in traced.base.items() if name in _ORDER}
@@ -80,7 +82,7 @@ def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Sec
             f" (method {best.method}, before the trace: {by_method})" if best and by_method else ""
         )
         names = "With the effects found" if traced.steps else "By the base model"
-        lines.append(f"{names} (± u): {_pair(final)}{alternative if traced.steps else ''}.")
+        lines.append(f"{names} (± U): {_pair(final)}{alternative if traced.steps else ''}.")
     if traced.confounded:
         lines.append(f"This session cannot distinguish: {'; '.join(words.confounded(traced))}.")
     return Section("Summary", words=lines)
@@ -96,7 +98,78 @@ def answer_section(answer: Answer) -> Section:
         "square over held-out dwells; its u belongs to a displayed angle.",
     )
     sentences = [*answer.doubts, f"By method {answer.title}.", answer.why, *answer.remarks]
-    return Section("Answer", words=sentences, tables=[table], key=_key(answer.values))
+    return Section("Answer", words=sentences, tables=[table])
+
+
+def certificate_section(
+    session: Session,
+    answer: Answer,
+    observed: Readings | None,
+    positions: Sequence[PositionFinding] = (),
+    tolerance: Tolerance | None = None,
+) -> Section:
+    """First page of the report, for a laboratory to sign: results, conformity, instrument, conditions."""
+    try:
+        curves = answer.error_curves()
+    except AdisGonioError as error:
+        figures, stated = [], [f"Conformity is not stated: {error}."]
+    else:
+        figures = _error_figures(curves, tolerance)
+        stated = ["Conformity is not stated: no tolerance was given."]
+        if tolerance is not None:
+            first, *lines = state_conformity(tolerance, curves).lines
+            stated = [f"{first}.", *(f"{line[:1].upper()}{line[1:]}." for line in lines)]
+    doubts = [*answer.doubts, *dict.fromkeys(found.sentence for found in positions)]
+    who = ("serial", "stage", "operator", "laboratory", "customer")
+    instrument = [["sensor", session.sensor], *([n, getattr(session, n) or "not stated"] for n in who)]
+    known = dict(facts(session, observed, "", answer.reference_temperature_c))
+    conditions = [
+        ["date (UTC)", known["begun (UTC)"][:16].replace("T", " ") or "not stated"],
+        ["positions", "a free turn" if session.free_turn else str(len(session.dwells))],
+        *([name, known[name]] for name in ("temperature", "supply", "local gravity")),
+        ["u of a stage angle", known["standard uncertainty of a declared angle"]],
+    ]
+    signature = [["date", NO_BREAK], ["name, signature", NO_BREAK]]
+    key = _key(answer.values)
+    results = [] if key else [Table(HEAD, [line.cells for line in answer.lines], numeric=(2, 3, 4, 5))]
+    return Section(
+        "Certificate",
+        key=key,
+        words=[*doubts, *stated],
+        figures=figures,
+        tables=[
+            *results,
+            *(Table(["", ""], rows) for rows in (instrument, conditions, signature[:1], signature[1:])),
+        ],
+        notes=[
+            f"Method {answer.title}. U = k·u covers 95 %. The errors apply to the mean of many readings; "
+            "they are traceable to the declared angles of the stage only. The annex follows."
+        ],
+        sheet=True,
+    )
+
+
+def _error_figures(
+    curves: tuple[ErrorCurve | None, ErrorCurve], tolerance: Tolerance | None
+) -> list[Figure]:
+    """Draw the error of the angle over the turn with its band, without and with calibration."""
+    figures = []
+    for curve, role, state in zip(curves, _ROLES, ("without", "with"), strict=True):
+        if curve is None:
+            continue
+        angle = np.linspace(0, 360, len(curve.angle_deg) + 1)
+        error, band = (
+            np.interp(angle, curve.angle_deg, each, period=360) for each in (curve.error_deg, curve.U_deg)
+        )
+        series = [Series(angle, error, f"{state} calibration", band, role, "line")]
+        if tolerance is not None:
+            for k, limit in enumerate((tolerance.limit_deg, -tolerance.limit_deg)):
+                edges = np.full(2, limit)
+                series.append(Series([0, 360], edges, "" if k else "tolerance", None, "model", "line"))
+        caption = f"Error of the angle {state} calibration; the band is ± U."
+        axes = ("angle / °", "error of the angle / °")
+        figures.append(Figure(plot(series, *axes, title=caption, x_range=(0, 360), zero=True), caption))
+    return figures
 
 
 def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
@@ -140,12 +213,12 @@ def positions_section(findings: Sequence[PositionFinding]) -> list[Section]:
         for found in findings
     ]
     sentences = list(dict.fromkeys(found.sentence for found in findings))
-    table = Table(_ANGLES, rows, numeric=(1, 2, 3, 5), caption="Angles with their standard uncertainties.")
+    table = Table(_ANGLES, rows, numeric=(1, 2, 3, 5), caption="Angles ± U (95 %).")
     return [Section("Wrong positions", words=sentences, tables=[table])]
 
 
 def _angle(angle: Angle | None) -> str:
-    return DASH if angle is None else format_uncertain(*angle, "deg")
+    return DASH if angle is None else str(Value(*angle, "deg"))
 
 
 def budget_section(answer: Answer) -> Section:
@@ -212,9 +285,11 @@ def _by_method(fits: Sequence[FitResult]) -> Table:
     for name in names:
         entries = [next((e for e in fit.parameters if e.name == name), None) for fit in fits]
         unit = next(e.unit for e in entries if e is not None)
-        cells = ["" if e is None else format_uncertain(e.value, e.u) for e in entries]
+        cells = ["" if e is None else format_uncertain(e.value, e.U) for e in entries]
         rows.append([NAMES.get(name, name), format_unit(unit), *cells])
-    rows.append(["residual, rms", "mg", *(format_number(fit.residual_rms_mg) for fit in fits)])
+    rows.append(
+        ["residual, rms", "mg", *(format_number(fit.residual_rms_mg) if fit.dof else DASH for fit in fits)]
+    )
     rows.append(
         [
             "χ² / degrees of freedom",
@@ -227,7 +302,7 @@ def _by_method(fits: Sequence[FitResult]) -> Table:
         rows,
         numeric=tuple(range(2, 2 + len(fits))),
         strong=tuple(k for k, name in enumerate(names) if name in _ORDER),
-        caption="± one standard uncertainty; ± k times that covers 95 % (k in the answer's table).",
+        caption="Value ± U (95 %).",
     )
 
 
@@ -460,9 +535,7 @@ def facts(
     start, end = float(dwells[0].time_s[0]), float(dwells[-1].time_s[-1])
     return [
         ("title", session.title),
-        ("operator", session.operator),
-        ("serial number of the part", session.serial),
-        ("stage", session.stage),
+        *((name, getattr(session, name)) for name in METADATA),
         ("file", Path(session.source).name),
         ("SHA-256 of the file", digest_of_file(session.source) if Path(session.source).is_file() else ""),
         ("sensor", session.sensor + (" (simulated)" if stored.get("simulated") else "")),
@@ -484,7 +557,7 @@ def facts(
         ("the chip compensates", "\n".join(compensations(configuration))),
         ("unit of the accelerations", session.accel_unit),
         ("plane of rotation", "xy" if session.plane == "xy" else "none: attitudes in space"),
-        ("standard uncertainty of a declared angle", _fixture(session.fixture_sigma_deg)),
+        ("standard uncertainty of a declared angle", _fixture(session)),
         ("local gravity", f"{session.gravity_mps2:.5f} m/s²"),
         ("standard uncertainty of a reading", _noise(observed)),
         ("reference temperature of the parameters", "" if reference_c is None else f"{reference_c:.1f} °C"),
@@ -493,10 +566,13 @@ def facts(
     ]
 
 
-def _fixture(sigma: float | None) -> str:
-    if sigma is None:
-        return "not stated"
-    return "free: declared angles are not used" if math.isinf(sigma) else f"{sigma:g}°"
+def _fixture(session: Session) -> str:
+    sigma = session.fixture_sigma_deg
+    if sigma is not None and math.isinf(sigma):
+        return "free: declared angles are not used"
+    known = [f"certificate {session.stage_curve.name}"] if session.stage_curve else []
+    known += [] if sigma is None else [f"{sigma:g}°"]
+    return ", ".join(known) or "not stated"
 
 
 def _noise(observed: Readings | None) -> str:
@@ -520,7 +596,7 @@ def _span(series: Sequence[Any], unit: str) -> str:
     if not known:
         return "not recorded"
     low, high = min(float(np.nanmin(s)) for s in known), max(float(np.nanmax(s)) for s in known)
-    return f"{format_fixed(low, 2)} to {format_fixed(high, 2)} {unit}"
+    return format_span(low, high, 2, unit)
 
 
 def _readings(session: Session, observed: Readings) -> Table:
@@ -537,7 +613,7 @@ def _readings(session: Session, observed: Readings) -> Table:
                 {1: "below", -1: "above"}.get(dwell.approach, "–"),
                 str(len(dwell)),
                 *(
-                    format_fixed(m, 3) if np.isnan(s) else format_uncertain(m, s)
+                    format_fixed(m, 3) if np.isnan(s) else format_uncertain(m, NORMAL_95 * s)
                     for m, s in zip(mean, u, strict=True)
                 ),
                 "–" if dwell.temperature_c is None else f"{float(np.mean(dwell.temperature_c)):.2f}",
@@ -611,6 +687,7 @@ def build_page(
     shown: Views | None = None,
     sections: Sequence[Section] = (),
     failures: Mapping[str, str] | None = None,
+    tolerance: Tolerance | None = None,
 ) -> str:
     """Render the calibration report as HTML.
 
@@ -627,6 +704,8 @@ def build_page(
         Further sections, before data and configuration.
     failures : mapping of str to str, optional
         Reason of each method that failed.
+    tolerance : Tolerance, optional
+        Tolerance of the angle for the statement of conformity.
 
     Returns
     -------
@@ -637,14 +716,14 @@ def build_page(
     result = traced if isinstance(traced, TraceResult) else None
     best = next((fit for fit in reversed(fits) if fit.comparison is not None), None)
     answer = None if best is None else answer_with_trace(best, result, own=False)
-    body = [answer_section(answer)] if answer is not None else []
-    body += [summary_section(traced, fits)]
+    positions = next((fit.position_findings for fit in fits if fit.position_findings), ())
     if result is not None:
-        body += positions_section(result.position_findings)
-    else:
-        body += positions_section(
-            next((fit.position_findings for fit in fits if fit.position_findings), ())
-        )
+        positions = result.position_findings
+    body = []
+    if answer is not None:
+        first = certificate_section(session, answer, _observed(session), positions, tolerance)
+        body += [first, answer_section(answer)]
+    body += [summary_section(traced, fits), *positions_section(positions)]
     if answer is not None:
         body += [budget_section(answer), scores_section(answer)]
     body += [fitted_section(fits, failures or {})]

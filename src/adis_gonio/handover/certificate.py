@@ -11,17 +11,19 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from datetime import date
+from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.base.errors import FitError, one_line
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.conformity import Tolerance, Verdict, state_conformity
+from adis_gonio.base.errors import DataError, FitError, one_line
 from adis_gonio.base.uncertainty import coverage_factor
-from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.calibration import CURVE_PLACES, Calibration
 from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.handover.polynomial import angle_u_deg
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, StageCurve
 
 VERSION = "3.2.1"
 DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
@@ -71,30 +73,140 @@ _NAMES = {
     "gyro_misalignment": "Misalignment of gyro and axis",
     "g_sensitivity": "Sensitivity to acceleration of gyro and axis",
 }
+_CONFORMITY: dict[Verdict, str] = {"pass": "pass", "fail": "fail", "undecided": "noPass"}
 _TURN_DEG = tuple(range(0, 360, 30))
 
 
-def certificate_text(calibration: Calibration, issued: date | None = None) -> str:
+def certificate_text(
+    calibration: Calibration, issued: date | None = None, tolerance: Tolerance | None = None
+) -> str:
     """Render a calibration as a digital calibration certificate in XML.
 
     Parameters
     ----------
     issued : date, optional
         Date of the calibration if the session does not state it; by default today.
+    tolerance : Tolerance, optional
+        Tolerance of the angle, for the statement of conformity.
 
     Raises
     ------
     FitError
-        A parameter has a unit without a known D-SI notation.
+        A parameter has a unit without a known D-SI notation, or conformity cannot be stated.
     """
     for prefix, space in (("dcc", DCC), ("si", SI), ("xsi", XSI)):
         ET.register_namespace(prefix, space)
     root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion=VERSION)
     root.set(f"{{{XSI}}}schemaLocation", f"{DCC} {DCC}/v{VERSION}/dcc.xsd")
-    _administrative(_add(root, "administrativeData"), calibration, issued)
+    administrative = _add(root, "administrativeData")
+    _administrative(administrative, calibration, issued)
+    if tolerance is not None:
+        zero = [name for name in calibration.assumed if name.startswith("bias")]
+        if zero:
+            raise FitError(f"conformity cannot be stated: {', '.join(zero)} not determined, taken as zero")
+        stated = state_conformity(tolerance, calibration.error_curves())
+        for name, one in stated.states.items():
+            text = f"{name.capitalize()}, the error of the angle within {tolerance}: {one.reason}."
+            statement = _named(administrative[-1], "statement", text, "declaration")
+            _add(statement, "conformity", _CONFORMITY[one.verdict])
     _results(_add(_add(root, "measurementResults"), "measurementResult"), calibration)
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+_ANGLE_UNITS = {
+    r"\degree": 1.0,
+    r"\arcminute": 1 / 60,
+    r"\arcsecond": 1 / 3600,
+    r"\radian": math.degrees(1),
+    r"\milli\radian": math.degrees(1e-3),
+    r"\micro\radian": math.degrees(1e-6),
+}
+
+
+def read_stage_curve(path: Path) -> StageCurve:
+    """Read the errors of a stage from its digital calibration certificate.
+
+    A result has to contain two lists of angles of equal length: indicated (or nominal) angles, and errors
+    (refType `basic_measurementError`, or "error" in the name) with their uncertainties. Without a
+    covariance matrix (`ellipsoidalRegionXMLList`) the errors of different angles count as independent.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, is no such certificate, or contains no such result.
+    """
+    try:
+        root = ET.fromstring(path.read_bytes())
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ET.ParseError as error:
+        raise DataError(f"{path}: is no XML: {error}") from None
+    for result in root.iter(f"{{{DCC}}}result"):
+        lists = [(q, q.find(f"{{{SI}}}realListXMLList")) for q in result.iter(f"{{{DCC}}}quantity")]
+        known = [(_is_error(quantity), each) for quantity, each in lists if each is not None]
+        if sorted(error for error, _ in known) == [False, True]:
+            _, angles = min(known, key=lambda one: one[0])
+            _, errors = max(known, key=lambda one: one[0])
+            return _stage_curve(path, angles, errors)
+    raise DataError(
+        f"{path}: contains no error curve of a stage: a result with a list of angles and a list of errors"
+    )
+
+
+def _is_error(quantity: ET.Element) -> bool:
+    names = " ".join(content.text or "" for content in quantity.iter(f"{{{DCC}}}content"))
+    return "error" in f"{quantity.get('refType', '')} {names}".lower()
+
+
+def _stage_curve(path: Path, angles: ET.Element, errors: ET.Element) -> StageCurve:
+    angle_deg, error_deg = _degrees(path, angles), _degrees(path, errors)
+    m = len(angle_deg)
+    columns = [
+        [float(value.text or "nan") for value in column.iter(f"{{{SI}}}value")]
+        for column in errors.iter(f"{{{SI}}}column")
+    ]
+    factor = _unit_factor(path, errors)
+    if columns:
+        matrix = factor**2 * np.array(columns) if {len(c) for c in columns} == {m} else np.zeros(0)
+    else:
+        u = _numbers(path, errors, "uncertaintyXMLList", "valueExpandedMUXMLList", "valueStandardMUXMLList")
+        k = _numbers(path, errors, "coverageFactorXMLList") or [1.0]
+        matrix = np.diag((factor * np.array(u) / np.array(k)) ** 2) if len(u) == m else np.zeros(0)
+    if matrix.shape != (m, m) or len(error_deg) != m or m < 2:
+        raise DataError(
+            f"{path}: the error curve needs two or more angles, each with an error and its uncertainty"
+        )
+    angle_deg, order = np.unique(angle_deg % 360, return_index=True)
+    error_deg, matrix = error_deg[order], matrix[np.ix_(order, order)]
+    if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix).min() < -1e-9 * np.trace(matrix):
+        raise DataError(f"{path}: the covariance matrix of the errors is not one")
+    return StageCurve(path.name, angle_deg, error_deg, matrix)
+
+
+def _numbers(path: Path, parent: ET.Element, *names: str) -> list[float]:
+    found = next((one.text or "" for name in names for one in parent.iter(f"{{{SI}}}{name}")), "")
+    try:
+        return [float(word) for word in found.split()]
+    except ValueError:
+        raise DataError(f"{path}: {names[0]} has to be numbers, not '{found[:40]}'") from None
+
+
+def _unit_factor(path: Path, listed: ET.Element) -> float:
+    units = {word for unit in listed.iter(f"{{{SI}}}unitXMLList") for word in (unit.text or "").split()}
+    if len(units) != 1 or not units <= set(_ANGLE_UNITS):
+        known = ", ".join(_ANGLE_UNITS)
+        raise DataError(
+            f"{path}: unit of an angle is {', '.join(sorted(units)) or 'missing'}; known: {known}"
+        )
+    return _ANGLE_UNITS[units.pop()]
+
+
+def _degrees(path: Path, listed: ET.Element) -> Floats:
+    values = np.array(_numbers(path, listed, "valueXMLList"))
+    if not np.isfinite(values).all():
+        raise DataError(f"{path}: an angle or an error is not finite")
+    return np.asarray(_unit_factor(path, listed) * values)
 
 
 def _add(parent: ET.Element, name: str, text: str | None = None, space: str = DCC) -> ET.Element:
@@ -148,23 +260,25 @@ def _administrative(parent: ET.Element, calibration: Calibration, issued: date |
         _add(one, "issuer", "other")
         _add(one, "value", value or NOT_STATED)
         _add(_add(one, "name"), "content", label)
-    _contact(_add(_add(parent, "calibrationLaboratory"), "contact"))
+    _contact(_add(_add(parent, "calibrationLaboratory"), "contact"), where.laboratory)
     _named(_add(_add(parent, "respPersons"), "respPerson"), "person", where.operator or NOT_STATED)
-    _contact(_add(parent, "customer"))
+    _contact(_add(parent, "customer"), where.customer)
     statements = _add(parent, "statements")
     for text in _statements(calibration):
         _named(statements, "statement", text, "declaration")
 
 
-def _contact(parent: ET.Element) -> None:
-    _add(_add(parent, "name"), "content", NOT_STATED)
+def _contact(parent: ET.Element, name: str) -> None:
+    _add(_add(parent, "name"), "content", name or NOT_STATED)
     _add(_add(_add(parent, "location"), "further"), "content", NOT_STATED)
 
 
 def _statements(calibration: Calibration) -> list[str]:
+    where = calibration.provenance
+    unknown = [name for name in ("laboratory", "customer") if not getattr(where, name)]
     texts = [
-        "Made by a program and not signed; laboratory, customer and country are not stated (code ZZ), "
-        "and no traceability is claimed beyond the declared angles of the stage.",
+        f"Made by a program and not signed; not stated: {', '.join([*unknown, 'country (code ZZ)'])}; "
+        "no traceability is claimed beyond the declared angles of the stage.",
         "Readings are U = diag(K) D g + b: sensitivities relative to the nominal one, skews as 90° less "
         "the angle between two axes, biases as readings without acceleration.",
     ]
@@ -186,7 +300,7 @@ def _statements(calibration: Calibration) -> list[str]:
 def _gyro_statements(gyro: GyroCalibration) -> list[str]:
     texts = [
         "Gyros read K D ω + b + G f: zero rates b without acceleration, sensitivities relative to the "
-        "nominal one, f the readings of the accelerometers.",
+        "nominal one, f the readings of the accelerometers."
     ]
     if gyro.assumed:
         texts.append(f"Not determined and taken as nominal: {', '.join(gyro.assumed)}.")
@@ -262,9 +376,9 @@ def _real(parent: ET.Element, one: Coefficient) -> None:
 
 def _turn(parent: ET.Element, calibration: Calibration) -> None:
     """Add the uncertainty that the calibration adds to angles in the plane of x and y."""
-    u_deg = angle_u_deg(calibration, _TURN_DEG)
-    if not np.isfinite(u_deg).all():
+    if calibration.covariance is None:
         return
+    u_deg = calibration.error_curves(stage=False)[1].u_deg[:: CURVE_PLACES // len(_TURN_DEG)]
     data = _add(
         _named(parent, "result", "Angle of gravity in the plane of X and Y by the calibrated sensor"),
         "data",

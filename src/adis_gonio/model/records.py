@@ -8,8 +8,10 @@ in `adis_gonio.record`; fits read them in `adis_gonio.fitting`.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -21,6 +23,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.computed_once import ComputedOnce
 from adis_gonio.base.errors import UsageError, one_line
+from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
 
 if TYPE_CHECKING:
@@ -215,8 +218,80 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 MG_PER_G = 1000.0
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 
-METADATA = ("operator", "serial", "stage")
+METADATA = ("operator", "serial", "stage", "laboratory", "customer")
 """Fields of a session with notes of the operator in addition to the title."""
+
+
+WIDEST_STEP_DEG = 45.0
+"""Widest step between angles of a certificate across which the errors of a stage are interpolated."""
+
+
+@dataclass(frozen=True, eq=False)
+class StageCurve:
+    """Errors of a stage at angles of the turn, by its own certificate.
+
+    Attributes
+    ----------
+    name : str
+        Name of the certificate.
+    angle_deg : (m,) float
+        Angles indicated by the stage, ascending in 0 to 360.
+    error_deg : (m,) float
+        Indicated minus true angle.
+    covariance_deg2 : (m, m) float
+    """
+
+    name: str
+    angle_deg: Floats
+    error_deg: Floats
+    covariance_deg2: Floats
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> StageCurve:
+        """Restore the curve from the JSON object of its fields."""
+        numbers = {name: np.array(value) for name, value in document.items() if name != "name"}
+        return cls(document["name"], **numbers)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the JSON object of the curve."""
+        return json_object(**vars(self))
+
+    @property
+    def digest(self) -> str:
+        """Hash of the curve, by which sessions on one stage are recognised."""
+        return hashlib.sha256(json.dumps(self.as_dict()).encode()).hexdigest()
+
+    def check(self, angles_deg: Iterable[float | None]) -> None:
+        """Check that the certificate covers the declared angles of a session or a plan.
+
+        Raises
+        ------
+        UsageError
+            There are none, or one is between angles of the certificate that are too far apart.
+        """
+        declared = [angle % 360 for angle in angles_deg if angle is not None]
+        if not declared:
+            raise UsageError(
+                f"{self.name}: no angle is declared that the stage's certificate could correct"
+            )
+        steps = np.diff(self.angle_deg, prepend=self.angle_deg[-1] - 360)
+        for angle in declared:
+            after = int(np.searchsorted(self.angle_deg, angle)) % len(steps)
+            if steps[after] > WIDEST_STEP_DEG and angle not in self.angle_deg:
+                raise UsageError(f"{self.name}: the certificate has no errors of the stage near {angle:g}°")
+
+    def at(self, angle_deg: Floats) -> tuple[Floats, Floats]:
+        """Errors (n,) in degrees at declared angles (n,), and their changes (n, k) by independent causes.
+
+        Errors between the angles of the certificate are interpolated on straight lines.
+        """
+        rows = [
+            np.interp(angle_deg, self.angle_deg, unit, period=360) for unit in np.eye(len(self.angle_deg))
+        ]
+        weights = np.array(rows).T  # (n, m)
+        size, axis = np.linalg.eigh(self.covariance_deg2)
+        kept = size > 1e-12 * max(float(size.max()), 0.0)
+        return weights @ self.error_deg, weights @ (axis[:, kept] * np.sqrt(size[kept]))
 
 
 @dataclass(frozen=True)
@@ -307,11 +382,14 @@ class Session(ComputedOnce):
         stated.
     plane : {"xy", "none"}
         Plane of rotation, or none for attitudes anywhere in space.
+    stage_curve : StageCurve or None
+        Errors of the stage by its certificate, which correct the declared angles; `fixture_sigma_deg` is
+        then the uncertainty of a declared angle besides them.
     reading_u_mg : float or None
         Standard uncertainty of a dwell that has one sample only.
-    title, operator, serial, stage : str
-        Name of the session, the operator, the sensor's serial number and the stage, as written down; each
-        is kept as one printable line.
+    title, operator, serial, stage, laboratory, customer : str
+        Name of the session, the operator, the sensor's serial number, the stage, and for a certificate the
+        laboratory and the customer, as written down; each is kept as one printable line.
     source : str
         File that it came from.
     notes : tuple of str
@@ -335,11 +413,14 @@ class Session(ComputedOnce):
     gravity_mps2: float = STANDARD_GRAVITY_MPS2
     fixture_sigma_deg: float | None = None
     plane: Plane = "xy"
+    stage_curve: StageCurve | None = None
     reading_u_mg: float | None = None
     title: str = ""
     operator: str = ""
     serial: str = ""
     stage: str = ""
+    laboratory: str = ""
+    customer: str = ""
     source: str = ""
     notes: tuple[str, ...] = ()
     cut_by_stillness: bool = False
@@ -349,7 +430,7 @@ class Session(ComputedOnce):
     turns_from: Callable[[], tuple[Turn, ...]] | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for name in ("title", "operator", "serial", "stage"):
+        for name in ("title", *METADATA):
             object.__setattr__(self, name, one_line(getattr(self, name)))
         object.__setattr__(self, "notes", tuple(one_line(note) for note in self.notes))
 

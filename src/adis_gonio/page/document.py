@@ -99,6 +99,8 @@ class Section:
     """Subsections."""
     key: Sequence[KeyFigure] = ()
     """Main results of the section, shown in large numerals."""
+    sheet: bool = False
+    """True if the section fills the first printed page; the other sections follow on further pages."""
     folded: bool = False
     """True if the section is closed on a screen until it is opened; on paper it is always open."""
 
@@ -154,7 +156,7 @@ def render(
 
 
 def _filled(section: Section) -> bool:
-    return any(part for name, part in vars(section).items() if name not in ("title", "folded"))
+    return any(part for name, part in vars(section).items() if name not in ("title", "folded", "sheet"))
 
 
 def _number_kept(cell: str) -> str:

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adis_gonio.base.errors import NotInstalledError
+from adis_gonio.base.errors import NotInstalledError, install_extra
 from adis_gonio.base.numbers import format_number
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ class Series:
     label : str
         For the legend; without it the series is not in the legend.
     error : (n,) float, optional
-        Half length of the error bars, in the unit of y.
+        Half length of the error bars, in the unit of y; with a line, half width of a band around it.
     role : str, optional
         `before` (hollow circle), `after` (disc), `third` (square), `fourth` (triangle) or `model` (thin
         dashed line). Series without a role take these roles one after another.
@@ -217,7 +217,7 @@ def require_matplotlib() -> None:
         importlib.import_module("matplotlib.figure")
     except ImportError as error:
         raise NotInstalledError(
-            f"the figures of a report need {error.name or error}: pip install 'adis-gonio[report]'"
+            f"the figures of a report need {error.name or error}: {install_extra('report')}"
         ) from error
 
 
@@ -314,6 +314,9 @@ def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
     alike: dict[str, Any] = {"color": _COLOURS[role], "clip_on": False}
     if one.style != "points":
         stepped = "steps-post" if one.style == "steps" else "default"
+        if error.any():
+            band = np.concatenate([y - error, (y + error)[::-1]])
+            axes.fill(np.concatenate([x, x[::-1]]), band, alpha=0.22, linewidth=0, **alike)
         return axes.plot(x, y, label=one.label, drawstyle=stepped, **_LINES[role], **alike)[0]
     marked: dict[str, Any] = {"label": one.label, "linestyle": "none", **_MARKERS[role], **alike}
     if len(x) > _MOST_MARKERS:

@@ -1,4 +1,4 @@
-"""The best plan for a number of positions, the fewest positions for an angle error, and their text."""
+"""The best plan for a number of positions, the fewest positions for a tolerance, and their text."""
 
 from __future__ import annotations
 
@@ -11,9 +11,19 @@ from typing import Any, get_args
 import numpy as np
 
 from adis_gonio.base.budget import check
+from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import HIDDEN, JsonRecord
-from adis_gonio.base.numbers import NAMES, count_decimals, counted, format_fixed, format_unit
+from adis_gonio.base.numbers import (
+    NAMES,
+    count_decimals,
+    counted,
+    format_fixed,
+    format_number,
+    format_percent,
+    format_unit,
+    with_unit,
+)
 from adis_gonio.base.tables import align_columns, fold_text
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.plan.plan_search import MEANING, Best, Candidates, Choice, Criterion, candidates, search
@@ -38,7 +48,6 @@ _GOLDEN = (3 - math.sqrt(5)) / 2
 LEAST_GRID_DEG, WIDEST_GRID_DEG = 1.0, 60.0
 
 
-@dataclass(frozen=True)
 class Gain(JsonRecord):
     """Comparison of the best plan with another plan of as many positions; one value of `gain` in JSON.
 
@@ -237,64 +246,63 @@ def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates, crit
 
 def fewest_positions(
     bench: Bench,
-    angle_deg: float,
+    tolerance: Tolerance,
     best: Best = "angle",
     beware: Sequence[str] = (),
     *,
     grid_deg: float = 5.0,
     seed: int = 1,
 ) -> BestPlan:
-    """Search for the best plan with the fewest positions for an angle error (rms over the turn).
+    """Search for the best plan with the fewest positions after which the angle conforms to a tolerance.
 
     The search begins with the smallest sufficient number of interleaved positions, and reduces the number
-    as long as the best plan has no larger error.
+    as long as the best plan can decide.
 
     Raises
     ------
     UsageError
-        One reading alone, or a plan of `MOST` positions, has a larger error.
+        A plan of `MOST` positions cannot decide.
     """
-    if not (math.isfinite(angle_deg) and angle_deg > 0):
-        raise UsageError(f"angle-error is {angle_deg:g}°: take an angle above 0°")
-    count = _fewest_interleaved(bench, angle_deg)
+    count = _fewest_interleaved(bench, tolerance)
     found = best_plan(bench, count, best, beware, grid_deg=grid_deg, seed=seed)
     while count > LEAST:
         check()
         trial = best_plan(bench, count - 1, best, beware, grid_deg=grid_deg, seed=seed)
-        if _error_deg(trial.prediction.reach) > angle_deg:
+        if not _decides(trial.prediction.reach, tolerance):
             break
         found, count = trial, count - 1
     return found
 
 
-def _error_deg(reach: PlanUncertainty) -> float:
-    return math.inf if reach.angle.u is None else reach.angle.u
+def _decides(reach: PlanUncertainty, tolerance: Tolerance) -> bool:
+    conformity = reach.conformity(tolerance)
+    return conformity is not None and conformity.verdict == "pass"
 
 
-def _fewest_interleaved(bench: Bench, angle_deg: float) -> int:
-    """Return the smallest number of interleaved positions that reach an angle error, by bisection.
+def _fewest_interleaved(bench: Bench, tolerance: Tolerance) -> int:
+    """Return the smallest number of interleaved positions that can decide, by bisection.
 
     In one slow turn, more positions can be worse than fewer: the 1/f noise of a longer session has the
     period of the turn. Interleaved positions avoid that.
     """
 
-    def error_deg(count: int) -> float:
+    def decides(count: int) -> bool:
         check()
         try:
-            return _error_deg(predict_uncertainty(interleaved_plan(count), bench))
+            return _decides(predict_uncertainty(interleaved_plan(count), bench), tolerance)
         except FitError:
-            return math.inf
+            return False
 
-    if error_deg(MOST) > angle_deg:
+    if not decides(MOST):
         raise UsageError(
-            f"angle-error is {angle_deg:g}°: {counted(MOST, 'position')} reach {error_deg(MOST):.2g}°, most"
-            " of which is a single reading's own; take longer dwells or a quieter part"
+            f"{counted(MOST, 'position')} do not decide on {tolerance}: take longer dwells, a better stage"
+            " or a quieter part"
         )
-    # `high` always keeps the error, `low` does not.
+    # `high` always decides, `low` does not.
     low, high = LEAST - 1, MOST
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if error_deg(middle) <= angle_deg else (middle, high)
+        low, high = (low, middle) if decides(middle) else (middle, high)
     return high
 
 
@@ -337,9 +345,13 @@ _FIGURE: dict[Best, str] = {
 }
 
 
-def prediction_lines(prediction: Prediction, found: BestPlan | None = None) -> Iterator[str]:
+def prediction_lines(
+    prediction: Prediction, found: BestPlan | None = None, tolerance: Tolerance | None = None
+) -> Iterator[str]:
     """Yield the lines of text that describe a prediction and the search, starting with the headline."""
     yield headline(prediction)
+    if tolerance is not None:
+        yield from fold_text(_decision(prediction.reach, tolerance), WIDTH)
     if found is not None:
         beware = f" {', '.join(found.beware)}" if found.best == "tell-apart" else ""
         fitted = f", {', '.join(found.beware)} fitted beside" if found.beware and not beware else ""
@@ -373,8 +385,17 @@ def headline(prediction: Prediction) -> str:
     if u is None or expanded is None:
         return f"{count}, {minutes}: they do not determine an angle at this fixture"
     digits = count_decimals(min(u, expanded))
-    angle = f"± {format_fixed(u, digits)}° rms, U {format_fixed(expanded, digits)}° at the worst place"
+    angle = f"u {format_fixed(u, digits)}° rms, U {format_fixed(expanded, digits)}° at the worst place"
     return f"{count}, {minutes}: angle {angle}"
+
+
+def _decision(reach: PlanUncertainty, tolerance: Tolerance) -> str:
+    conformity = reach.conformity(tolerance)
+    if conformity is None:
+        return f"cannot decide on {tolerance}: the plan does not determine the angle"
+    can = "decides" if conformity.verdict == "pass" else "cannot decide"
+    risk = format_percent(conformity.false_accept)
+    return f"{can} on {tolerance}: expected risk of a false accept {risk}"
 
 
 def _reach_lines(reach: PlanUncertainty) -> Iterator[str]:
@@ -408,7 +429,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
         if one.amplitude is None:
             blind[one.reason].append(name)
         else:
-            cells.append(f"{name} {one.amplitude:.2g} {one.unit}")
+            cells.append(f"{name} {with_unit(format_number(one.amplitude, 2), one.unit)}")
     if cells:
         yield "Sees from this size on (found in 90 of 100 sessions)"
         yield from _columns(cells)

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.conformity import Conformity, ErrorCurve, Tolerance
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import join_words
@@ -66,7 +67,6 @@ _SURROUNDINGS = {
     "variance_mg2": "vibration",
 }
 """Conditions that no plan of positions sets."""
-_OF_BASE = frozenset({"bias", "scale", "misalignment", "gravity"})
 
 
 @dataclass(frozen=True)
@@ -279,6 +279,8 @@ class PlanUncertainty:
     fitted_deg : float
         Part of `angle_worst` due to the fitted parameters, which a plan can lower, as a standard
         uncertainty; NaN if the angle is not determined.
+    roots_deg : (m, k) float or None
+        Change of the calibrated angle around the turn by one standard uncertainty of independent causes.
     undetermined : tuple of str
         Parameters that the plan cannot determine.
     notes : tuple of str
@@ -292,6 +294,18 @@ class PlanUncertainty:
     fitted_deg: float
     undetermined: tuple[str, ...]
     notes: tuple[str, ...]
+    roots_deg: Floats | None = field(default=None, compare=False)
+
+    def conformity(self, tolerance: Tolerance) -> Conformity | None:
+        """Conformity of the calibrated angle with a tolerance after such a session.
+
+        None if the plan does not determine the angle.
+        """
+        if self.roots_deg is None:
+            return None
+        m = len(self.roots_deg)
+        angle_deg = np.arange(m) * 360.0 / m
+        return tolerance.decide(ErrorCurve(angle_deg, np.zeros(m), self.roots_deg))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON object of the uncertainties, without the values, which are unknown."""
@@ -330,7 +344,6 @@ class ConfoundedPair:
         return {"effects": [self.one, self.other], "separation": self.separation}
 
 
-@dataclass(frozen=True)
 class Sight(JsonRecord):
     """Effects that a session with a plan detects and distinguishes.
 
@@ -430,6 +443,10 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
     parameters = {name: median(value, u_by_name(name)) for name, value in known.items()}
     sure = {name: value for name, value in parameters.items() if value.u is not None}
     fitted = median(exact.angle, lambda one: one.fitted_deg if one.angle.u is not None else None)
+    # The shape over the turn of the exact session, with the size of the median session.
+    roots = exact.roots_deg
+    if roots is not None:
+        roots = None if fitted.u is None else fitted.u / exact.fitted_deg * roots
     return replace(
         exact,
         parameters=sure,
@@ -438,6 +455,7 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
         fitted_deg=math.nan if fitted.u is None else fitted.u,
         undetermined=tuple(name for name in (*parameters, *exact.undetermined) if name not in sure),
         notes=(*exact.notes, _DEPENDS),
+        roots_deg=roots,
     )
 
 
@@ -449,7 +467,8 @@ def _reach(result: FitResult) -> PlanUncertainty:
     assert angle is not None
     shown = ShownAngle.around(origin.fit)
     whole = float(np.sqrt(origin.sources.by_place(shown.gradient, shown.reading).max()))
-    fitted = float(np.sqrt(fitted_variance(result).max()))
+    roots = origin.sources.roots(shown.gradient, shown.reading)
+    fitted = math.sqrt(float((roots**2).sum(axis=1).max()))
     sure = angle.u is not None
     return PlanUncertainty(
         result.method,
@@ -459,22 +478,8 @@ def _reach(result: FitResult) -> PlanUncertainty:
         fitted if sure else math.nan,
         result.undetermined,
         result.warnings,
+        roots if sure else None,
     )
-
-
-def fitted_variance(result: FitResult) -> Floats:
-    """Return the variance (m,) in degrees² of the shown angle, at m places around the turn.
-
-    The noise of the reading from which the angle is computed is not included.
-    """
-    origin = result.origin
-    assert origin is not None
-    assert origin.sources is not None
-    shown = ShownAngle.around(origin.fit)
-    own = sum(source.reading_mg2 for source in origin.sources.each)
-    # The share of the reading itself, g C gᵀ for each place of the turn.
-    noise = np.einsum("ma,ab,mb->m", shown.reading, own, shown.reading)
-    return np.asarray(origin.sources.by_place(shown.gradient, shown.reading) - noise)
 
 
 # -- effects ------------------------------------------------------------------------------------------
@@ -498,7 +503,7 @@ def predict_sight(readings: Readings) -> Sight:
     problem = linearise(fit, terms)
     # The bias on all axes is in each model, because every part has one.
     widest = widest_terms(problem.terms)
-    bias = (problem.terms.index(widest["bias"]),) if "bias" in widest else ()
+    bias = tuple(problem.terms.index(term) for term in widest.values() if term.constant)
     reasons = {name: _why_unplanned(name, why) for name, why in missing.items()}
     seen = detectable(Search(problem, price(problem)), bias, reasons)
     hidden = {name: replace(one, reason=_HIDDEN) for name, one in seen.items() if "lies in" in one.reason}
@@ -518,7 +523,7 @@ def _confounded_pairs(
     basis = span(problem, bias)[0]
     columns = {}
     for name, term in widest_terms(problem.terms).items():
-        if name != "bias" and seen[name].amplitude is not None:
+        if not term.constant and seen[name].amplitude is not None:
             # Whitened columns (rows, d) by the term's amplitudes, without their part in the base model.
             index = problem.terms.index(term)
             own = problem.block(index) @ np.linalg.pinv(problem.back[index])
@@ -563,14 +568,15 @@ def planned_terms(readings: Readings, names: Sequence[str]) -> tuple[NamedTerm, 
         for name, term in offered.items()
         if any(need.endswith("_history") or need.startswith("previous") for need in term.effect.needs)
     }
-    known = sorted(set(offered) - _OF_BASE - with_memory)
+    of_base = {name for name, kind in catalogue("accelerometer").items() if kind.in_base}
+    known = sorted(set(offered) - of_base - with_memory)
     for name in names:
         if name in known:
             continue
         if name not in catalogue("accelerometer"):
             near = did_you_mean(name, list(catalogue("accelerometer")))
             raise UsageError(f"beware: no effect is called '{name}'{near}")
-        if name in _OF_BASE:
+        if name in of_base:
             why = "lies in the model that every session fits: leave it out"
         elif name in offered:
             why = "depends on all positions before, which an exchange of single ones cannot plan for"

@@ -36,6 +36,7 @@ from adis_gonio.base.shapes import (
 )
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
+from adis_gonio.model.records import METADATA
 from adis_gonio.record.blocks import GENERIC, UNITS, Block
 from adis_gonio.record.plans import MOST_POSITIONS, Plan, Position
 
@@ -160,8 +161,10 @@ class Header:
         The first plan; an extension is a record.
     settings : mapping
         JSON form of the runner's settings.
-    title, note, operator, serial, stage : str
-        Notes of the operator; the last three are empty in sessions of older programs.
+    title, note, operator, serial, stage, laboratory, customer : str
+        Notes of the operator; all but the first two are empty in sessions of older programs.
+    stage_curve : mapping or None
+        JSON form of the errors of the stage by its certificate.
     simulated : bool
         True if the bus is simulated, so that the truth is known.
     """
@@ -177,6 +180,9 @@ class Header:
     operator: str = ""
     serial: str = ""
     stage: str = ""
+    laboratory: str = ""
+    customer: str = ""
+    stage_curve: Mapping[str, Any] | None = None
     simulated: bool = False
     created_utc: str = ""
     software: str = field(default=f"adis-gonio {__version__}")
@@ -284,6 +290,14 @@ def _fixture(value: Any) -> None:
         nullable(number(LEAST_FIXTURE_DEG, 1e6))(value)
 
 
+_CURVE = list_of(number(-1e6, 1e6), 2, 3600)
+_STAGE_CURVE = fields(
+    {
+        "name": text,
+        **dict.fromkeys(("angle_deg", "error_deg"), _CURVE),
+        "covariance_deg2": list_of(_CURVE, 2, 3600),
+    }
+)
 META = fields(
     {
         "url": text,
@@ -296,7 +310,8 @@ META = fields(
     {
         "simulated": truth_value,
         "created_utc": moment,
-        **dict.fromkeys(("title", "note", "operator", "serial", "stage", "software"), text),
+        "stage_curve": nullable(_STAGE_CURVE),
+        **dict.fromkeys(("title", "note", *METADATA, "software"), text),
     },
 )
 """Shapes of the values in the table `meta` by key: the fields of `Header`."""

@@ -10,8 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.model.records import ACCEL_UNITS, SENSORS, AccelUnit, Dwell, Session, checked_gravity_mps2
+from adis_gonio.model.records import (
+    ACCEL_UNITS,
+    SENSORS,
+    AccelUnit,
+    Dwell,
+    Session,
+    StageCurve,
+    checked_gravity_mps2,
+)
 
+_REPLACED = ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor", "laboratory", "customer")
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 
 REVERSE = "reverse"
@@ -108,6 +117,10 @@ class Overrides:
     accel_unit : str or None
         Unit of the accelerations; takes precedence over a unit in the file's header.
     sensor : str or None
+    laboratory, customer : str or None
+    stage_curve : StageCurve or None
+        Errors of the stage by its certificate. They correct the declared angles; the remaining uncertainty
+        of a declared angle counts as not stated, unless `fixture_sigma_deg` is given.
     columns : mapping of str to str
         Column of the format → column in the header of a CSV with other names.
 
@@ -124,6 +137,9 @@ class Overrides:
     sensor: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     angles: tuple[AngleChange, ...] = ()
+    laboratory: str | None = None
+    customer: str | None = None
+    stage_curve: StageCurve | None = None
 
     def __post_init__(self) -> None:
         if self.gravity_mps2 is not None and not 0 < self.gravity_mps2 < math.inf:
@@ -146,11 +162,15 @@ class Overrides:
             Angles are to be reversed but none is declared, or a position does not exist.
         """
         changes: dict[str, dict[str, Any]] = {}
-        for name in ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor"):
+        for name in _REPLACED:
             new, old = getattr(self, name), getattr(session, name)
             if new is not None and new != old:
                 changes[name] = {"old": old, "new": new}
         settings = {name: change["new"] for name, change in changes.items()}
+        if self.stage_curve is not None:
+            self.stage_curve.check(dwell.angle_deg for dwell in session.dwells)
+            changes["stage_curve"] = {"old": None, "new": self.stage_curve.name}
+            settings |= {"stage_curve": self.stage_curve, "fixture_sigma_deg": self.fixture_sigma_deg}
         if self.angles:
             dwells = self._changed_angles(session)
             old = {str(d.position): d.angle_deg for d in session.dwells}
@@ -206,8 +226,10 @@ def _words(name: str, old: Any, new: Any) -> str:
             return f"uncertainty of a declared angle {_degrees(new)} instead of {_degrees(old)}"
         case "accel_unit":
             return f"accelerations are in {new}, not in {old}"
-        case "sensor":
-            return f"sensor {new} instead of {old}"
+        case "sensor" | "laboratory" | "customer":
+            return f"{name} {new} instead of {old or 'not stated'}"
+        case "stage_curve":
+            return f"declared angles corrected by the certificate {new}"
         case "reverse":
             return "the stage turned the other way: declared angles and approaches with the opposite sign"
         case "angles":

@@ -28,7 +28,6 @@ def digest_of_file(path: str | Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-@dataclass(frozen=True)
 class Covered(JsonRecord):
     """Mean, minimum and maximum of a condition (temperature or supply) over the dwells of a session."""
 
@@ -49,7 +48,7 @@ class Provenance:
     gravity_mps2 : float
     counts : bool
         True if readings are counts of unknown scale, False if they are in mg.
-    title, serial, operator, stage : str
+    title, serial, operator, stage, laboratory, customer : str
         Free text, or empty.
     source : str
         Name of the file, without its folder.
@@ -80,6 +79,8 @@ class Provenance:
     serial: str = ""
     operator: str = ""
     stage: str = ""
+    laboratory: str = ""
+    customer: str = ""
     source: str = ""
     sha256: str = ""
     recorded_utc: str = ""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from adis_gonio.model.records import ACCEL_UNITS, GYRO_UNITS, PLANES, SENSORS
+from adis_gonio.model.records import ACCEL_UNITS, GYRO_UNITS, METADATA, PLANES, SENSORS
 
 AXES = ("ax", "ay", "az")
 GYROS = ("gx", "gy", "gz")
@@ -269,7 +269,7 @@ def _mark(text: str) -> str:
 
 
 KEYS: dict[str, Key] = {
-    **dict.fromkeys(("title", "operator", "serial", "stage"), Key()),
+    **dict.fromkeys(("title", *METADATA), Key()),
     "sensor": _choice(SENSORS),
     "accel_unit": _choice(ACCEL_UNITS),
     "gyro_unit": _choice(GYRO_UNITS),

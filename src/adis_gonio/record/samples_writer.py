@@ -9,10 +9,10 @@ from __future__ import annotations
 import gzip
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
-from itertools import chain, pairwise
 from pathlib import Path
 from typing import IO, Any, Self
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from adis_gonio.base.errors import DataError, OutputError, SessionError, UsageError
 from adis_gonio.base.output import ends_in, exists_error, replacing, write_utf8
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session, Turn
+from adis_gonio.model.records import METADATA, STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session, Turn
 from adis_gonio.record.blocks import GENERIC, Block, session_columns
 from adis_gonio.record.plans import Plan
 from adis_gonio.record.samples_columns import COLUMNS, KEYS, without_formulas
@@ -50,14 +50,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     stated = {name: getattr(session, name, None) for name in KEYS}
     lines = _leading_lines({name: value for name, value in stated.items() if value not in (None, "")})
     lines += [f"# note: {without_formulas(' '.join(note.split()))}" for note in session.notes]
-    rows = [_rows(names, dwells[0])]
-    for before, dwell in pairwise(dwells):
-        if dwell.position in turns:
-            part = _between(before, turns[dwell.position], dwell)
-            # A turn that lacks a column of the file, such as the gyros, is left out.
-            rows += [_rows(names, part, between=True)] if set(names) <= part.columns().keys() else []
-        rows.append(_rows(names, dwell))
-    data = _file_text(lines, names, chain.from_iterable(rows)).encode("utf-8", "replace")
+    data = _file_text(lines, names, _all_rows(names, dwells, turns)).encode("utf-8", "replace")
     if ends_in(path, ".gz"):
         data = gzip.compress(data, compresslevel=6, mtime=0)
     path.write_bytes(data)
@@ -90,6 +83,19 @@ def _columns_to_write(dwells: tuple[Dwell, ...], file: str) -> list[str]:
             raise DataError(f"{file}: position {lacking[0]} has no '{name}', others have")
         names.append(name)
     return names
+
+
+def _all_rows(
+    names: list[str], dwells: Sequence[Dwell], turns: Mapping[int, Turn]
+) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of all dwells and of the turns between them, one after another."""
+    for before, dwell in zip([None, *dwells], dwells, strict=False):
+        if before is not None and dwell.position in turns:
+            part = _between(before, turns[dwell.position], dwell)
+            # A turn that lacks a column of the file, such as the gyros, is left out.
+            if set(names) <= part.columns().keys():
+                yield from _rows(names, part, between=True)
+        yield from _rows(names, dwell)
 
 
 def _rows(names: list[str], part: Dwell, *, between: bool = False) -> Iterator[tuple[str, ...]]:
@@ -143,7 +149,7 @@ def template_text(
         raise UsageError("a generic sensor has no LSB that is known: give --unit mg, g, mps2 or counts")
     planar = plan.plane == "xy"
     keys: dict[str, Any] = {
-        **dict.fromkeys(("title", "operator", "serial", "stage")),
+        **dict.fromkeys(("title", *METADATA)),
         "sensor": sensor,
         "accel_unit": accel_unit,
         "gravity_mps2": gravity_mps2,
@@ -165,20 +171,15 @@ def template_text(
 
 
 def write_template(path: Path, text: str) -> None:
-    """Write the text of a template to a new file.
+    """Write the text of a template to a file.
 
     Raises
     ------
-    SessionError
-        The file exists, or cannot be written.
+    OutputError
+        The file cannot be written.
     """
-    try:
-        with path.open("x", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-    except FileExistsError:
-        raise exists_error(path) from None
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be written: {error.strerror or error}") from None
+    with replacing(path) as temporary:
+        write_utf8(temporary, text)
 
 
 def export_csv(session: Session, path: str | Path) -> None:
@@ -298,6 +299,7 @@ class SamplesRecorder:
         self.path = path
         self.rows = 0
         self.lost = 0
+        self._size = 0
         self.notes: list[str] = []
         self._header = [
             f"# title: {' '.join(title.split()) or 'continuous recording'}",
@@ -324,10 +326,23 @@ class SamplesRecorder:
         whole = block.variant != GENERIC
         formats = ["%d" if whole and name in ("ax", "ay", "az") else "%.6g" for name in columns]
         table = np.column_stack([block.time_s, *columns.values()])
-        np.savetxt(self._file, table, fmt=["%.6f", *formats], delimiter=",")
-        self._file.flush()
+        try:
+            np.savetxt(self._file, table, fmt=["%.6f", *formats], delimiter=",")
+            self._file.flush()
+        except OSError as error:
+            self._cut_off()
+            kept = f"its {self.rows} rows from before are complete"
+            raise OutputError(f"{self.path}: {error.strerror or error}; {kept}") from error
+        self._size = self.path.stat().st_size
         self.rows += len(block)
         self.lost += block.lost
+
+    def _cut_off(self) -> None:
+        """Close the file after a failed write, and remove the rows of the failed block."""
+        with suppress(OSError):
+            self._file.close()
+        with suppress(OSError):
+            os.truncate(self.path, self._size)
 
     def close(self) -> None:
         """Close the file; may be called twice."""

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.conformity import ErrorCurve
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.fitting.answer import Answer, with_notes
@@ -62,6 +63,12 @@ class TracedAnswer(Answer):
             return {}
         score = self.scores[TRACED].angle_rms_deg
         return {"angle": shown_angle(self.traced, math.nan if score is None else score)}
+
+    def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
+        """Error of the angle over the turn, without and with the calibration by the traced model."""
+        from adis_gonio.tracing.trace_calibrations import calibration_of_trace
+
+        return calibration_of_trace(self.traced).error_curves()
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
@@ -160,7 +167,7 @@ def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendatio
     if trace.stopped is not None and not trace.stopped.checked:
         return recommended
     said = {
-        "adequate": "no effect missing",
+        "adequate": "no effect that this model lacks",
         "not adequate": "its model not adequate, and no effect to add",
         "not tested": "no effect to add; this session cannot test whether the model is adequate",
     }[trace.adequacy]

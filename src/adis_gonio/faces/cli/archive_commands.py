@@ -15,13 +15,16 @@ from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import (
     check_page,
     console,
+    print_indented,
     print_json,
     print_table,
     report_progress,
+    report_written,
     write_page,
 )
 
 if TYPE_CHECKING:
+    from adis_gonio.base.conformity import Tolerance
     from adis_gonio.fleet.fleet_pages import FleetResult
     from adis_gonio.fleet.fleet_run import Scan
     from adis_gonio.fleet.session_record import SessionRecord
@@ -171,7 +174,7 @@ def history_command(
         for line in sensor_history.chart_lines(track, screen.width):
             screen.print(line)
         for text in (*sensor_history.drift_sentences(track), *sensor_history.chart_sentences(track, found)):
-            screen.print(f"  {text}")
+            print_indented(screen, text)
     screen.print()
     screen.print("Effects found", style="bold cyan")
     for row in sensor_history.effect_table(found):
@@ -183,10 +186,7 @@ def history_command(
 @option.command("due")
 @click.argument("serial")
 @option.places
-@click.option(
-    "--limit", "limit_deg", type=option.POSITIVE, metavar="DEG",
-    help="Permissible error of an angle for your use (default: assume 0.1°).",
-)  # fmt: skip
+@option.tolerance("Permissible error of an angle for your use (default: assume 0.1°).")
 @option.with_default(
     "--first", "first_days", type=option.POSITIVE, default=365.25, metavar="DAYS",
     help="Interval of a sensor without a known history.",
@@ -197,7 +197,7 @@ def history_command(
 )  # fmt: skip
 @option.with_default(
     "--shorter", type=click.FloatRange(0, 1, min_open=True), default=0.5, metavar="FACTOR",
-    help="Factor after a calibration outside the limit.",
+    help="Factor after a calibration outside the tolerance.",
 )  # fmt: skip
 @option.index
 @option.json
@@ -205,7 +205,7 @@ def due_command(
     *,
     serial: str,
     places: tuple[Path, ...],
-    limit_deg: float | None,
+    tolerance: Tolerance | None,
     index_path: Path | None,
     trace: bool,
     as_json: bool,
@@ -214,12 +214,13 @@ def due_command(
     """Compute when a sensor's next calibration is due, with the rule and the reason (ILAC-G24 / OIML D 10).
 
     Staircase: the interval grows if the previous calibration was still good, and shrinks if it was not.
-    Control chart: the day on which drift and U reach the permissible error. The earlier date counts.
+    Control chart: the last day on which the error by drift conforms to the tolerance. The earlier date
+    counts.
     """
-    from adis_gonio.fleet.calibration_due import DEFAULT_LIMIT_DEG, Rules, due_of
+    from adis_gonio.fleet.calibration_due import DEFAULT_TOLERANCE, Rules, due_of
     from adis_gonio.fleet.sensor_history import history_of
 
-    limits = Rules(DEFAULT_LIMIT_DEG if limit_deg is None else limit_deg, limit_deg is None, **factors)
+    limits = Rules(tolerance or DEFAULT_TOLERANCE, tolerance is None, **factors)
     with _indexed(places, index_path, trace=trace) as (store, _):
         found = due_of(history_of(serial, _records_of(store, serial)), limits)
     if as_json:
@@ -229,12 +230,11 @@ def due_command(
     date = f"{found.date}, by the {found.by}" if found.date else "unknown"
     screen.print(f"Next calibration of {found.serial}: {date}", style="bold")
     for rule in found.rules:
-        screen.print(f"  {rule.method}: {rule.date or 'no date'}: {rule.why}")
+        print_indented(screen, f"{rule.method}: {rule.date or 'no date'}: {rule.why}")
         if rule.assumes:
-            screen.print(f"    assumes: {rule.assumes}")
+            print_indented(screen, f"assumes: {rule.assumes}", 4)
     if found.limits.assumed:
-        limit = f"{found.limits.limit_deg:g}°"
-        screen.print(f"  {limit} is assumed as permissible error of an angle: set yours with --limit")
+        screen.print(f"  {found.limits.tolerance} is assumed as tolerance: set yours with --tolerance")
 
 
 @option.command("fleet")
@@ -255,9 +255,9 @@ def due_command(
 @click.option(
     "--scheduler", metavar="ADDRESS", help="Use a dask cluster, such as tcp://10.0.0.1:8786 (extra: fleet)."
 )
-@option.file(
-    "--output", "-o", "outputs", multiple=True,
-    help="Summary to write: .html for a page, .json, .parquet with a row per session; may be repeated.",
+@option.output(
+    "Summary to write: .html for a page, .json, .parquet with a row per session; may be repeated.",
+    name="outputs", paths=lambda outputs: outputs, multiple=True,
 )  # fmt: skip
 @option.file(
     "--journal", help="File that keeps the results during the work (default: next to the first -o)."
@@ -310,7 +310,7 @@ def fleet_command(
     else:
         _show_fleet(outcome)
     for path in outputs:
-        click.echo(f"{path}: {counted(len(outcome.rows), 'session')}", err=True)
+        report_written(path, counted(len(outcome.rows), "session"))
     if fleet.failed:
         click.echo(f"{counted(fleet.failed, 'session')} of {len(outcome.rows)} failed", err=True)
     return 1 if fleet.failed else 0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import count_decimals, counted, format_fixed
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import (
     WIDTH,
@@ -20,11 +20,14 @@ from adis_gonio.faces.cli.show import (
     table_of,
     write_page,
 )
+from adis_gonio.fitting.methods import METHOD_TABLE
+from adis_gonio.record.session_reader import FREE_TURN
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from adis_gonio.base.conformity import Tolerance
     from adis_gonio.base.uncertainty import Value
     from adis_gonio.fitting.allan.allan_result import Part
     from adis_gonio.fitting.answer import Answer
@@ -38,13 +41,16 @@ _PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
 @option.command(
     "fit",
     "--method --all --json",
-    {"Uncertainty": "--monte-carlo --seed", "Gyros": "--sensor-part --calibration --gyros"},
+    {
+        "Uncertainty": "--monte-carlo --seed",
+        "Conformity": "--tolerance --rule --risk",
+        "Gyros": "--sensor-part --calibration --gyros",
+    },
 )
 @option.session
 @click.option(
     "--method",
-    help="paper, two-position, four-position, mmpm or ml; free-turn for one continuous turn (default: the"
-    " recommended method).",
+    help=f"{', '.join(METHOD_TABLE)}; {FREE_TURN} for a continuous turn (default: the recommended method).",
 )
 @option.flag("--all", "everything", help="Show every method in full.")
 @click.option(
@@ -61,6 +67,7 @@ _PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
     "--gyros",
     help="For poses in space: another session of this part (plan gyro-turns), or its gyros' calibration.",
 )
+@option.tolerance("State if the angle error is within this tolerance, such as 0.1deg.")
 @option.overrides
 @option.json
 def fit_command(
@@ -74,6 +81,7 @@ def fit_command(
     trials: int | None,
     seed: int,
     as_json: bool,
+    tolerance: Tolerance | None,
     overrides: Overrides,
 ) -> None:
     """Compute ΔK, Δφ and the other parameters of a recorded session, with their uncertainties.
@@ -86,14 +94,13 @@ def fit_command(
     if part == "gyro":
         if gyros is not None:
             raise UsageError("--gyros goes with the accelerometers: leave out --sensor-part gyro")
-        if everything or trials is not None:
-            raise UsageError(
-                "--all and --monte-carlo work for accelerometers only: gyros have one method, gyro"
-            )
+        if everything or trials is not None or tolerance is not None:
+            raise UsageError("--all, --monte-carlo and --tolerance work for accelerometers only")
         show_gyro_fit(option.load(session, overrides), method, as_json=as_json, calibration=calibration)
         return
     if calibration is not None:
         raise UsageError("--calibration goes with --sensor-part gyro")
+    from adis_gonio.base.conformity import state_conformity
     from adis_gonio.faces.api import fit
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.model.records import METADATA
@@ -103,6 +110,9 @@ def fit_command(
     with report_progress(f"fitting {what} of {session.name}"):
         answer = Answer.of(fit(loaded, method=method, gyros=gyros), own=method is not None)
         document = answer.as_dict()
+    stated = None if tolerance is None else state_conformity(tolerance, answer.error_curves())
+    if stated is not None:
+        document |= {"conformity": stated.as_dict()}
     run = None
     if trials is not None:
         import numpy as np
@@ -122,6 +132,9 @@ def fit_command(
     truth = loaded.facts.get("truth") if loaded.free_turn else None
     print_answer(answer, truth, head, shown=loaded.notes, everything=everything)
     print_gains(loaded)
+    if stated is not None:
+        first, *rest = stated.lines
+        console(most=WIDTH).print("\n".join([f"\n{first}", *(f"  {line}" for line in rest)]))
     if run is not None:
         _print_monte_carlo(console(most=WIDTH), run)
 
@@ -172,9 +185,11 @@ def _parameter_table(answer: Answer, truth: Mapping[str, float] | None) -> Table
     columns, rows = list(_PARAMETER_HEAD), [list(row) for row in answer.parameter_rows()]
     if truth is not None:
         columns.insert(2, "truth")
-        for row in rows:
-            row.insert(2, f"{truth[row[0]]:.6g}" if row[0] in truth else "")
-    return table_of(columns, rows, (0, 1), bold=("delta_k", "delta_phi"))
+        for row, (name, value) in zip(rows, answer.parameters.items(), strict=True):
+            row.insert(
+                2, format_fixed(truth[name], count_decimals(value.u or 0.0)) if name in truth else ""
+            )
+    return table_of(columns, rows, (0, 1), bold=("ΔK", "Δφ"))
 
 
 def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:

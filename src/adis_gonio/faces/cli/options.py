@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,7 +16,7 @@ from adis_gonio.faces.cli.command_groups import SectionedCommand
 from adis_gonio.model.records import ACCEL_UNITS, SENSORS, checked_gravity_mps2
 
 if TYPE_CHECKING:
-    from adis_gonio.model.records import Session
+    from adis_gonio.model.records import Session, StageCurve
     from adis_gonio.record.loading import AngleChange, Overrides
     from adis_gonio.record.settings import Settings
 
@@ -26,11 +26,15 @@ FILE = click.Path(path_type=Path)
 POSITIVE = click.FloatRange(min=0, min_open=True)
 UNITS = f"[{'|'.join(ACCEL_UNITS)}]"
 """Units of acceleration in the help of a command."""
-_OVERRIDDEN = ("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns")
+_OVERRIDDEN = (
+    *("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns"),
+    *("laboratory", "customer"),
+)
 _SHARED_SECTIONS = {
     "Measuring": "--dwell --settle --rate --filter --range --poll",
-    "Sensor": "--variant --no-check --sensor-part",
-    "Corrections of the file": "--gravity --fixture --angles --reverse --unit --sensor --columns",
+    "Sensor": "--sensor --no-check --sensor-part",
+    "Corrections of the file": "--gravity --fixture --angles --reverse --unit --sensor --columns"
+    " --laboratory --customer",
 }
 
 
@@ -79,6 +83,15 @@ def parse_fixture(text: str) -> float:
     if sigma is None or not 0 <= sigma < 180:
         raise click.BadParameter(f"'{text}': give degrees, 0 or more, or free if the angles are unknown")
     return sigma
+
+
+def parse_stage(text: str) -> float | StageCurve:
+    """Parse the uncertainty of a declared angle, or read the stage's certificate from `dcc:FILE`."""
+    if str(text).startswith("dcc:"):
+        from adis_gonio.handover.certificate import read_stage_curve
+
+        return read_stage_curve(Path(str(text).removeprefix("dcc:")))
+    return parse_fixture(text)
 
 
 def parse_unit(text: str) -> str:
@@ -141,9 +154,59 @@ def file(*names: str, help: str, **more: Any) -> Option[Any]:
     return click.option(*names, type=FILE, help=help, **{"metavar": "FILE", **more})
 
 
-def output(help: str, **more: Any) -> Option[Any]:
-    """Return the option `-o` for the file to write."""
-    return file("--output", "-o", help=help, **more)
+def check_session_name(path: Path) -> None:
+    """Raise `UsageError` if the ending of a session file promises another format."""
+    from adis_gonio.base.output import ends_in
+
+    if ends_in(path, ".csv", ".gz", ".json", ".html", ".svg", ".xml", ".h", ".txt", ".parquet"):
+        raise UsageError(f"{path}: becomes a session file: name it {path.stem}.session")
+
+
+STANDARD_OUTPUT = "-"
+
+
+def output(
+    help: str,
+    *,
+    paths: Callable[[Any], Iterable[Path]] = lambda given: (given,),
+    at_once: bool = False,
+    name: str = "output",
+    **more: Any,
+) -> Option[Any]:
+    """Return a decorator with the options `-o` for the file to write, and `--force` to replace it.
+
+    A file that exists is refused before the command begins. The command gets the file only.
+
+    Parameters
+    ----------
+    paths : callable
+        Files that the command writes for the given value, if it is not just the given file.
+    at_once : bool
+        With `--force`, remove an existing file before the command begins; otherwise it stays until the new
+        one is complete.
+    name : str
+        Name of the command's argument.
+    """
+
+    def decorate(function: F) -> F:
+        @wraps(function)
+        def checked(*, force: bool, **arguments: Any) -> Any:
+            from adis_gonio.base.output import check_output
+
+            given = arguments[name]
+            inputs = [value for key, value in arguments.items() if key != name and isinstance(value, Path)]
+            for path in () if given in (None, Path(STANDARD_OUTPUT)) else paths(given):
+                check_output(path, force=force)
+                if any(path.exists() and one.exists() and path.samefile(one) for one in inputs):
+                    raise UsageError(f"{path}: the command reads this file; name another one for -o")
+                if at_once and path.is_file():
+                    path.unlink()
+            return function(**arguments)
+
+        forced = flag("--force", help="Replace an existing file.")(checked)
+        return file("--output", "-o", name, help=help, **more)(forced)  # type: ignore[no-any-return]
+
+    return decorate
 
 
 def flag(*names: str, help: str) -> Option[Any]:
@@ -167,7 +230,7 @@ def fixture(
 ) -> Option[Any]:
     """Return the option `--fixture` for the uncertainty of a stage angle."""
     help = help or "Standard uncertainty of a stage angle in degrees."
-    return click.option("--fixture", name, type=parse_fixture, metavar=metavar, help=help, **more)
+    return click.option("--fixture", name, metavar=metavar, help=help, **{"type": parse_fixture, **more})
 
 
 def gravity(help: str = "Local gravity in m/s² (default 9.80665).", **more: Any) -> Option[Any]:
@@ -192,7 +255,9 @@ places = click.argument(
     "places", type=click.Path(path_type=Path, readable=False), nargs=-1, metavar="[DIR]..."
 )
 json = flag("--json", "as_json", help="Write one JSON document to standard output.")
-variant = with_default("--variant", default="adis16354", help="adis16354, adis16350 or adis16355.")
+variant = with_default(
+    "--sensor", "variant", default="adis16354", help="Sensor variant: adis16354, adis16350 or adis16355."
+)
 poll = flag("--poll", help="Poll the scans and leave the data-ready line alone.")
 no_check = flag("--no-check", help="Open the sensor without checking that |a| is 1 g for this variant.")
 seconds = click.option(
@@ -216,9 +281,14 @@ filter = with_default(
 title = click.option("--title", default="", help="Title to keep with the session.")
 _OVERRIDES = (
     gravity("Correct the local gravity to this value in m/s²."),
-    fixture(
+    click.option(
+        "--fixture",
         "fixture_sigma_deg",
-        help="Correct the standard uncertainty of a stage angle in degrees; free: the angles are unknown.",
+        type=parse_stage,
+        multiple=True,
+        metavar="DEGREES|dcc:FILE",
+        help="Correct the standard uncertainty of a stage angle in degrees; free: the angles are unknown;"
+        " dcc:stage.xml: correct the angles by the stage's certificate.",
     ),
     click.option(
         "--angles",
@@ -236,6 +306,8 @@ _OVERRIDES = (
         metavar="NAME=COLUMN,…",
         help="Column names of a CSV, such as time=t,ax=Acc_X,ay=Acc_Y.",
     ),
+    click.option("--laboratory", help="Laboratory, for the certificate."),
+    click.option("--customer", help="Customer, for the certificate."),
 )
 
 
@@ -252,6 +324,63 @@ def index(function: F) -> F:
     return with_trace
 
 
+def _parse_tolerance(text: str) -> float:
+    value = _number(str(text).strip().removesuffix("deg").removesuffix("°"))
+    if value is None:
+        raise click.BadParameter(f"'{text}' is no angle: give degrees, such as 0.1deg")
+    return value
+
+
+def _parse_risk(text: str) -> float:
+    value, percent = _number(str(text).strip().removesuffix("%")), str(text).strip().endswith("%")
+    if value is None:
+        raise click.BadParameter(f"'{text}' is no risk: give a percentage, such as 2%")
+    return value / 100 if percent else value
+
+
+def tolerance(help: str) -> Option[Any]:
+    """Return a decorator with the options `--tolerance`, `--rule` and `--risk`.
+
+    The command gets them as one argument, `tolerance`, which is None without `--tolerance`.
+    """
+    options = (
+        click.option("--tolerance", type=_parse_tolerance, metavar="ANGLE", help=help),
+        click.option(
+            "--rule",
+            type=click.Choice(("guarded", "simple", "shared")),
+            help="Decision rule of the conformity (default: guarded; docs/handover.md).",
+        ),
+        click.option(
+            "--risk",
+            type=_parse_risk,
+            metavar="PERCENT",
+            help="With rule guarded: largest risk of a wrong statement (default: 2.5%).",
+        ),
+    )
+
+    def decorate(function: F) -> F:
+        @wraps(function)
+        def with_tolerance(
+            tolerance: float | None, rule: str | None, risk: float | None, **arguments: Any
+        ) -> Any:
+            from adis_gonio.base.conformity import Tolerance
+
+            given = {"rule": rule, "risk": risk}
+            chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+            if chosen and tolerance is None:
+                raise UsageError(f"--{next(iter(chosen))} goes with --tolerance, such as 0.1deg")
+            if risk is not None and rule not in (None, "guarded"):
+                raise UsageError(f"--risk goes with the rule guarded, not with {rule}")
+            made = None if tolerance is None else Tolerance(tolerance, **chosen)
+            return function(tolerance=made, **arguments)
+
+        for option in reversed(options):
+            with_tolerance = option(with_tolerance)
+        return with_tolerance  # type: ignore[return-value]
+
+    return decorate
+
+
 def overrides(function: F) -> F:
     """Decorate a command with the options that correct a file.
 
@@ -265,6 +394,12 @@ def overrides(function: F) -> F:
         taken = {name: arguments.pop(name) for name in _OVERRIDDEN}
         taken["columns"] = taken["columns"] or {}
         taken["angles"] = taken["angles"] or ()
+        given = taken.pop("fixture_sigma_deg")
+        sigmas = [one for one in given if isinstance(one, float)]
+        curves = [one for one in given if not isinstance(one, float)]
+        if len(sigmas) > 1 or len(curves) > 1:
+            raise UsageError("--fixture: give one uncertainty and one certificate at most")
+        taken |= {"fixture_sigma_deg": next(iter(sigmas), None), "stage_curve": next(iter(curves), None)}
         return function(overrides=Overrides(**taken), **arguments)
 
     for option in reversed(_OVERRIDES):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.numbers import counted, format_number, format_percent
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import WIDTH, check_page, console, print_json, report_progress, write_page
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
 
+    from adis_gonio.base.conformity import Tolerance
     from adis_gonio.model.records import Session
     from adis_gonio.page.document import Section
     from adis_gonio.record.loading import Overrides
@@ -117,7 +118,7 @@ def _print_found(screen: Console, result: TraceResult) -> None:
 
     if not result.found:
         return
-    _print_heading(screen, "Found")
+    _print_heading(screen, "Found (± U, 95 %)")
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(justify="right", width=3)
     table.add_column(no_wrap=True)
@@ -257,29 +258,35 @@ def _confounded_groups(summary: Mapping[str, Any]) -> str:
     return "\n".join([*lines[:_MOST_GROUPS], *more]) or "–"
 
 
-@option.command("report", "--output --time-limit")
+@option.command("report", "--output --time-limit", {"Conformity": "--tolerance --rule --risk"})
 @option.session
-@option.output("Page to write; an existing page is replaced.", required=True)
+@option.output("Page to write.", required=True)
 @option.time_limit("End the trace after this time with the best model so far.")
+@option.tolerance("State on the certificate if the angle error is within this tolerance.")
 @option.overrides
-def report_command(*, session: Path, output: Path, time_limit: float | None, overrides: Overrides) -> None:
+def report_command(
+    *,
+    session: Path,
+    output: Path,
+    time_limit: float | None,
+    tolerance: Tolerance | None,
+    overrides: Overrides,
+) -> None:
     """Write the calibration report: one self-contained HTML page.
 
-    The page shows the results of every method that the session supports, the trace with a figure for each
-    step, the effects that could not be seen, measurements to make next, and the data. It depends only on
-    the session's file, so an older page of the same name is replaced.
+    The first page is a certificate to sign. The annex shows the results of every method that the session
+    supports, the trace with a figure for each step, the effects that could not be seen, measurements to
+    make next, and the data.
     """
-    if output.exists() and session.exists() and output.samefile(session):
-        raise UsageError(f"{output}: is the session itself; name another file for the page")
     check_page(output)
     loaded = option.load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
     with report_progress(f"report of {what} of {session.name}"):
-        page = _report_page(loaded, time_limit)
+        page = _report_page(loaded, time_limit, tolerance)
     write_page(output, page)
 
 
-def _report_page(session: Session, time_limit: float | None) -> str:
+def _report_page(session: Session, time_limit: float | None, tolerance: Tolerance | None) -> str:
     """Build the HTML report of a session from all fits, the trace and the digital twin."""
     from adis_gonio.base.budget import current, with_progress
     from adis_gonio.fitting import applicable_methods, fit
@@ -301,11 +308,11 @@ def _report_page(session: Session, time_limit: float | None) -> str:
         traced = trace(session, time_limit=time_limit)
         drawn = views(session, traced)
     except AdisGonioError as error:
-        return build_page(session, fits, str(error), sections=gyros, failures=failures)
+        return build_page(session, fits, str(error), None, gyros, failures, tolerance)
     tell("its digital twin")
     twin = _twin_sections(session, traced)
     tell("its figures")
-    return build_page(session, fits, traced, drawn, sections=[*gyros, *twin], failures=failures)
+    return build_page(session, fits, traced, drawn, [*gyros, *twin], failures, tolerance)
 
 
 def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:

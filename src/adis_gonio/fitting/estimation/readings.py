@@ -144,7 +144,9 @@ class Readings(ComputedOnce):
         Unit of the file.
     slow : (n, axes, k) float or None
         Contribution of each of k independent modes of unit variance to the readings: the noise that dwells
-        share (1/f noise). Modes of different axes are independent. None without such noise.
+        share (1/f noise, whose modes of different axes are independent). None without such noise.
+    stage_modes : int
+        Number of the last modes of `slow` that are errors of the stage by its certificate.
     quantization, flicker : (n, axes) float or None
         Parts of `own_covariance` from quantization and 1/f noise; None without them.
     flicker_shown : bool
@@ -179,6 +181,7 @@ class Readings(ComputedOnce):
     samples: NDArray[np.intp]
     unit: Unit
     slow: Floats | None = None
+    stage_modes: int = 0
     quantization: Floats | None = None
     flicker: Floats | None = None
     flicker_shown: bool = False
@@ -332,6 +335,7 @@ class Readings(ComputedOnce):
             dof=np.full(n, np.inf),
             known=np.zeros(n, dtype=bool),
             slow=None,
+            stage_modes=0,
             quantization=None,
             flicker=None,
         )
@@ -527,6 +531,15 @@ def reduced(session: Session) -> Readings:
             )
     sigma = session.fixture_sigma_deg
     angle = np.radians([np.nan if d.angle_deg is None else d.angle_deg for d in dwells])
+    stage_modes = 0
+    if session.stage_curve is not None:
+        error_deg, changes_deg = session.stage_curve.at(np.degrees(np.nan_to_num(angle)))
+        angle = angle - np.radians(error_deg)
+        # A reading (x, y) moves by (y, −x) per rad of the stage; dwells share the causes.
+        tangent = np.stack([mean[:, 1], -mean[:, 0]], axis=1) * np.isfinite(angle)[:, None]
+        shared = tangent[:, :, None] * np.radians(changes_deg)[:, None, :]
+        slow = shared if slow is None else np.concatenate([slow, shared], axis=2)
+        stage_modes = shared.shape[2]
     return Readings(
         mean=mean,
         own_covariance=covariance,
@@ -542,6 +555,7 @@ def reduced(session: Session) -> Readings:
         samples=samples,
         unit=unit,
         slow=slow,
+        stage_modes=stage_modes,
         sensor=session.sensor,
         notes=tuple(notes),
         converter=converter,

@@ -1,0 +1,1 @@
+"""Sessions with disturbances that were invented without a look at the catalogue or at the engine."""

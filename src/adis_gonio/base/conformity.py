@@ -1,0 +1,257 @@
+"""Conformity of an angle with a tolerance, by JCGM 106:2012 and ILAC-G8:09/2019.
+
+The measurand is the largest |error| of the angle over the turn, E = max |e(ψ)|. The errors at all angles
+have the joint posterior distribution e = m + R z: m is the estimate, R Rᵀ the covariance, and z is standard
+normal (or has Student's distribution), with a flat prior. E exceeds the tolerance if the error exceeds it
+at any angle, so the specific risk of a false accept is
+
+    p = P(E > T) = 1 − P(|m(ψ) + R(ψ) z| ≤ T at all ψ)
+
+Along a direction d of z = r d the region of conformity is one interval of r ≥ 0, because it is convex. Its
+probability follows from the distribution of |z|, and p is the mean over directions: exact for one angle,
+where it is equation (11) of JCGM 106, 7.4.
+
+| rule | pass | else |
+|---|---|---|
+| `guarded` | p ≤ 2.5 % (guard band w = U; ILAC-G8, 4.2.2) | fail if 1 − p ≤ 2.5 %, else undecided |
+| `simple` | p ≤ 50 %: the median of E is within T (JCGM 106, 8.2.1) | fail |
+| `shared` | as `simple`, if U is at most T/3 at all angles (JCGM 106, 8.2.3) | fail, undecided if U > T/3 |
+
+The ratio of 3 is a choice of this program; with `guarded`, another risk than 2.5 % can be agreed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import INLINE, JsonRecord, key
+from adis_gonio.base.numbers import format_number, format_percent, with_unit
+from adis_gonio.base.uncertainty import coverage_factor
+
+DecisionRule = Literal["guarded", "simple", "shared"]
+RULES: tuple[DecisionRule, ...] = get_args(DecisionRule)
+Verdict = Literal["pass", "fail", "undecided"]
+GUARDED_RISK = 0.025
+"""Largest risk of a wrong statement by `guarded`: a guard band of U leaves it on one side."""
+SIMPLE_RISK = 0.5
+LEAST_RATIO = 3.0
+"""Least ratio of tolerance to U for the rule `shared`."""
+_DIRECTIONS = 2048
+_NOTHING = 1e-9
+"""Relative size of an independent part of the error below which it is a rounding error."""
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorCurve:
+    """Error of the angle over the turn: its posterior distribution.
+
+    Attributes
+    ----------
+    angle_deg : (m,) float
+    error_deg : (m,) float
+        Estimate: angle shown minus true angle.
+    root_deg : (m, k) float
+        Change of the error by one standard uncertainty of each of k independent causes.
+    dof : float
+        Degrees of freedom of the standard uncertainties.
+    """
+
+    angle_deg: Floats
+    error_deg: Floats
+    root_deg: Floats
+    dof: float = math.inf
+
+    @property
+    def u_deg(self) -> Floats:
+        """Standard uncertainty (m,) of the error at each angle."""
+        return np.asarray(np.sqrt((self.root_deg**2).sum(axis=1)))
+
+    @property
+    def U_deg(self) -> Floats:  # noqa: N802 (GUM)
+        """Expanded uncertainty (m,) of the error at each angle, for 95 %."""
+        return coverage_factor(self.dof) * self.u_deg
+
+    @cached_property
+    def _independent(self) -> Floats:
+        """Principal parts (m, q) of the error, without rounding errors."""
+        left, size, _ = np.linalg.svd(self.root_deg, full_matrices=False)
+        kept = size > _NOTHING * size.max(initial=0.0)
+        return np.asarray(left[:, kept] * size[kept])
+
+    @cached_property
+    def _rays(self) -> Floats:
+        """Change (n, m) of the error for |z| = 1 along n directions of z; opposite ones are left out."""
+        z = np.random.default_rng(0).normal(size=(_DIRECTIONS, self._independent.shape[1]))
+        return np.asarray((z / np.linalg.norm(z, axis=1, keepdims=True)) @ self._independent.T)
+
+    def exceeds(self, tolerance_deg: float) -> float:
+        """Probability that the largest |error| of the turn is above a tolerance."""
+        from scipy.special import chdtr, fdtr
+
+        causes = self._independent.shape[1]
+        outside = np.abs(self.error_deg) > tolerance_deg
+        exact = ~self._independent.any(axis=1)
+        if (outside & exact).any() or not causes:
+            return float((outside & exact).any())
+        # Positions along each line of z between which the error at each angle is within the tolerance.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = 1 / self._rays
+            middle, half = -self.error_deg * slope, tolerance_deg * np.abs(slope)
+            low, high = (middle - half)[:, ~exact].max(axis=1), (middle + half)[:, ~exact].min(axis=1)
+
+        def nearer(distance: Floats) -> Floats:
+            square = np.clip(distance, 0.0, 1e150) ** 2
+            if math.isinf(self.dof):
+                return np.asarray(chdtr(causes, square))
+            return np.asarray(fdtr(causes, self.dof, square / causes))
+
+        # Both directions of each line.
+        within = nearer(high) - nearer(low) + nearer(-low) - nearer(-high)
+        return float(1 - 0.5 * np.where(high > low, within, 0.0).mean())
+
+    def bound_deg(self, risk: float) -> float:
+        """Tolerance that the largest |error| of the turn exceeds with this probability."""
+        from scipy.optimize import brentq
+
+        most = float((np.abs(self.error_deg) + self.U_deg).max())
+        if most == 0 or not self.root_deg.any():
+            return most
+        high = most
+        while self.exceeds(high) > risk:
+            high *= 2
+        return float(brentq(lambda t: self.exceeds(t) - risk, 0.0, high, xtol=1e-6 * most))
+
+
+class Tolerance(JsonRecord):
+    """Tolerance of the angle error, with the decision rule that was agreed.
+
+    Attributes
+    ----------
+    limit_deg : float
+        Largest permissible |error| of the angle.
+    rule : {"guarded", "simple", "shared"}
+    risk : float
+        Largest risk of a false accept, and of a false reject, by the rule `guarded`.
+
+    Raises
+    ------
+    UsageError
+        A value out of range, or an unknown rule.
+    """
+
+    limit_deg: float = field(metadata=key("tolerance_deg"))
+    rule: DecisionRule = "guarded"
+    risk: float = GUARDED_RISK
+
+    def __post_init__(self) -> None:
+        if not 0 < self.limit_deg < 180:
+            raise UsageError(f"tolerance is {self.limit_deg:g}°: take an angle above 0°, such as 0.1deg")
+        if self.rule not in RULES:
+            raise UsageError(f"rule is '{self.rule}': take {', '.join(RULES)}")
+        if not 0 < self.risk <= SIMPLE_RISK:
+            raise UsageError(f"risk is {100 * self.risk:g} %: take a percentage above 0 %, up to 50 %")
+
+    def __str__(self) -> str:
+        rule = {
+            "guarded": f"rule guarded, risk at most {format_percent(self.risk)}",
+            "simple": "rule simple",
+            "shared": f"rule shared, U at most 1/{LEAST_RATIO:g} of the tolerance",
+        }[self.rule]
+        return f"±{self.limit_deg:g}° at every angle ({rule})"
+
+    @property
+    def accepted_risk(self) -> float:
+        """Largest specific risk of a false accept with which the rule states a pass."""
+        return self.risk if self.rule == "guarded" else SIMPLE_RISK
+
+    def verdict(self, curve: ErrorCurve) -> tuple[Verdict, float]:
+        """Decide if the error conforms at every angle; return also the risk of a false accept."""
+        risk = curve.exceeds(self.limit_deg)
+        vague = LEAST_RATIO * float(curve.U_deg.max()) > self.limit_deg
+        open_ = self.risk < risk < 1 - self.risk
+        if {"guarded": open_, "simple": False, "shared": vague}[self.rule]:
+            return "undecided", risk
+        return "pass" if risk <= self.accepted_risk else "fail", risk
+
+    def decide(self, curve: ErrorCurve) -> Conformity:
+        """Decide as in `verdict`, with the largest error and the smallest tolerance that would pass."""
+        verdict, risk = self.verdict(curve)
+        at = int((np.abs(curve.error_deg) + curve.U_deg).argmax())
+        largest = float(np.abs(curve.error_deg).max())
+        bound = curve.bound_deg(self.accepted_risk)
+        return Conformity(verdict, risk, 1 - risk, largest, float(curve.angle_deg[at]), bound)
+
+
+class Conformity(JsonRecord):
+    """Conformity of the angle with a tolerance.
+
+    Attributes
+    ----------
+    verdict : {"pass", "fail", "undecided"}
+    false_accept, false_reject : float
+        Specific risks: the probability that the largest |error| is above the tolerance, and that it is not.
+    largest_deg : float
+        Largest |estimate| of the error.
+    at_deg : float
+        Angle at which |estimate| + U is largest.
+    bound_deg : float
+        Smallest tolerance with which the rule would state a pass.
+    """
+
+    verdict: Verdict
+    false_accept: float
+    false_reject: float
+    largest_deg: float
+    at_deg: float
+    bound_deg: float
+
+    @property
+    def reason(self) -> str:
+        """Largest error and risk of the statement, in one line."""
+        error = with_unit(format_number(self.bound_deg, 2), "deg")
+        accept = f"risk of a false accept {format_percent(self.false_accept)}"
+        reject = f"risk of a false reject {format_percent(self.false_reject)}"
+        risks = {"pass": accept, "fail": reject}.get(self.verdict, f"{accept}, {reject}")
+        return f"{risks}; ±{error} would just pass"
+
+
+class Statement(JsonRecord):
+    """Conformity of a sensor's angle, without and with its calibration.
+
+    Attributes
+    ----------
+    tolerance : Tolerance
+    without_calibration : Conformity or None
+        None for a sensor of unknown scale.
+    with_calibration : Conformity
+    """
+
+    tolerance: Tolerance = field(metadata=INLINE)
+    without_calibration: Conformity | None
+    with_calibration: Conformity
+
+    @property
+    def states(self) -> dict[str, Conformity]:
+        """Conformity by the state of the sensor, in words."""
+        known = {"with calibration": self.with_calibration, "without calibration": self.without_calibration}
+        return {name: one for name, one in known.items() if one is not None}
+
+    @property
+    def lines(self) -> list[str]:
+        """Text of the statement: the tolerance and the rule, and a line for each state of the sensor."""
+        found = [f"{name}: {one.verdict.upper()}, {one.reason}" for name, one in self.states.items()]
+        return [f"Conformity with {self.tolerance}", *found]
+
+
+def state_conformity(tolerance: Tolerance, curves: tuple[ErrorCurve | None, ErrorCurve]) -> Statement:
+    """State the conformity of a sensor by the errors of its angle, without and with its calibration."""
+    before, after = curves
+    without = None if before is None else tolerance.decide(before)
+    return Statement(tolerance, without, tolerance.decide(after))

@@ -1,0 +1,260 @@
+"""A calibration gives back the gravity that the readings were made of, with an honest u."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import adis_gonio
+from adis_gonio import Calibration
+from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.calibrate import Coefficient, EffectTerm
+from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.methods import fit_readings
+from adis_gonio.model.effects import effect
+from adis_gonio.record.provenance import Covered, Provenance
+from calibrate.sessions import (
+    directions,
+    planar_session,
+    plane_axes,
+    read_mg,
+    space_axes,
+    spatial_session,
+    turn,
+)
+
+PSI = np.linspace(-179.0, 179.0, 57)
+
+
+def wrapped(angle_deg: np.ndarray) -> np.ndarray:
+    return (np.asarray(angle_deg) + 180.0) % 360.0 - 180.0
+
+
+def known(effects: dict[str, tuple[float, ...]] | None = None, **base: float) -> Calibration:
+    """A calibration with exact parameters: no fit takes part."""
+    values = {"scale_x": 1.01, "scale_y": 0.99, "delta_phi": 0.4, "bias_x": 12.0, "bias_y": -7.0} | base
+    units = {"delta_phi": "deg", "bias_x": "mg", "bias_y": "mg"}
+    parameters = [Coefficient(name, value, 0.0, units.get(name, "1")) for name, value in values.items()]
+    terms = []
+    for name, own in (effects or {}).items():
+        kind = effect(name)
+        names = tuple(one.name for one in kind.parameters)
+        terms.append(EffectTerm(kind, names))
+        parameters += [
+            Coefficient(n, v, 0.0, one.unit) for n, v, one in zip(names, own, kind.parameters, strict=True)
+        ]
+    where = Provenance("adis16354", "xy", 9.80665, temperature_c=Covered(30.0, 29.0, 31.0))
+    p = len(parameters)
+    return Calibration(
+        method="ml",
+        provenance=where,
+        parameters=tuple(parameters),
+        covariance=np.zeros((p, p)),
+        effects=tuple(terms),
+    )
+
+
+def test_gravity_comes_back_from_the_readings_of_a_skewed_sensor():
+    g = turn(PSI)
+    accel = read_mg(g, gains=(1.01, 0.99), axes=plane_axes(0.4), bias=(12.0, -7.0))
+    assert np.abs(known().apply(accel) - g).max() < 1e-12
+    assert np.abs(wrapped(known().angle(accel).angle_deg - PSI)).max() < 1e-10
+
+
+def test_effects_of_reading_and_temperature_are_corrected_at_the_temperature_given():
+    g = turn(PSI)
+    truth = {"k2": (8.0, -5.0), "tempco": (0.6, -0.4), "scale_tempco": (300.0, -200.0)}
+    accel = read_mg(
+        g, gains=(1.01, 0.99), axes=plane_axes(0.4), bias=(12.0, -7.0), temperature_c=41.0, **truth
+    )
+    calibration = known(
+        {
+            "quadratic": truth["k2"],
+            "bias_temperature": truth["tempco"],
+            "scale_temperature": (300.0, -200.0),
+        }
+    )
+    assert np.abs(calibration.apply(accel, 41.0) - g).max() < 1e-11
+    assert np.abs(calibration.apply(accel, np.full(len(g), 41.0)) - g).max() < 1e-11
+    # Without a temperature that of the session stands in.
+    assert np.array_equal(calibration.apply(accel), calibration.apply(accel, 30.0))
+    assert np.abs(calibration.apply(accel) - g).max() > 1e-3
+
+
+def test_a_fitted_calibration_finds_the_angles_of_new_readings_within_its_u():
+    rng = np.random.default_rng(11)
+    pulls = []
+    for _ in range(12):
+        calibration = adis_gonio.fit(planar_session(rng), method="ml").calibration()
+        clean = read_mg(turn(PSI), gains=(1.01, 0.99), axes=plane_axes(0.4), bias=(12.0, -7.0))
+        shown = calibration.angle(clean)
+        pulls.append(wrapped(shown.angle_deg - PSI) / shown.u_deg)
+    rms = float(np.sqrt(np.mean(np.square(pulls))))
+    assert 0.6 < rms < 1.5
+
+
+def test_u_is_that_of_a_monte_carlo_through_a_solver_of_its_own():
+    """GUM Supplement 1: parameters drawn from the covariance, angles by plain trigonometry."""
+    rng = np.random.default_rng(5)
+    result = adis_gonio.fit(planar_session(rng, noise_mg=2.0), method="ml")
+    calibration = result.calibration()
+    names = [one.name for one in calibration.parameters]
+    draws = rng.multivariate_normal(calibration.values, calibration.covariance, size=40_000)
+    at = {name: draws[:, k] for k, name in enumerate(names)}
+    noise = 1.5
+    accel = np.array([[640.0, 750.0], [-20.0, -990.0], [980.0, 100.0]])
+    shown = calibration.angle(accel, reading_u=noise)
+    for k, (x, y) in enumerate(accel):
+        u_x = (x + noise * rng.standard_normal(len(draws)) - at["bias_x"]) / at["scale_x"]
+        u_y = (y + noise * rng.standard_normal(len(draws)) - at["bias_y"]) / at["scale_y"]
+        phi = np.radians(at["delta_phi"])
+        psi = np.degrees(np.arctan2(u_y - u_x * np.sin(phi), u_x * np.cos(phi)))
+        assert shown.u_deg[k] == pytest.approx(psi.std(), rel=0.02)
+        assert shown.angle_deg[k] == pytest.approx(psi.mean(), abs=0.03 * psi.std())
+
+
+def test_angles_of_the_stage_are_the_declared_ones():
+    session = planar_session(np.random.default_rng(2))
+    calibration = adis_gonio.fit(session, method="ml").calibration()
+    means = np.array([dwell.accel.mean(axis=0) for dwell in session.dwells])
+    declared = np.array([dwell.angle_deg for dwell in session.dwells])
+    shown = calibration.stage_angle(means)
+    assert np.abs(wrapped(shown.angle_deg - declared)).max() < 0.01
+    assert (shown.u_deg < 0.01).all()
+
+
+def test_space_gives_gravity_back_and_an_angle_in_a_named_plane():
+    rng = np.random.default_rng(3)
+    gains, skews, bias = (1.02, 0.98, 1.01), (0.5, -0.3, 0.2), (20.0, -30.0, 5.0)
+    session = spatial_session(rng, gains=gains, skews_deg=skews, bias=bias)
+    calibration = adis_gonio.fit(session).calibration()
+    g = directions(rng, 50)
+    accel = read_mg(g, gains=gains, axes=space_axes(*skews), bias=bias)
+    assert np.abs(calibration.apply(accel) - g).max() < 5e-4
+    with pytest.raises(UsageError, match="plane='xy', 'xz' or 'yz'"):
+        calibration.angle(accel)
+    for plane, (i, j) in {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}.items():
+        steep = np.hypot(g[:, i], g[:, j]) > 0.5
+        shown = calibration.angle(accel[steep], plane=plane)
+        truth = np.degrees(np.arctan2(g[steep, j], g[steep, i]))
+        assert np.abs(wrapped(shown.angle_deg - truth)).max() < 0.06
+        assert np.isfinite(shown.u_deg).all()
+
+
+def test_counts_of_unknown_scale_and_zero_give_the_same_angles():
+    calibration = adis_gonio.fit(
+        planar_session(np.random.default_rng(4), unit="counts"), method="ml"
+    ).calibration()
+    assert calibration.unit == "counts"
+    accel = read_mg(turn(PSI), gains=(1.01, 0.99), axes=plane_axes(0.4), bias=(12.0, -7.0)) * 2.5 + 300.0
+    assert np.abs(wrapped(calibration.angle(accel).angle_deg - PSI)).max() < 0.02
+
+
+@pytest.mark.parametrize("method", ["paper", "two-position"])
+def test_two_positions_say_which_bias_was_assumed_and_give_angles_by_the_ratio(method):
+    session = planar_session(
+        np.random.default_rng(6), alpha_deg=0.0, delta_phi_deg=0.05, bias=(0.0, 0.0), angles_deg=(0, 90)
+    )
+    calibration = adis_gonio.fit(session, method=method).calibration()
+    assert {"bias_x", "bias_y"} <= set(calibration.assumed)
+    accel = read_mg(turn(PSI), gains=(1.01, 0.99), axes=plane_axes(0.05), bias=(0.0, 0.0))
+    assert np.abs(wrapped(calibration.angle(accel).angle_deg - PSI)).max() < 0.05
+
+
+def test_one_reading_gives_one_angle_and_z_of_a_planar_part_takes_no_part():
+    one = known().angle([700.0, 710.0])
+    assert one.angle_deg.shape == ()
+    assert float(known().angle([700.0, 710.0, 55.0]).angle_deg) == float(one.angle_deg)
+    assert known().apply([700.0, 710.0]).shape == (2,)
+    assert known().apply(np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_without_a_known_noise_u_is_not_a_number_and_never_a_small_one():
+    bare = replace(known(), covariance=None)
+    assert np.isnan(bare.angle([[700.0, 710.0]]).u_deg).all()
+    assert np.isnan(bare.angle([[700.0, 710.0]], reading_u=1.0).u_deg).all()
+    assert "u unknown" in repr(bare.angle([700.0, 710.0]))
+
+
+@pytest.mark.parametrize(
+    ("accel", "says"),
+    [
+        (np.zeros((3, 4)), r"shape \(3, 4\)"),
+        (1000.0, r"shape \(\)"),
+        (np.zeros((2, 2, 2)), "shape"),
+        ([[1000.0, np.nan]], "reading 0 holds NaN"),
+        ([[1000.0, 0.0], [np.inf, 0.0]], "reading 1 holds NaN or infinity"),
+        ([[1.0, 0.05]], "give mg"),  # g
+        ([[9.8, 0.5]], "give mg"),  # m/s²
+        (np.tile([2140.0, 80.0], (20, 1)), "not words of the sensor"),  # LSB
+        ([["a", "b"]], "have to be numbers"),
+    ],
+)
+def test_misuse_is_named(accel, says):
+    for call in (known().apply, known().angle):
+        with pytest.raises(UsageError, match=says):
+            call(accel)
+
+
+def test_misuse_of_conditions_and_planes_is_named():
+    with pytest.raises(UsageError, match="temperature_c has to be numbers, not str"):
+        known().apply([1000.0, 2.0], temperature_c="warm")
+    calibration = known({"bias_temperature": (0.5, 0.5)})
+    accel = np.tile([1000.0, 0.0], (3, 1))
+    with pytest.raises(UsageError, match="temperature_c has shape"):
+        calibration.apply(accel, [20.0, 21.0])
+    with pytest.raises(UsageError, match="temperature_c holds NaN"):
+        calibration.apply(accel, np.nan)
+    with pytest.raises(UsageError, match="no angle in plane 'xz'"):
+        calibration.angle(accel, plane="xz")
+    with pytest.raises(UsageError, match="reading_u"):
+        calibration.angle(accel, reading_u=-1.0)
+    with pytest.raises(UsageError, match="no start angle"):
+        calibration.stage_angle(accel)
+
+
+def test_readings_beyond_the_model_are_not_a_number():
+    far = known({"cubic": (90.0, 90.0)}).apply([[9000.0, 0.0], [900.0, 0.0]])
+    assert np.isnan(far[0]).any()
+    assert np.isfinite(far[1]).all()
+
+
+def test_what_the_chip_corrects_now_is_not_corrected_again():
+    lsb = 0.4672
+    then = replace(known(), provenance=replace(known().provenance, offsets_lsb=(10, 0, 0)))
+    now = then.with_offsets((10 - 26, 15, 0))  # −12.1472 and +7.008 mg more than while it was measured
+    assert now["bias_x"].value == pytest.approx(12.0 - 26 * lsb)
+    assert now["bias_y"].value == pytest.approx(-7.0 + 15 * lsb)
+    accel = np.array([[712.0, 650.0]])
+    shifted = accel + np.array([-26 * lsb, 15 * lsb])
+    assert now.angle(shifted).angle_deg == pytest.approx(then.angle(accel).angle_deg, abs=1e-9)
+    with pytest.raises(UsageError, match="does not state the contents of the offset"):
+        known().with_offsets((0, 0, 0))
+
+
+def test_a_result_of_readings_has_no_session_to_be_calibrated_from():
+    with pytest.raises(UsageError, match="made from readings"):
+        fit_readings(readings_of(planar_session(np.random.default_rng(1))).training).calibration()
+
+
+def test_a_session_that_lacks_a_gain_gives_no_calibration():
+    session = planar_session(np.random.default_rng(1), angles_deg=(0, 90))
+    result = adis_gonio.fit(session, method="two-position")
+    without = tuple(one for one in result.parameters if one.name not in ("delta_phi", "delta_k"))
+    with pytest.raises(FitError, match="does not determine delta_phi"):
+        replace(result, parameters=without, covariance=None).calibration()
+
+
+def test_repr_and_summary_are_for_people():
+    session = replace(planar_session(np.random.default_rng(1)), title="bench 3")
+    calibration = adis_gonio.fit(session, method="ml").calibration()
+    assert repr(calibration).startswith("Calibration(generic in the plane xy, ml, ")
+    assert "array(" not in repr(calibration)
+    text = calibration.summary()
+    for piece in ("bench 3", "delta_k", "bias_x", "delta_phi"):
+        assert piece in text
+    assert repr(calibration.angle([[1000.0, 0.0]])).startswith("AngleReading(1 angle, u up to")
+    assert math.isfinite(float(calibration.angle([1000.0, 0.0]).u_deg))

@@ -1,0 +1,59 @@
+"""Tables on terminals of every width: nothing of a row is lost, and no number is cut."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from adis_gonio.faces.cli.show import print_table
+from adis_gonio.faces.cli.terminal import ascii_form
+from adis_gonio.fleet import sensor_history as words
+from adis_gonio.fleet.sensor_history import history_of
+from fleet.made_up import made_up
+
+HEAD = ("serial", "plan", "ΔK", "Δφ / °", "effects", "file")
+ROWS = [
+    (
+        "A7",
+        "four-position",
+        "-0.00131 ± 0.00057",
+        "-0.187 ± 0.051",
+        "",
+        "/sessions/2024/a7-first.session",
+    ),
+    ("B", "tumble", "0.00002 ± 0.00003", "–", "quadratic stage_eccentricity", "/b.session"),
+]
+
+
+def shown(width: int) -> list[str]:
+    out = io.StringIO()
+    screen = Console(file=out, width=width, highlight=False, markup=False, emoji=False)
+    print_table(screen, HEAD, ROWS, texts={0, 1, 4, 5})
+    return out.getvalue().splitlines()
+
+
+@pytest.mark.parametrize("width", [30, 60, 80, 100, 160])
+def test_every_cell_is_there_at_every_width(width):
+    lines = shown(width)
+    assert max(map(len, lines)) <= width
+    told = "".join("".join(lines).split())
+    for cell in (cell for row in ROWS for cell in row if cell != "–"):
+        # A long name may go on in the next line, beside other cells.
+        assert all(word[:12] in told for word in cell.split())
+    if width >= 60:
+        assert any("-0.00131 ± 0.00057" in line for line in lines)
+
+
+def test_with_room_it_is_a_table_and_without_each_value_stands_by_its_name():
+    assert shown(160)[0].split() == ["serial", "plan", "ΔK", "Δφ", "/", "°", "effects", "file"]
+    assert len(shown(160)) == 3
+    narrow = shown(60)
+    assert narrow[0].startswith("serial A7; plan four-position; ΔK -0.00131 ± 0.00057;")
+    assert not any("–" in line for line in narrow)  # what is not known is left out
+
+
+def test_the_chart_of_a_history_has_a_letter_for_every_mark():
+    history = history_of("A7", [made_up(f"20{year}-01-01", bias_x=year / 10) for year in range(10, 16)])
+    chart = "".join(words.chart_lines(history.tracks["bias_x"], 80))
+    assert "●" in chart
+    assert "?" not in {ascii_form(mark) for mark in set(chart) if ord(mark) > 127}

@@ -1,0 +1,100 @@
+"""A history says what moved and since when, of sessions that can be placed and trusted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adis_gonio.base.errors import UsageError
+from adis_gonio.fleet import sensor_history as words
+from adis_gonio.fleet.sensor_history import history_of, known_serial
+from fleet.made_up import made_up
+
+
+def years(count):
+    return [f"{2010 + n}-06-01" for n in range(count)]
+
+
+def series(rng, count, **moves):
+    return [
+        made_up(
+            when,
+            u=0.1,
+            **{name: float(rng.normal(0, 0.1) + moves.get(name, 0.0) * n) for name in ("bias_x", "bias_y")},
+            delta_phi=float(rng.normal(0, 0.1)),
+            delta_k=float(rng.normal(0, 1e-4)),
+        )
+        for n, when in enumerate(years(count))
+    ]
+
+
+def test_a_planted_drift_is_the_one_that_is_found():
+    history = history_of("A7", series(np.random.default_rng(1), 10, bias_y=0.2))
+    assert [name for name, track in history.tracks.items() if track.drifts] == ["bias_y"]
+    slope = history.tracks["bias_y"].drift.slope
+    assert abs(slope.value - 0.2) <= slope.U
+    assert "drift in bias_y" in words.headline(history)
+
+
+def test_without_a_drift_one_is_called_in_no_more_than_five_percent_of_sensors():
+    rng = np.random.default_rng(2)
+    called = [
+        any(track.drifts for track in history_of("A7", series(rng, 7)).tracks.values()) for _ in range(150)
+    ]
+    assert np.mean(called) <= 0.08  # 5 % and two standard errors
+
+
+def test_sessions_are_in_the_order_of_time_whatever_the_order_of_files():
+    records = series(np.random.default_rng(3), 6)
+    there = history_of("A7", records).as_dict()
+    back = history_of("A7", records[::-1]).as_dict()
+    assert there == back
+
+
+def test_what_has_no_date_failed_or_is_doubtful_is_left_out_with_its_reason():
+    good = series(np.random.default_rng(4), 3)
+    bad = [
+        replace(good[0], when=None),
+        replace(good[1], status="failed", reason="is damaged"),
+        replace(good[2], doubts=("the stage turned the other way",)),
+    ]
+    history = history_of("A7", [*good, *bad])
+    assert len(history.sessions) == 3
+    reasons = [reason for _, reason in history.left_out]
+    assert "no date" in reasons[0]
+    assert reasons[1] == "is damaged"
+    assert "the other way" in reasons[2]
+
+
+def test_one_session_has_values_and_neither_drift_nor_chart():
+    history = history_of("A7", series(np.random.default_rng(5), 1))
+    track = history.tracks["delta_phi"]
+    assert (track.drift, track.chart) == (None, None)
+    assert words.chart_lines(track)
+
+
+def test_an_unknown_serial_number_lists_those_like_it_in_one_line():
+    with pytest.raises(UsageError, match=r"'A1O7'.* A107") as caught:
+        known_serial("A1O7", ["A107", "B-33", "C9"])
+    assert "\n" not in str(caught.value)
+    with pytest.raises(UsageError, match=r"A107, B-33"):
+        known_serial("zzz", ["A107", "B-33"])
+    with pytest.raises(UsageError, match="no session in these folders has a serial number"):
+        known_serial("A7", [])
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 60])
+def test_charts_fit_eighty_columns_and_show_every_value(count):
+    rng = np.random.default_rng(6)
+    history = history_of(
+        "A7",
+        [
+            made_up(f"20{10 + n // 12}-{n % 12 + 1:02}-03", bias_x=float(rng.normal(0, 5)))
+            for n in range(count)
+        ],
+    )
+    lines = words.chart_lines(history.tracks["bias_x"], 80)
+    assert max(map(len, lines)) <= 80
+    assert 1 <= sum(line.count("●") for line in lines) <= count
+    if count <= 9:
+        assert sum(line.count("●") for line in lines) == count

@@ -1,0 +1,124 @@
+"""The page and the document of `adis-gonio paper`: recognisable, complete, and to be made again."""
+
+import json
+import re
+import shlex
+
+import pytest
+
+from adis_gonio.faces.cli import main
+from adis_gonio.handover.paper_map import TABLE
+from adis_gonio.handover.paper_page import build_page, sections
+from handover.browser import browser, missing
+
+WIDTHS = (360, 800, 1000, 1400)
+
+
+@pytest.fixture(scope="module")
+def page(small):
+    return build_page(small)
+
+
+@pytest.fixture(scope="module")
+def shown(small):
+    return sections(small)
+
+
+def parts_of(section):
+    yield section
+    for part in section.parts:
+        yield from parts_of(part)
+
+
+def test_the_table_has_every_printed_number_beside_ours(shown):
+    table = next(s for s in shown if s.title == "Table 1").tables[0]
+    assert len(table.rows) == len(TABLE)
+    for row, printed in zip(table.rows, TABLE, strict=True):
+        assert row[0].startswith(printed.name)
+        shown = [float(row[k].replace("−", "-")) for k in (1, 2, 5, 8)]
+        assert shown == [printed.measured, printed.paper, printed.mmpm, printed.specification]
+        assert row[3] == "not determined" if printed.key == "offset" else "(" in row[3]
+        assert "(" in row[6]
+
+
+def test_figure_3_has_three_graphs_with_both_methods_of_both_axes(shown):
+    figures = next(s for s in shown if s.title.startswith("Figure 3")).figures
+    assert len(figures) == 3
+    for figure in figures:
+        for word in ("X, paper", "X, MMPM", "Y, paper", "Y, MMPM", "printed", "our sessions"):
+            assert word in figure.svg
+
+
+def test_every_section_with_a_table_or_a_figure_carries_the_command_that_makes_it(shown):
+    for section in shown:
+        if any(part.tables or part.figures for part in parts_of(section)):
+            assert any("adis-gonio paper --seed 7 --sessions 2" in note for note in section.notes), (
+                section.title
+            )
+
+
+def test_the_command_beside_a_session_records_it_again(small, tmp_path, capsys):
+    part = small.results["x"][0]
+    words = shlex.split(part.part.command("mmpm", str(tmp_path / "one.session")))
+    assert words.pop(0) == "adis-gonio"
+    assert main(words) == 0
+    capsys.readouterr()
+    assert main(["fit", str(tmp_path / "one.session"), "--method", "mmpm", "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)["parameters"]["delta_phi"]["value"]
+    assert again == part.found["mmpm"].values["non_orthogonality"]
+
+
+def test_the_command_writes_page_and_document(small, page, monkeypatch, tmp_path, capsys):
+    asked = []
+    monkeypatch.setattr(
+        "adis_gonio.handover.paper_study.reproduce", lambda *given: asked.append(given) or small
+    )
+    path = tmp_path / "page.html"
+    assert main(["paper", "-o", str(path), "--json", "--seed", "7", "--sessions", "2"]) == 0
+    assert asked == [(7, 2)]
+    assert path.read_text("utf-8") == page
+    document = json.loads(capsys.readouterr().out)
+    assert document["command"] == "adis-gonio paper --seed 7 --sessions 2 --json"
+    assert [row["measured"] for row in document["table_1"]["rows"]] == [row.measured for row in TABLE]
+    assert len(document["map"]["points"]) == 10 * 7 * 4
+    assert document["bias"]["sessions"] + document["bias"]["refused"] == 2
+    assert len(document["parts"]["x"]) == 2
+    assert main(["paper", "--seed", "7", "--sessions", "2"]) == 0
+    said = capsys.readouterr().out
+    assert "overtakes MMPM" in said
+    assert len(said.splitlines()) == 4
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--sessions", "1"], "--sessions is 1: take 2 to"),
+        (["--sessions", "many"], "--sessions"),
+        (["--seed", "-1"], "--seed is -1: take 0 or more"),
+        (["-o", "no/such/folder/page.html"], "there is no folder"),
+        (["--session", "3"], "--session"),
+        (["3"], "3"),
+    ],
+)
+def test_a_bad_option_is_answered_in_one_line(options, told, capsys):
+    assert main(["paper", *options]) != 0
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert len(captured.err.strip().splitlines()) == 1
+    assert told in captured.err
+
+
+def test_the_page_loads_nothing(page):
+    assert not re.search(r"""(src|href)=["'](?!#)|@import|url\(""", page)
+
+
+@pytest.mark.skipif(bool(missing()), reason=missing())
+def test_the_page_is_readable_at_every_width_and_accessible(page, tmp_path):
+    path = tmp_path / "paper.html"
+    path.write_text(page, encoding="utf-8")
+    with browser() as chrome, chrome.tab(path) as tab:
+        for width in WIDTHS:
+            assert tab.audit(width=width) == []
+        assert tab.audit(paper=True) == []
+        assert tab.axe() == []
+        assert tab.noise == []

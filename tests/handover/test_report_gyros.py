@@ -1,0 +1,87 @@
+"""The report's section on the gyros: parameters with u and U, residuals; nothing where there are none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from adis_gonio import fit
+from adis_gonio.base.numbers import format_number, format_uncertain
+from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
+from adis_gonio.handover.calibration_report import build_page
+from adis_gonio.handover.gyro_report import gyro_section, gyro_table, uncertainty_sentence
+from adis_gonio.record.loading import load_session
+from recordings import recording
+
+
+@pytest.fixture(scope="module")
+def session():
+    return load_session(recording("adis16350_14_poses"))
+
+
+@pytest.fixture(scope="module")
+def section(session):
+    return gyro_section(session)
+
+
+def test_every_parameter_stands_with_u_and_expanded_uncertainty(session, section):
+    result = fit_gyro(session)
+    (every,) = section.parts
+    rows = {row[0]: row for row in every.tables[0].rows}
+    assert list(rows) == list(result.parameters)
+    for name, value in result.parameters.items():
+        assert float(rows[name][2].replace("−", "-")) == pytest.approx(value.value, abs=0.06 * value.u)
+        assert float(rows[name][3]) == pytest.approx(value.u, rel=0.06)
+        assert float(rows[name][4]) == pytest.approx(value.U, abs=0.06 * value.u)  # to the digits of u
+        assert rows[name][5] == f"{value.k:.2f}"
+    assert rows["g_sensitivity_yz"][1] == "°/s/g"
+
+
+def test_the_gyros_stand_beside_each_other_and_what_is_not_known_is_a_dash(session, section):
+    result = fit_gyro(session)
+    rows = {row[0]: row[1:] for row in section.tables[0].rows}
+    told = [
+        format_uncertain(result[f"gyro_bias_{axis}"].value, result[f"gyro_bias_{axis}"].U) for axis in "xyz"
+    ]
+    assert rows["zero rate / (°/s)"] == told
+    along_z = result["g_sensitivity_yz"]
+    assert rows["force along Z adds / (°/s/g)"][1] == format_uncertain(along_z.value, along_z.U)
+    assert "gain" not in rows  # no turns
+    largest = max(result[f"gyro_bias_{axis}"].u for axis in "xyz")
+    assert f"zero rates to {format_number(largest, 2)} °/s" in section.words[0]
+    assert "gains" not in section.words[0]
+
+
+def test_one_gain_of_three_is_told_apart_from_those_that_are_not_known(session, monkeypatch):
+    result = fit_gyro(session)
+    value = result["gyro_bias_z"]
+    one = replace(result, parameters={**result.parameters, "gyro_scale_z": value})
+    (gains,) = [row for row in gyro_table(one).rows if row[0] == "gain"]
+    assert gains[1:] == ["–", "–", format_uncertain(value.value, value.U)]
+    assert f"gains to {format_number(100 * value.u, 2)} % (1 of them)" in uncertainty_sentence(one)
+
+
+def test_what_is_not_determined_and_dwells_left_out_are_said(section):
+    assert any("gyro_scale" in point and "gyro-turns" in point for point in section.points)
+    scores = {row[0]: row for row in section.tables[2].rows}
+    assert float(scores["zero rate"][2]) == pytest.approx(0.243, abs=0.001)  # Y, as the recording shows
+    assert float(scores["gyro"][2]) < 0.06
+    assert [row[0] for row in section.tables[1].rows] == ["XGYRO_OFF", "YGYRO_OFF", "ZGYRO_OFF"]
+
+
+def test_the_residuals_are_drawn_for_each_gyro_and_the_same_each_time(session, section):
+    (figure,) = section.figures
+    for axis in "XYZ":
+        assert f"gyro {axis}" in figure.svg
+    assert gyro_section(session).figures[0].svg == figure.svg
+
+
+def test_the_page_has_the_section_once_and_without_gyros_nothing_of_them(session, section):
+    fits = [fit(session)]
+    page = build_page(session, fits, "left out here", sections=[section])
+    assert page.count(">Gyros<") == 1
+    bare = replace(session, dwells=tuple(replace(dwell, gyro=None) for dwell in session.dwells))
+    assert gyro_section(bare) is None
+    plain = build_page(bare, [fit(bare)], "left out here")
+    assert "yro" not in plain

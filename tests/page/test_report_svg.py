@@ -1,0 +1,207 @@
+"""Plots: what is drawn, where, and that nothing in a label or a setting can break a page."""
+
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from adis_gonio.base.errors import NotInstalledError
+from adis_gonio.page.svg import Series, plot
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def drawn(*series, **options):
+    text = plot(series, "x / s", "y / mg", **{"title": "a title", **options})
+    return ET.fromstring(text)
+
+
+def markers(root):
+    """Places of all markers; those of the legend among them where series have labels."""
+    return [(float(c.get("x")), float(c.get("y"))) for c in root.iter(f"{SVG}use")]
+
+
+def texts(root):
+    return [t.text for t in root.iter(f"{SVG}text")]
+
+
+def line_of(root, role):
+    """The path that is drawn in a role's colour without being a marker."""
+    (path,) = (
+        p for p in root.iter(f"{SVG}path") if f"stroke:var(--{role}," in p.get("style") and not p.get("id")
+    )
+    return path
+
+
+def corners(path):
+    """Lists of points (n, 2), one list for each piece of a path."""
+    pieces = re.findall(r"M([^M]*)", path.get("d"))
+    return [np.array(re.findall(r"-?[\d.]+", piece), float).reshape(-1, 2) for piece in pieces]
+
+
+def test_points_lie_in_proportion_to_their_values():
+    (x0, y0), (x1, y1), (x3, y3) = markers(drawn(Series([0, 1, 3], [0, 10, 30])))
+    assert (x3 - x0) / (x1 - x0) == pytest.approx(3, rel=0.01)
+    assert (y3 - y0) / (y1 - y0) == pytest.approx(3, rel=0.01)
+    assert y3 < y0, "larger values are higher up"
+
+
+def test_logarithmic_axes_place_decades_evenly():
+    at = markers(drawn(Series([0.1, 1, 10], [1e-3, 1, 1e3]), x_log=True, y_log=True))
+    steps = np.diff(np.array(at), axis=0)
+    assert steps[0] == pytest.approx(steps[1], abs=0.2)
+
+
+def test_values_that_an_axis_cannot_hold_are_left_out():
+    assert len(markers(drawn(Series([0.0, 1, 10], [1, 1, np.nan]), x_log=True))) == 1
+    assert len(markers(drawn(Series([-2.0, 0, 2], [1, 1, 1]), x_range=(-1, 1)))) == 1
+
+
+def test_error_bars_are_as_long_as_the_error():
+    root = drawn(Series([0, 1], [0, 10], error=[5, 2.5]))
+    (_, y0), (_, y1) = markers(root)
+    lengths = [abs(np.diff(bar[:, 1])[0]) for bar in corners(line_of(root, "before"))]
+    assert lengths == pytest.approx([abs(y0 - y1), abs(y0 - y1) / 2], abs=0.3)
+
+
+def test_an_error_bar_that_a_logarithmic_axis_cannot_hold_keeps_its_upper_end():
+    root = drawn(Series([0, 1], [1, 10], error=[5, 0]), y_log=True)
+    (_, y0), (_, y1) = markers(root)
+    (bar,) = corners(line_of(root, "before"))
+    assert y0 - bar[:, 1].min() == pytest.approx(np.log10(6) * (y0 - y1), abs=0.3)
+    assert bar[:, 1].max() > y0
+
+
+def test_steps_keep_each_value_up_to_the_next_point():
+    root = drawn(Series([0, 1, 2], [0, 10, 30], style="steps"))
+    (path,) = corners(line_of(root, "before"))
+    assert path[0][1] == path[1][1] > path[2][1]
+    assert path[1][0] == path[2][0] == pytest.approx((path[0][0] + path[-1][0]) / 2, abs=0.2)
+
+
+def test_the_zero_line_is_in_the_axis_even_where_the_data_are_far_from_it():
+    assert "0" in texts(drawn(Series([0, 1], [100, 110]), zero=True))
+
+
+def test_small_spans_have_ticks_that_differ():
+    numbers = [t for t in texts(drawn(Series([4.9999, 5.0001], [0, 1]))) if re.fullmatch(r"[45]\.?\d*", t)]
+    assert len(numbers) > 1
+    assert len(set(numbers)) == len(numbers)
+
+
+def test_a_turn_in_degrees_has_ticks_at_parts_of_a_right_angle():
+    seen = texts(drawn(Series([0, 350], [0, 1])))
+    assert {"0", "60", "120", "180", "240", "300"} <= set(seen)
+
+
+def test_labels_of_a_logarithmic_axis_are_numbers_that_a_person_reads():
+    seen = texts(drawn(Series([1e-9, 1], [1, 1]), x_log=True))
+    assert {"1·10⁻⁹", "1"} & set(seen)
+    assert not [text for text in seen if "$" in text or "e-" in text]
+
+
+def test_before_and_after_differ_by_shape_and_not_by_colour_alone():
+    root = drawn(Series([0], [0], "before"), Series([0], [1], "after"))
+    styles = {g.get("style") for g in root.iter(f"{SVG}g") if g.find(f"{SVG}use") is not None}
+    hollow = {style for style in styles if "fill:var(--ground, none)" in style}
+    full = {style for style in styles if "fill:var(--after," in style}
+    assert len(hollow) == len(full) == 1
+    dashes = [line_of(drawn(Series([0, 1], [0, 1], role=r, style="line")), r) for r in ("before", "after")]
+    assert ["stroke-dasharray" in path.get("style") for path in dashes] == [True, False]
+
+
+def test_every_colour_can_be_set_by_the_page():
+    root = drawn(
+        *(Series([0, 1], [k, k], "s", [1, 1], role) for k, role in enumerate(("before", "after"))),
+        zero=True,
+    )
+    given = re.findall(r"(?:fill|stroke):([^;\"]+)", ET.tostring(root, encoding="unicode"))
+    assert {value for value in given if not value.startswith("var(--")} <= {"none", "currentColor"}
+    assert not re.search(r'(?:fill|stroke)="#', ET.tostring(root, encoding="unicode"))
+
+
+def test_text_stays_text_in_the_pages_own_type():
+    root = drawn(Series([0, 1], [0, 1], "a label"))
+    assert {"x / s", "y / mg", "a label"} <= set(texts(root))
+    assert "font-family:" not in ET.tostring(root, encoding="unicode")
+
+
+def test_nothing_is_said_to_the_rest_of_the_page():
+    root = drawn(Series([0, 1], [0, 1], "a label"))
+    assert not list(root.iter(f"{SVG}style"))
+    assert root.get("width") is None
+
+
+def test_many_points_stay_a_small_drawing():
+    x = np.arange(100_000.0)
+    assert len(plot([Series(x, np.sin(x))], "x", "y", title="t")) < 60_000
+
+
+def test_dots_are_as_many_as_points_and_the_legend_shows_their_marker():
+    root = drawn(Series(np.arange(500.0), np.arange(500.0), "many"))
+    assert line_of(root, "before").get("d").count("h0") == 500
+    assert len(markers(root)) == 1
+
+
+def test_labels_are_escaped():
+    bad = "<script>alert(1)</script> -->"
+    text = plot([Series([0], [0], bad)], "<b>", "a & b", title="</title><i>")
+    assert not re.search("<script|<b>|<i>|<!--", text)
+    assert {bad, "<b>", "a & b"} <= set(texts(ET.fromstring(text)))
+
+
+@pytest.mark.parametrize("label", ["$a_b$", "a $ b", r"$\frac$", "_hidden"])
+def test_a_label_is_shown_as_it_is_written(label):
+    assert label in texts(drawn(Series([0], [0], label)))
+
+
+def test_screen_readers_get_title_and_description():
+    root = drawn(Series([0], [0]), description="what is seen")
+    ids = {e.get("id"): e.text for e in root.iter() if e.get("id")}
+    assert [ids[name] for name in root.get("aria-labelledby").split()] == ["a title", "what is seen"]
+
+
+def test_no_two_plots_of_a_page_share_an_id_and_every_reference_is_met():
+    plots = [drawn(Series([0, 1], [0, y], "s"), Series([1], [1], "t")) for y in (1, 2)]
+    ids = [e.get("id") for root in plots for e in root.iter() if e.get("id")]
+    assert len(set(ids)) == len(ids) >= 6
+    for root in plots:
+        own = {f"#{e.get('id')}" for e in root.iter() if e.get("id")}
+        assert {e.get("href") for e in root.iter(f"{SVG}use")} <= own
+
+
+def test_the_same_data_give_the_same_bytes_whatever_the_user_has_set():
+    series = [Series([0, 1, 2], [0, 1, 4], "a", [1, 1, 1]), Series([0, 2], [0, 4], "b", style="line")]
+    first = plot(series, "x", "y", title="t", zero=True)
+    assert plot(series, "x", "y", title="t", zero=True) == first
+    with mpl.rc_context(
+        {"font.size": 30, "svg.fonttype": "path", "axes.labelcolor": "red", "ytick.right": True}
+    ):
+        assert plot(series, "x", "y", title="t", zero=True) == first
+        assert mpl.rcParams["font.size"] == 30, "the user's settings are put back"
+
+
+def test_an_empty_plot_is_still_a_plot():
+    assert markers(drawn(Series([], []))) == []
+    assert "x / s" in texts(drawn(Series([], [], "none"), x_log=True, y_log=True))
+
+
+def test_figures_are_drawn_without_a_window_system_and_only_when_asked_for():
+    code = (
+        "import sys, adis_gonio.handover.calibration_report\n"
+        "assert 'matplotlib' not in sys.modules\n"
+        "from adis_gonio.page.svg import Series, plot\n"
+        "plot([Series([0], [0])], 'x', 'y', title='t')\n"
+        "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=600)
+
+
+def test_without_matplotlib_one_line_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(NotInstalledError, match=r"pip install '\.\[report\]'"):
+        plot([Series([0], [0])], "x", "y", title="t")
