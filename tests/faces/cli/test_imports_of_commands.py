@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from adis_gonio.faces import cli
+from programs import LONGEST_S
 
 PROGRAM = """
 import json, sys
@@ -29,7 +30,11 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def imported_by(*arguments: str) -> set[str]:
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *arguments], capture_output=True, text=True, check=True
+        [sys.executable, "-c", PROGRAM, *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=LONGEST_S,
     )
     return set(json.loads(done.stderr.splitlines()[-1]))
 
