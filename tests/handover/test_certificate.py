@@ -10,7 +10,7 @@ import pytest
 
 from adis_gonio.base.errors import FitError
 from adis_gonio.calibrate import NotCorrected
-from adis_gonio.handover.certificate import certificate_text
+from adis_gonio.handover.certificate import SI_UNITS, certificate_text
 from adis_gonio.model.effects import BUILT_IN, effect
 from handover.calibrations import CURVED, EVERY, PLANE, SPACE, calibration, of_counts
 from handover.dcc_structure import DCC, SI, judge
@@ -108,13 +108,12 @@ def test_without_noise_there_is_no_uncertainty():
 
 
 def test_every_unit_of_the_catalogue_has_one_of_si_or_is_refused():
-    from adis_gonio.handover.certificate import _UNITS
     from adis_gonio.model.effects import catalogue
 
     correctable = [name for name, kind in catalogue("accelerometer").items() if kind.correctable]
 
     units = {p.unit for name in correctable for p in effect(name, **_most(name)).parameters}
-    assert units <= set(_UNITS)
+    assert units <= set(SI_UNITS)
     own = calibration(PLANE)
     odd = replace(own, parameters=(*own.parameters[:-1], replace(own.parameters[-1], unit="furlong")))
     with pytest.raises(FitError, match="furlong"):
