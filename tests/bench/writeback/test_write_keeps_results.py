@@ -25,6 +25,7 @@ URL = "sim:?seed=1"
 PLANS = ("two-position", "four-position", "poses", "free-turn", "gyro-turns")
 """One of each kind: without a bias, in a plane, in space, on a turn, and turns for the gyros."""
 QUICK = ("--auto", "--dwell", "2")
+SHORT = {"poses": ("--positions", "9"), "gyro-turns": ("--turns", "1")}
 PARTS = ("accelerometer", "gyro")
 NOTHING_TO_WRITE = {("two-position", "accelerometer"), ("free-turn", "gyro")}
 """Two positions show no bias, and a free turn has no gyro at rest."""
@@ -34,7 +35,7 @@ NOTHING_TO_WRITE = {("two-position", "accelerometer"), ("free-turn", "gyro")}
 def recorded(request, tmp_path_factory):
     """Return a plan's name, the bytes of a session of it, and its results."""
     path = tmp_path_factory.mktemp("plans") / f"{request.param}.session"
-    words = ["--plan", request.param, *QUICK, *(["--turns", "1"] if request.param == "gyro-turns" else [])]
+    words = ["--plan", request.param, *QUICK, *SHORT.get(request.param, ())]
     assert main(["calibrate", URL, *words, "-o", str(path)]) == 0
     return request.param, path.read_bytes(), results(path)
 
