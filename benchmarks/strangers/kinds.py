@@ -31,7 +31,8 @@ class Kind:
         Covariates that truly cause it: of temperature, temperature_rate, supply, time, order, angle,
         previous_angle, approach. A cause in the time makes the order right too, and the reverse.
     fair
-        Names of the catalogue that describe it fairly; empty if none does.
+        Names of the catalogue that describe it fairly; empty if none does. In a product the name of one
+        factor is fair.
     shape
         Shape per dwell; its third argument is the axis, 0 for x and 1 for y.
     """
@@ -235,7 +236,7 @@ def hot_spring(bench: Bench, rng: np.random.Generator, axis: int) -> Array:
     return force**3 * np.tanh((bench.temp_c - _middle(bench.temp_c, rng)) / (0.4 * _span(bench.temp_c)))
 
 
-@_kind("product", "attitude", "temperature angle")
+@_kind("product", "attitude", "temperature angle", "stage_eccentricity")
 def sagging_bracket(bench: Bench, rng: np.random.Generator, axis: int) -> Array:
     """A plastic bracket sags under gravity, the more the warmer it is."""
     soft = 2 ** ((bench.temp_c - bench.temp_c.max()) / rng.uniform(2, 6))
@@ -256,7 +257,7 @@ def ratiometric_reference(bench: Bench, rng: np.random.Generator, axis: int) -> 
     return (bench.supply_v - _middle(bench.supply_v, rng)) * heat
 
 
-@_kind("product", "attitude", "temperature angle")
+@_kind("product", "attitude", "temperature angle", "stage_eccentricity")
 def stiff_cable(bench: Bench, rng: np.random.Generator, axis: int) -> Array:
     """A cable of PVC pulls the part towards the wall, and is stiff while it is cold."""
     cold = 1 - np.tanh((bench.temp_c - _middle(bench.temp_c, rng)) / (0.2 * _span(bench.temp_c)))

@@ -188,6 +188,7 @@ RATES: tuple[Rate, ...] = (
     ("… in the dwells of the fit", _one(lambda v: v.adequate and v.fit_residual_left)),
     ("not adequate although none is left", _one(lambda v: not v.adequate and not v.residual_left)),
     ("control: the oracle leaves a residual", _one(lambda v: v.oracle_residual_left)),
+    ("fit worse than with bias alone", _one(lambda v: v.promised_mg > 1.02 * v.oracle.bias_fit_mg)),
     ("check dwells worse than with bias alone", _one(lambda v: v.check_mg > 1.02 * v.oracle.bias_check_mg)),
     (
         "check angle worse than with bias alone",
@@ -231,12 +232,12 @@ def rate_table(verdicts: list[Verdict]) -> str:
 
 
 def badness(verdict: Verdict) -> float:
-    """Order of the worst sessions: sure and wrong first, then by the error of the check dwells."""
+    """Sort key of the worst sessions: sure and wrong, wrongly adequate, check dwells against bias alone."""
     sure = max([0.0, *verdict.wrong.values()])
     if verdict.covariates and not verdict.covariates_right:
         sure = max(sure, verdict.covariate_probability)
-    ratio = verdict.check_mg / min(verdict.oracle.bias_check_mg, 3 * verdict.oracle.check_mg)
-    return 2 * (sure > CERTAIN) + 2 * (verdict.adequate and verdict.residual_left) + ratio
+    harm = verdict.check_mg / verdict.oracle.bias_check_mg
+    return (sure > CERTAIN) + (verdict.adequate and verdict.residual_left) + harm
 
 
 def sentence(verdict: Verdict) -> str:

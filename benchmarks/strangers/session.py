@@ -50,7 +50,7 @@ class Oracle:
         Rms errors of the fit with the true shape: of check dwells, of the other dwells, of the angle of
         check dwells.
         Errors in mg are measured at the attitude that fits a dwell best within the fixture's tolerance.
-    bias_check_mg, bias_check_deg
+    bias_check_mg, bias_fit_mg, bias_check_deg
         Rms errors of bias, gains and Δφ alone.
     log_likelihood_gain
         By the true shape, on the dwells that are not check dwells.
@@ -60,6 +60,7 @@ class Oracle:
     fit_mg: float
     check_deg: float
     bias_check_mg: float
+    bias_fit_mg: float
     bias_check_deg: float
     log_likelihood_gain: float
 
@@ -177,7 +178,7 @@ def consult_oracle(session: StrangeSession) -> Oracle:
             )
         )
     true, bias = errors
-    return Oracle(true[0], true[1], true[2], bias[0], bias[2], bias[3] - true[3])
+    return Oracle(true[0], true[1], true[2], bias[0], bias[1], bias[2], bias[3] - true[3])
 
 
 def _rms(values: Array) -> float:

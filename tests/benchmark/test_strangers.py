@@ -24,7 +24,13 @@ from strangers.session import (
 
 ROOT = Path(__file__).resolve().parents[2]
 ORACLE = Oracle(
-    check_mg=0.1, fit_mg=0.1, check_deg=0.01, bias_check_mg=0.5, bias_check_deg=0.05, log_likelihood_gain=99
+    check_mg=0.1,
+    fit_mg=0.1,
+    check_deg=0.01,
+    bias_check_mg=0.5,
+    bias_fit_mg=0.5,
+    bias_check_deg=0.05,
+    log_likelihood_gain=99,
 )
 
 
@@ -58,7 +64,7 @@ def test_a_run_has_each_kind_before_one_repeats():
 
 def test_fair_names_are_in_the_catalogue():
     command = [sys.executable, "-m", "adis_gonio", "simulate", "--list-effects"]
-    listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    listed = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
     catalogue = {line.split()[0] for line in listed.splitlines() if line[:1].isalpha()}
     assert set().union(*(kind.fair for kind in KINDS.values())) <= catalogue
 
@@ -150,8 +156,8 @@ def test_wilson_agrees_with_a_published_value():
 
 def test_a_session_is_traced_from_its_file(tmp_path):
     command = [sys.executable, "-m", "benchmarks.strangers", "--seed", "11", "--only", "1"]
-    subprocess.run([*command, "--csv", str(tmp_path / "one.csv")], cwd=ROOT, check=True)
+    subprocess.run([*command, "--csv", str(tmp_path / "one.csv")], cwd=ROOT, check=True, timeout=300)
     assert (tmp_path / "one.csv").read_text(encoding="utf-8") == session_of(1, 11).csv
-    done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=ROOT, check=True, timeout=300, capture_output=True, text=True)
     assert "1 sessions, 1 kinds" in done.stdout
     assert "failed" not in done.stdout

@@ -15,7 +15,7 @@ BLOCK = re.compile(r"^```python\n# (test_\w+\.py)\n(.*?)^```$", re.M | re.S)
 
 def test_the_blocks_pass(tmp_path):
     blocks = BLOCK.findall(PAGE)
-    assert len(blocks) == PAGE.count("```python") == 4
+    assert len(blocks) == PAGE.count("```python") == 5
     for name, text in blocks:
         (tmp_path / name).write_text(text, "utf-8")
     (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = --strict-markers\nfilterwarnings = error\n")

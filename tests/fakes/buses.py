@@ -1,4 +1,4 @@
-"""Buses for tests: one that writes down what passes, one that plays a script."""
+"""Buses for tests: one that keeps the frames that pass, one that always gives one reply."""
 
 from __future__ import annotations
 
@@ -7,21 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from adis_gonio.device.bus import FrameStream, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus.forwarding import ForwardingBus
 
 SLOW = SpiTiming(250_000, 75.0, 160.0)
 
 
-class RecordingBus(SpiBus):
+class RecordingBus(ForwardingBus):
     """Passes everything on to another bus and keeps each batch with the timing in force.
 
     `inner` may be any bus; what it raises goes through.
     """
 
     def __init__(self, inner: SpiBus) -> None:
-        super().__init__(inner.timing)
-        self.inner = inner
-        self.url = inner.url
-        self.capabilities = inner.capabilities
+        super().__init__(inner)
         self.batches: list[tuple[SpiTiming, Words]] = []
         self.streamed: list[int] = []
 
@@ -35,68 +33,13 @@ class RecordingBus(SpiBus):
         """Frames with the write bit."""
         return [frame for frame in self.frames if frame & 0x8000]
 
-    def now_s(self) -> float:
-        return self.inner.now_s()
-
-    def sleep_s(self, seconds: float) -> None:
-        self.inner.sleep_s(seconds)
-
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
         self.streamed += list(frames)
         return self.inner.stream(frames, block_scans=block_scans)
 
-    def hard_reset(self) -> None:
-        self.inner.hard_reset()
-
-    def read_event_counter(self) -> int:
-        return self.inner.read_event_counter()
-
-    def count_events(self) -> tuple[int, float]:
-        return self.inner.count_events()
-
     def _exchange(self, frames: Words) -> Words:
         self.batches.append((self.timing, frames.copy()))
         return self.inner.exchange_array(frames)
-
-    def _configure(self, timing: SpiTiming) -> SpiTiming:
-        return self.inner.configure(timing)
-
-    def _close(self) -> None:
-        self.inner.close()
-
-
-class ScriptedBus(SpiBus):
-    """Answers from a list of (frame, reply); fails on another frame and on what was left unused."""
-
-    def __init__(self, script: Sequence[tuple[int, int]]) -> None:
-        super().__init__(SLOW)
-        self.url = "scripted:"
-        self.script = list(script)
-        self.at = 0
-        self.time_s = 0.0
-
-    def now_s(self) -> float:
-        return self.time_s
-
-    def sleep_s(self, seconds: float) -> None:
-        self.time_s += seconds
-
-    def _exchange(self, frames: Words) -> Words:
-        replies = []
-        for frame in frames:
-            assert self.at < len(self.script), f"frame 0x{frame:04X} after the script's end"
-            expected, reply = self.script[self.at]
-            assert frame == expected, f"frame {self.at}: sent 0x{frame:04X}, script has 0x{expected:04X}"
-            replies.append(reply)
-            self.at += 1
-            self.time_s += self.timing.frame_s
-        return np.array(replies, np.uint16)
-
-    def _configure(self, timing: SpiTiming) -> SpiTiming:
-        return timing
-
-    def _close(self) -> None:
-        assert self.at == len(self.script), f"{len(self.script) - self.at} steps of the script left unused"
 
 
 class ConstantBus(SpiBus):

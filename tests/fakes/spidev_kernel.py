@@ -23,6 +23,7 @@ TRANSFER = struct.Struct("<QQIIHBBBBBB")
 MESSAGE = 0x40006B00
 WR_BITS, WR_SPEED, WR_MODE32, RD_MODE32 = 0x40016B03, 0x40046B04, 0x40046B05, 0x80046B05
 GET_LINE, SET_VALUES = 0xC250B407, 0xC010B40F
+CHIP_INFO, LINE_INFO = 0x8044B401, 0xC100B405
 CS_HIGH_S = 10e-6
 CPHA, CPOL, CS_HIGH, LSB_FIRST, THREE_WIRE, LOOP = 1, 2, 4, 8, 0x10, 0x20
 KNOWN_FLAGS = 0x7FFF
@@ -90,6 +91,8 @@ class FakeSpidevKernel:
         self.refuse_open: int | None = None
         self.unplugged = False
         self.reset_line = 17
+        self.chips = {"gpiochip0": [f"GPIO{k}" for k in range(54)]}
+        self.requested: list[tuple[str, int]] = []
         self.locked: set[str] = set()
         self.files: dict[int, str] = {}
         high = 0 if cs_flag is CsFlag.NATIVE else CS_HIGH
@@ -103,7 +106,7 @@ class FakeSpidevKernel:
     def open(self, path: str) -> int:
         if self.refuse_open is not None:
             raise os_error(self.refuse_open)
-        if path not in self.pins and not path.endswith("gpiochip0"):
+        if path not in self.pins and path.rpartition("/")[2] not in self.chips:
             raise os_error(errno.ENOENT)
         return self._new(path)
 
@@ -124,8 +127,12 @@ class FakeSpidevKernel:
         assert size == ctypes.sizeof(argument), "the size in the number is the argument's"
         if path == "line":
             return self._set_line(request, bytes(argument))
-        if path.endswith("gpiochip0"):
-            return self._get_line(request, argument)
+        if (names := self.chips.get(path.rpartition("/")[2])) is not None:
+            if request == GET_LINE:
+                self.requested.append(
+                    (path.rpartition("/")[2], struct.unpack_from("<I", bytes(argument))[0])
+                )
+            return self._ask_chip(names, request, argument)
         if self.unplugged:
             raise os_error(errno.ESHUTDOWN)
         if request & ~0x3FFF0000 == MESSAGE:
@@ -204,6 +211,20 @@ class FakeSpidevKernel:
         return total - (1 if faults.happens("short") else 0)
 
     # -- GPIO ---------------------------------------------------------------------------------------------
+
+    def _ask_chip(self, names: list[str], request: int, argument) -> int:
+        """Answer as linux/gpio.h describes: gpiochip_info, gpio_v2_line_info, gpio_v2_line_request."""
+        there = ctypes.addressof(argument)
+        if request == CHIP_INFO:
+            ctypes.memmove(there, struct.pack("<32s32sI", b"gpiochip", b"pins", len(names)), 68)
+        elif request == LINE_INFO:
+            offset = struct.unpack_from("<I", bytes(argument), 64)[0]
+            if offset >= len(names):
+                raise os_error(errno.EINVAL)
+            ctypes.memmove(there, struct.pack("<32s", names[offset].encode()), 32)
+        else:
+            return self._get_line(request, argument)
+        return 0
 
     def _get_line(self, request: int, argument) -> int:
         if request != GET_LINE:

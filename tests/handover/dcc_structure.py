@@ -19,6 +19,7 @@ POSITIVE = r"\+?((\d*\.\d+)|(\d+\.\d*)|(\d+\.?))([Ee][-+]?\d+)?"
 FACTOR = r"\+?(([1-9]\d*\.\d*)|([1-9]\d*))"
 PROBABILITY = r"\+?((0(\.\d*)?)|(1(\.0*)?))"
 DATE = r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])"
+CONFORMITY = "pass|fail|conditionalPass|conditionalFail|noPass|noFail"
 PLACES = "laboratory|customer|laboratoryBranch|customerBranch|other"
 ISSUERS = "manufacturer|calibrationLaboratory|customer|owner|other"
 KINDS = "application|bios|driver|editor|firmware|library|os|other"
@@ -79,7 +80,7 @@ TYPES: dict[str, list[tuple[str, str, int, int]] | str] = {
     "responsible": [(f"{DCC}person", "person", 1, 1)],
     "person": [(f"{DCC}name", "text", 1, 1)],
     "statements": [(f"{DCC}statement", "statement", 1, MANY)],
-    "statement": [(f"{DCC}declaration", "rich", 0, 1)],
+    "statement": [(f"{DCC}declaration", "rich", 0, 1), (f"{DCC}conformity", CONFORMITY, 0, 1)],
     "results": [(f"{DCC}measurementResult", "measurement", 1, MANY)],
     "measurement": [
         (f"{DCC}name", "text", 1, 1),

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import replace
 from datetime import date
 
 import pytest
 
+from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError
 from adis_gonio.calibrate import NotCorrected
 from adis_gonio.handover.certificate import SI_UNITS, certificate_text
@@ -118,6 +120,45 @@ def test_every_unit_of_the_catalogue_has_one_of_si_or_is_refused():
     odd = replace(own, parameters=(*own.parameters[:-1], replace(own.parameters[-1], unit="furlong")))
     with pytest.raises(FitError, match="furlong"):
         certificate_text(odd)
+
+
+def test_every_unit_is_read_by_the_reader_of_ptb():
+    """dsiUnits parses the notation of D-SI; it gives the base units that the name of a unit means."""
+    dsi_unit = pytest.importorskip("dsi_unit", reason="dsiunits is not installed (pip install '.[test]')")
+    from adis_gonio.handover.certificate import _UNITS
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it warns of its own notation
+        read = {name: dsi_unit.DsiUnit(unit) for name, (unit, _) in _UNITS.items()}
+    assert [name for name, unit in read.items() if not unit.valid] == []
+    meant = {"mg": "ms⁻²", "mg/g²": "m⁻¹s²", "mg/°C": "ms⁻²K⁻¹", "ppm/V": "V⁻¹", "dps": "°s⁻¹", "deg": "°"}
+    assert {name: read[name].to_utf8() for name in meant} == meant
+
+
+def test_the_laboratory_and_the_customer_are_in_their_places():
+    own = calibration(PLANE, laboratory="Angle Lab", customer="A. Customer")
+    root = judge(certificate_text(own))
+    assert (
+        root.find(f".//{DCC}calibrationLaboratory//{DCC}contact/{DCC}name/{DCC}content").text == "Angle Lab"
+    )
+    assert root.find(f".//{DCC}customer/{DCC}name/{DCC}content").text == "A. Customer"
+    assert "laboratory" not in certificate_text(own).partition("Made by a program")[2].partition("</")[0]
+
+
+@pytest.mark.parametrize(("limit_deg", "verdicts"), [(0.1, ["pass", "fail"]), (2.5e-4, ["noPass", "fail"])])
+def test_conformity_is_stated_for_machines(limit_deg, verdicts):
+    text = certificate_text(calibration(PLANE), tolerance=Tolerance(limit_deg))
+    statements = judge(text).findall(f".//{DCC}statement")
+    found = [s for s in statements if s.find(f"{DCC}conformity") is not None]
+    assert [s.find(f"{DCC}conformity").text for s in found] == verdicts
+    assert "With calibration" in found[0].find(f"{DCC}declaration/{DCC}content").text
+    assert f"±{limit_deg:g}°" in text
+
+
+def test_no_conformity_is_stated_with_a_bias_that_nobody_determined():
+    blind = replace(calibration(PLANE), assumed=("bias_x", "bias_y"))
+    with pytest.raises(FitError, match="bias_x, bias_y not determined"):
+        certificate_text(blind, tolerance=Tolerance(0.1))
 
 
 def _most(name):

@@ -24,11 +24,10 @@ from adis_gonio.base.output import write_utf8
 from adis_gonio.calibrate.calibration_document import calibration_from
 from adis_gonio.faces import cli
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
-from adis_gonio.plan.plan_file import document_of, read_plan
 from adis_gonio.record import database, samples_reader
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.plans import plan
+from adis_gonio.record.plans import document_of, plan, read_plan
 from adis_gonio.record.samples_reader import read_samples_csv
 from adis_gonio.record.samples_writer import session_dict, write_csv
 from adis_gonio.tracing.trace_calibrations import load_calibration

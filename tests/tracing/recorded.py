@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
-from adis_gonio.plan.plan_file import find_plan
+from adis_gonio.record.plans import find_plan
 from adis_gonio.record.settings import Settings
 
 

@@ -118,7 +118,7 @@ def test_blocks_of_the_thermal_cycle_as_in_its_table(monkeypatch):
     )
     polynomial = next(c for c in candidates if c.effect.name == "bias_temperature")
     cubic = series._columns((polynomial,), (2,))
-    _, coefficients, _ = series._fits(problem, (polynomial,))
+    _, coefficients, *_ = series._fits(problem, (polynomial,))
     assert np.count_nonzero(np.abs(coefficients[2]).sum(axis=(0, 2))) == len(cubic)
     loss = series._squares(problem.square, problem.cross, problem.gram, coefficients[2])
     by_axis = np.sqrt(loss.sum(axis=0) / len(dwell))

@@ -69,10 +69,14 @@ class ErrorCurve:
     dof: float = math.inf
 
     @property
+    def u_deg(self) -> Floats:
+        """Standard uncertainty (m,) of the error at each angle."""
+        return np.asarray(np.sqrt((self.root_deg**2).sum(axis=1)))
+
+    @property
     def U_deg(self) -> Floats:  # noqa: N802 (GUM)
         """Expanded uncertainty (m,) of the error at each angle, for 95 %."""
-        u = np.sqrt((self.root_deg**2).sum(axis=1))
-        return np.asarray(coverage_factor(self.dof) * u)
+        return coverage_factor(self.dof) * self.u_deg
 
     @cached_property
     def _independent(self) -> Floats:
@@ -125,7 +129,6 @@ class ErrorCurve:
         return float(brentq(lambda t: self.exceeds(t) - risk, 0.0, high, xtol=1e-6 * most))
 
 
-@dataclass(frozen=True)
 class Tolerance(JsonRecord):
     """Tolerance of the angle error, with the decision rule that was agreed.
 
@@ -186,7 +189,6 @@ class Tolerance(JsonRecord):
         return Conformity(verdict, risk, 1 - risk, largest, float(curve.angle_deg[at]), bound)
 
 
-@dataclass(frozen=True)
 class Conformity(JsonRecord):
     """Conformity of the angle with a tolerance.
 
@@ -217,10 +219,9 @@ class Conformity(JsonRecord):
         accept = f"risk of a false accept {format_percent(self.false_accept)}"
         reject = f"risk of a false reject {format_percent(self.false_reject)}"
         risks = {"pass": accept, "fail": reject}.get(self.verdict, f"{accept}, {reject}")
-        return f"{risks}; ±{error} would just pass, worst at {self.at_deg:.0f}°"
+        return f"{risks}; ±{error} would just pass"
 
 
-@dataclass(frozen=True)
 class Statement(JsonRecord):
     """Conformity of a sensor's angle, without and with its calibration.
 
@@ -237,16 +238,16 @@ class Statement(JsonRecord):
     with_calibration: Conformity
 
     @property
+    def states(self) -> dict[str, Conformity]:
+        """Conformity by the state of the sensor, in words."""
+        known = {"with calibration": self.with_calibration, "without calibration": self.without_calibration}
+        return {name: one for name, one in known.items() if one is not None}
+
+    @property
     def lines(self) -> list[str]:
         """Text of the statement: the tolerance and the rule, and a line for each state of the sensor."""
-        states = {
-            "with calibration": self.with_calibration,
-            "without calibration": self.without_calibration,
-        }
-        return [
-            f"Conformity with {self.tolerance}",
-            *(f"{name}: {one.verdict.upper()}, {one.reason}" for name, one in states.items() if one),
-        ]
+        found = [f"{name}: {one.verdict.upper()}, {one.reason}" for name, one in self.states.items()]
+        return [f"Conformity with {self.tolerance}", *found]
 
 
 def state_conformity(tolerance: Tolerance, curves: tuple[ErrorCurve | None, ErrorCurve]) -> Statement:

@@ -22,8 +22,6 @@ INADEQUATE = 0.01
 """p-value of χ² below which a residual is too large for the noise that was measured."""
 FOUND_WITHIN = 0.01
 """Probability of any finding inside the dwells of a session without faults (family-wise)."""
-FOUND_IN_ONE_POSE = 0.01
-"""Probability that one pose without effects shows one, over all candidates."""
 OUTLYING = 0.01
 """Probability that a fleet without any outlying unit, stage or operator names one (family-wise)."""
 DRIFTING = 0.05
@@ -126,8 +124,8 @@ class Value:
     """Coverage factor, if the distribution is not Student's with `dof`."""
 
     def __str__(self) -> str:
-        """Format the value with its standard uncertainty and unit, such as `1.08 ± 0.13 mg`."""
-        return format_uncertain(self.value, self.u, self.unit)
+        """Format the value with its expanded uncertainty U and unit, such as `1.08 ± 0.26 mg`."""
+        return format_uncertain(self.value, self.U, self.unit)
 
     @property
     def k(self) -> float | None:
@@ -157,7 +155,6 @@ def finite_or_none(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-@dataclass(frozen=True)
 class Detectable(JsonRecord):
     """Smallest amplitude of an effect that the session can detect; None if it can detect none.
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Generator, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterator
 from enum import StrEnum
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,8 +16,10 @@ from adis_gonio.bench.events import Event, GuardRaised, Noted, Paused, Unpaused,
 from adis_gonio.bench.guards import Guard
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.session_state import Knowledge, Ledger
-from adis_gonio.record.archive_tables import utc_now
+from adis_gonio.record.archive_tables import JsonDict, utc_now
 from adis_gonio.record.blocks import Block, join
+
+T = TypeVar("T")
 
 PAUSE_STEP_S = 0.1
 """Time between two checks for remarks during a pause, on the wall clock."""
@@ -46,20 +48,6 @@ class Reply(StrEnum):
     STOP = "stop"
 
 
-@dataclass(frozen=True)
-class Remark:
-    """A note of the operator.
-
-    Attributes
-    ----------
-    utc : str
-        Time on the wall clock.
-    """
-
-    text: str
-    utc: str
-
-
 class Operator:
     """Gives the answers and remarks of the operator to a session; may be used from any thread.
 
@@ -71,7 +59,7 @@ class Operator:
 
     def __init__(self) -> None:
         self._answers: queue.SimpleQueue[Reply] = queue.SimpleQueue()
-        self._remarks: queue.SimpleQueue[Remark] = queue.SimpleQueue()
+        self._remarks: queue.SimpleQueue[JsonDict] = queue.SimpleQueue()
         self._allowed: frozenset[Reply] = frozenset()
         self.stopping = threading.Event()
         self.pausing = threading.Event()
@@ -92,10 +80,9 @@ class Operator:
         self._allowed = frozenset()
         return answer
 
-    def take_remarks(self) -> Iterator[Remark]:
-        """Remove and yield the remarks that the operator has made since the last call."""
-        while not self._remarks.empty():
-            yield self._remarks.get_nowait()
+    def take_remarks(self) -> list[JsonDict]:
+        """Remove and return the remarks since the last call, each with its `text` and its time `utc`."""
+        return [self._remarks.get_nowait() for _ in range(self._remarks.qsize())]
 
     def answer(self, answer: Reply | str) -> None:
         """Answer the open question by the name of a reply, such as one of `GuardRaised.answers`.
@@ -166,7 +153,7 @@ class Operator:
     def note(self, text: str) -> None:
         """Record a remark in the session, with the time and the present position."""
         if text.strip():
-            self._remarks.put(Remark(text.strip(), utc_now()))
+            self._remarks.put({"text": text.strip(), "utc": utc_now()})
 
 
 class Questions:
@@ -206,12 +193,20 @@ class Questions:
     @property
     def stopped(self) -> bool:
         """True if the operator has asked to end the session."""
-        return self._operator.stopping.is_set()
+        return self._witness("stopped", self._operator.stopping.is_set)
 
     @property
     def interrupted(self) -> bool:
         """True if the operator has asked to end or to pause the session."""
-        return self.stopped or self._operator.pausing.is_set()
+        return self.stopped or self._pausing
+
+    @property
+    def _pausing(self) -> bool:
+        return self._witness("paused", self._operator.pausing.is_set)
+
+    def _witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return an act of the operator, or in the replay of a recording the recorded act."""
+        return self.bench.source.witness(name, observe)
 
     @property
     def why_interrupted(self) -> str:
@@ -231,8 +226,8 @@ class Questions:
                 self._operator.open_question(frozenset(answers))
                 yield question
                 while not self.interrupted:
-                    if (answer := self._operator.take_answer()) is not None:
-                        return answer
+                    if (answer := self._witness("answer", self._operator.take_answer)) is not None:
+                        return Reply(answer)
                     if self.auto:
                         return default
                     yield from self.remarks(place)
@@ -282,13 +277,13 @@ class Questions:
     def handle_pause(self, place: int | None) -> Iterator[Event]:
         """Record the operator's remarks and, if a pause was requested, wait for its end."""
         yield from self.remarks(place)
-        if not self._operator.pausing.is_set():
+        if not self._pausing:
             return
         self._operator.open_question(frozenset())
         self.bench.close_stream()
         self.ledger.note("paused", place)
         yield Paused(place)
-        while self._operator.pausing.is_set() and not self.stopped:
+        while self._pausing and not self.stopped:
             yield from self.remarks(place)
             self._operator.going_on.wait(PAUSE_STEP_S)
         self.ledger.note("unpaused", {"place": place})
@@ -296,9 +291,9 @@ class Questions:
 
     def remarks(self, place: int | None) -> Iterator[Event]:
         """Write the operator's new remarks to the archive."""
-        for remark in self._operator.take_remarks():
-            self.ledger.note("remark", {"text": remark.text, "utc": remark.utc, "place": place})
-            yield Noted(remark.text)
+        for remark in self._witness("remarks", self._operator.take_remarks):
+            self.ledger.note("remark", remark | {"place": place})
+            yield Noted(remark["text"])
 
     def wait(self, place: int, length_s: float) -> Generator[Event, None, bool]:
         """Wait `length_s` before a dwell; True if the operator stopped or paused the session meanwhile."""

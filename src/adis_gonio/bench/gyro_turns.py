@@ -17,6 +17,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import signed
 from adis_gonio.bench.dialogue import Reply
 from adis_gonio.bench.dwell_recorder import DwellRecorder
 from adis_gonio.bench.events import DwellInterrupted, Event, GuardKind, Problem
@@ -102,9 +103,9 @@ class GyroTurn(FollowedTurn):
     rest_before_s = REST_S
 
     def __init__(
-        self, place: int, position: Position, wanted_deg: float, rest: Block, now_s: float
+        self, place: int, position: Position, wanted_deg: float, rest: Block, began: tuple[str, float]
     ) -> None:
-        super().__init__(place, position, round(abs(wanted_deg) / 360.0), PATIENCE_S, now_s)
+        super().__init__(place, position, round(abs(wanted_deg) / 360.0), PATIENCE_S, began)
         rates, force = _rates_and_force(rest)
         self.wanted_deg, self._zero = wanted_deg, rates.mean(axis=0)
         self._up = -force.mean(axis=0) / np.linalg.norm(force.mean(axis=0))
@@ -220,7 +221,7 @@ class GyroTurnsRecorder(DwellRecorder):
             return False
         rest = self._rest(before)
         position = self._ledger.plan.positions[place]
-        turn = GyroTurn(place, position, wanted_deg, rest, self._bench.now_s)
+        turn = GyroTurn(place, position, wanted_deg, rest, self._bench.moment())
         why = yield from self._record_turn(turn)
         blocks = turn.blocks
         number = self._write(turn, "interrupted", why or TURNED)
@@ -289,14 +290,14 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
     values |= {"off_deg": off, "limit_deg": limit}
     if abs(off) > limit or abs(turned) < 180.0:
         message = (
-            f"the gyro turned {turned:+.0f}°, {off:+.0f}° off a whole number of turns (its gain explains"
-            f" {limit:.0f}° at most): bring the part back to the mark and turn again"
+            f"the gyro turned {signed(turned, 0)}°, {signed(off, 0)}° off a whole number of turns"
+            f" (its gain explains {limit:.0f}° at most): bring the part back to the mark and turn again"
         )
         return Guard("wrong_angle", message, values, spoils=True)
     if turned * wanted_deg < 0:
         message = (
-            f"turned {turned:+.0f}°, {way(turned)}; {way(wanted_deg)} was requested: this is allowed if the"
-            " next turn goes the other way"
+            f"turned {signed(turned, 0)}°, {way(turned)}; {way(wanted_deg)} was requested:"
+            " this is allowed if the next turn goes the other way"
         )
         return Guard("reversed", message, values, ("retake", "reverse", "keep", "skip"), "reverse")
     return None

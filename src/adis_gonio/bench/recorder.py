@@ -24,7 +24,7 @@ from adis_gonio.bench.dialogue import Questions
 from adis_gonio.bench.events import Event, Problem, StageMoved, TurnDone, TurnProgress
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.model.records import Sweeps
-from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase, utc_now
+from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.plans import Plan, Position
 from adis_gonio.record.session_reader import FREE_TURN, GOES_ON
@@ -63,11 +63,13 @@ class FollowedTurn(ABC):
     rest_before_s: ClassVar[float]
     piece_s: ClassVar[float] = math.inf
 
-    def __init__(self, place: int, position: Position, turns: int, limit_s: float, now_s: float) -> None:
+    def __init__(
+        self, place: int, position: Position, turns: int, limit_s: float, began: tuple[str, float]
+    ) -> None:
         self.place, self.position, self.turns, self.limit_s = place, position, turns, limit_s
         self.blocks: list[Block] = []
         self.moves: list[Move] = []
-        self.began = utc_now(), now_s
+        self.began = began
         self.samples = self.lost = self.turns_made = 0
         self.length_s = self.written_s = self.rest_s = self.peak_dps = 0.0
         self.turned_deg = self.rate_dps = self.travelled_deg = 0.0
@@ -192,7 +194,7 @@ class Recorder(ABC):
             )
         )
         turn.blocks, turn.moves, turn.written_s = [], [], turn.length_s
-        turn.began = utc_now(), now_s
+        turn.began = self._bench.utc(), now_s
         return number
 
 
@@ -255,8 +257,8 @@ class FreeTurn(FollowedTurn):
     rest_before_s = REST_S
     piece_s = PIECE_S
 
-    def __init__(self, place: int, turns: int, limit_s: float, now_s: float) -> None:
-        super().__init__(place, PLACE, turns, limit_s, now_s)
+    def __init__(self, place: int, turns: int, limit_s: float, began: tuple[str, float]) -> None:
+        super().__init__(place, PLACE, turns, limit_s, began)
         self.sweeps = Sweeps()
         self._before: float | None = None
         self._course: list[tuple[float, float]] = []
@@ -317,7 +319,7 @@ class FreeTurnRecorder(Recorder):
     def take(self, place: int) -> Iterator[Event]:
         """Record the free turn and archive it as a dwell."""
         bench, ledger = self._bench, self._ledger
-        turn = FreeTurn(place, max(ledger.plan.turns, 1), bench.settings.dwell_s, bench.now_s)
+        turn = FreeTurn(place, max(ledger.plan.turns, 1), bench.settings.dwell_s, bench.moment())
         why = yield from self._record_turn(turn)
         bench.close_stream()
         ledger.scanning(bench.scanning)

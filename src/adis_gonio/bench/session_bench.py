@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -13,7 +13,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.record.archive import ArchiveView
-from adis_gonio.record.archive_tables import JsonDict, Move, Record, StoredAttempt
+from adis_gonio.record.archive_tables import JsonDict, Move, Record, StoredAttempt, utc_now
 from adis_gonio.record.plans import Plan, Position
 from adis_gonio.record.settings import LEAST_SAMPLES, Settings
 from adis_gonio.record.source import Measuring, SampleSource, SampleStream, as_source
@@ -115,13 +115,29 @@ class SessionBench:
     @property
     def virtual_time(self) -> bool:
         """True for a simulated sensor with a clock that advances only during calls."""
+        return bool(self._bus_fact("virtual_time"))
+
+    @property
+    def replayed(self) -> bool:
+        """True if a recording answers instead of a sensor, with the answers of the operator."""
+        return bool(self._bus_fact("replayed"))
+
+    def _bus_fact(self, name: str) -> object:
         sensor = getattr(self.source, "sensor", None)
-        return bool(getattr(getattr(sensor, "bus", None), "virtual_time", False))
+        return getattr(getattr(sensor, "bus", None), name, False)
 
     @property
     def now_s(self) -> float:
         """Present time in s on the clock of the sensor's bus."""
         return self.source.now_s()
+
+    def utc(self) -> str:
+        """Present UTC time as ISO 8601 text."""
+        return self.source.witness("utc", utc_now)
+
+    def moment(self) -> tuple[str, float]:
+        """Present UTC time, and the time in s on the clock of the sensor's bus."""
+        return self.utc(), self.now_s
 
     def require_auto(self, plan: Plan) -> None:
         """Raise `UsageError` if a plan cannot be run without an operator."""
@@ -316,7 +332,7 @@ class SessionBench:
         if self.virtual_time:
             return float(runs[0]["clock_offset_s"])
         # The clocks of two runs are related only by the wall clock, which may have been set back.
-        since = datetime.now(UTC) - datetime.fromisoformat(archive.header().created_utc)
+        since = datetime.fromisoformat(self.utc()) - datetime.fromisoformat(archive.header().created_utc)
         ends = [attempt.ended_bus_s + attempt.offset_s for attempt in archive.attempts()]
         return max([since.total_seconds(), *ends]) - bus_s
 

@@ -25,7 +25,6 @@ from adis_gonio.calibrate.coefficients import (
     VERSION,
     Coefficient,
     Coefficients,
-    NotCorrected,
     checked_condition,
     checked_numbers,
     checked_offsets,
@@ -93,40 +92,26 @@ class AngleReading:
         return f"AngleReading({counted(n, 'angle')}, u up to {u})"
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration(Coefficients):
+class Calibration(Coefficients, eq=False, kw_only=True):
     """Calibration of accelerometers, which converts readings to gravity and angle.
 
     Attributes
     ----------
-    method : str
-        A method of `fit`, or `trace`.
     provenance : Provenance
         Sensor, plane, gravity and the known facts about the session.
     parameters : tuple of Coefficient
         Base parameters (gains, misalignment or skews, biases; in the plane also the start angle `alpha` if
         it is known), then the values of the effects.
-    covariance : (p, p) float or None
-        In the order and units of `parameters`; None if the noise is unknown.
     effects : tuple of EffectTerm
         Effects of a trace that depend on the reading, the temperature or the supply.
-    not_corrected : tuple of NotCorrected
-        Effects that belong to the bench and not to the sensor, or that need more than one reading.
-    assumed : tuple of str
-        Parameters that the session did not determine; they keep their nominal values.
     counts_per_mg : tuple of float or None
         Rough scale of each axis for readings in counts; None for readings in mg.
     gyro : GyroCalibration or None
         Calibration of the gyros; None if the session gives none.
     """
 
-    method: str
     provenance: Provenance
-    parameters: tuple[Coefficient, ...]
-    covariance: Floats | None
     effects: tuple[EffectTerm, ...] = ()
-    not_corrected: tuple[NotCorrected, ...] = ()
-    assumed: tuple[str, ...] = ()
     counts_per_mg: tuple[float, ...] | None = None
     gyro: GyroCalibration | None = None
     schema: ClassVar[str] = "adis-gonio/calibration"
@@ -322,11 +307,11 @@ class Calibration(Coefficients):
 
         return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
 
-    def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
+    def error_curves(self, *, stage: bool = True) -> tuple[ErrorCurve | None, ErrorCurve]:
         """Error of the angle over the turn in the plane of x and y: without and with this calibration.
 
-        The angle is the stage's if its start angle is known, else the angle of gravity. The noise of single
-        readings is not included. The first curve is None for a sensor of unknown scale.
+        The angle is the stage's if its start angle is known (and `stage`), else the angle of gravity. The
+        noise of single readings is not included. The first curve is None for a sensor of unknown scale.
 
         Raises
         ------
@@ -341,9 +326,9 @@ class Calibration(Coefficients):
         readings = self.readings_of(gravity)
         conditions = self._conditions(CURVE_PLACES, None, None)
         # A stage angle is the start angle minus the angle of gravity.
-        start = "alpha" in self
+        start = stage and "alpha" in self
         sign, zero = (-1.0, self["alpha"].value) if start else (1.0, 0.0)
-        varying = np.array([name == "alpha" for name in self.names])
+        varying = np.array([start and name == "alpha" for name in self.names])
 
         def angle(values: Floats) -> Floats:
             found = self._gravity(values, readings, conditions)

@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.conformity import Tolerance, Verdict, state_conformity
 from adis_gonio.base.errors import DataError, FitError, one_line
 from adis_gonio.base.uncertainty import coverage_factor
-from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.calibration import CURVE_PLACES, Calibration
 from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.handover.polynomial import angle_u_deg
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, StageCurve
 
 VERSION = "3.2.1"
@@ -73,27 +73,42 @@ _NAMES = {
     "gyro_misalignment": "Misalignment of gyro and axis",
     "g_sensitivity": "Sensitivity to acceleration of gyro and axis",
 }
+_CONFORMITY: dict[Verdict, str] = {"pass": "pass", "fail": "fail", "undecided": "noPass"}
 _TURN_DEG = tuple(range(0, 360, 30))
 
 
-def certificate_text(calibration: Calibration, issued: date | None = None) -> str:
+def certificate_text(
+    calibration: Calibration, issued: date | None = None, tolerance: Tolerance | None = None
+) -> str:
     """Render a calibration as a digital calibration certificate in XML.
 
     Parameters
     ----------
     issued : date, optional
         Date of the calibration if the session does not state it; by default today.
+    tolerance : Tolerance, optional
+        Tolerance of the angle, for the statement of conformity.
 
     Raises
     ------
     FitError
-        A parameter has a unit without a known D-SI notation.
+        A parameter has a unit without a known D-SI notation, or conformity cannot be stated.
     """
     for prefix, space in (("dcc", DCC), ("si", SI), ("xsi", XSI)):
         ET.register_namespace(prefix, space)
     root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", schemaVersion=VERSION)
     root.set(f"{{{XSI}}}schemaLocation", f"{DCC} {DCC}/v{VERSION}/dcc.xsd")
-    _administrative(_add(root, "administrativeData"), calibration, issued)
+    administrative = _add(root, "administrativeData")
+    _administrative(administrative, calibration, issued)
+    if tolerance is not None:
+        zero = [name for name in calibration.assumed if name.startswith("bias")]
+        if zero:
+            raise FitError(f"conformity cannot be stated: {', '.join(zero)} not determined, taken as zero")
+        stated = state_conformity(tolerance, calibration.error_curves())
+        for name, one in stated.states.items():
+            text = f"{name.capitalize()}, the error of the angle within {tolerance}: {one.reason}."
+            statement = _named(administrative[-1], "statement", text, "declaration")
+            _add(statement, "conformity", _CONFORMITY[one.verdict])
     _results(_add(_add(root, "measurementResults"), "measurementResult"), calibration)
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
@@ -285,7 +300,7 @@ def _statements(calibration: Calibration) -> list[str]:
 def _gyro_statements(gyro: GyroCalibration) -> list[str]:
     texts = [
         "Gyros read K D ω + b + G f: zero rates b without acceleration, sensitivities relative to the "
-        "nominal one, f the readings of the accelerometers.",
+        "nominal one, f the readings of the accelerometers."
     ]
     if gyro.assumed:
         texts.append(f"Not determined and taken as nominal: {', '.join(gyro.assumed)}.")
@@ -361,9 +376,9 @@ def _real(parent: ET.Element, one: Coefficient) -> None:
 
 def _turn(parent: ET.Element, calibration: Calibration) -> None:
     """Add the uncertainty that the calibration adds to angles in the plane of x and y."""
-    u_deg = angle_u_deg(calibration, _TURN_DEG)
-    if not np.isfinite(u_deg).all():
+    if calibration.covariance is None:
         return
+    u_deg = calibration.error_curves(stage=False)[1].u_deg[:: CURVE_PLACES // len(_TURN_DEG)]
     data = _add(
         _named(parent, "result", "Angle of gravity in the plane of X and Y by the calibrated sensor"),
         "data",

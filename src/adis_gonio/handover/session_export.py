@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError
+from adis_gonio.base.conformity import Tolerance
+from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError, install_extra
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.output import write_utf8
 from adis_gonio.calibrate.calibration import Calibration
@@ -56,7 +57,7 @@ def write_parquet(session: Session, path: str | Path) -> None:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError:
-        raise NotInstalledError("Parquet needs pyarrow: pip install 'adis-gonio[parquet]'") from None
+        raise NotInstalledError(f"Parquet needs pyarrow: {install_extra('parquet')}") from None
     dwells = session.sampled
     if not dwells:
         raise DataError(f"{session.source or 'session'}: the session has no dwell to write")
@@ -135,6 +136,8 @@ class ExportSource:
         Prefix of every name in a C header.
     overrides : Overrides or None
         Corrections of the session's metadata.
+    tolerance : Tolerance or None
+        Tolerance of the angle, for the statement of conformity in a certificate.
     gyros : Path or None
         Session or calibration of the sensor's gyros, used instead of the gyros of this session.
     """
@@ -146,6 +149,7 @@ class ExportSource:
     name: str = DEFAULT_NAME
     overrides: Overrides | None = None
     gyros: Path | None = None
+    tolerance: Tolerance | None = None
 
     def check(self, kind: str) -> None:
         """Raise `UsageError` if an option has no meaning for the format `kind`."""
@@ -160,6 +164,8 @@ class ExportSource:
             raise UsageError("--method and --trace exclude each other: a trace has its own model")
         if self.name != DEFAULT_NAME and not BY_NAME[kind].named:
             raise UsageError("--name goes with --format c-header")
+        if self.tolerance is not None and kind != "dcc":
+            raise UsageError("--tolerance goes with --format dcc")
 
     def write(self, kind: str, path: Path) -> list[str]:
         """Write the source in a format to a new or empty file; return remarks on the content.
@@ -175,7 +181,8 @@ class ExportSource:
         self.check(kind)
         chosen = BY_NAME[kind]
         if chosen.holds == "coefficients":
-            options = {"name": self.name} if chosen.named else {}
+            options: dict[str, Any] = {"name": self.name} if chosen.named else {}
+            options |= {"tolerance": self.tolerance} if kind == "dcc" else {}
             given, remarks = calibration_in(self.path), []
             if given is None:
                 session = load_session(self.path, self.overrides)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -360,6 +360,7 @@ class Archive(ArchiveView):
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self._connection = connection
+        self.utc: Callable[[], str] = utc_now
         self._header = None
         self._run = 0
 
@@ -417,7 +418,7 @@ class Archive(ArchiveView):
         with self._transaction(new=True):
             run = self._next("runs", "run")
             software = f"adis-gonio {__version__}"
-            self._insert("runs", run, utc_now(), float(bus_s), float(clock_offset_s), continues, software)
+            self._insert("runs", run, self.utc(), float(bus_s), float(clock_offset_s), continues, software)
         self._run = run
         return run
 
@@ -480,7 +481,7 @@ class Archive(ArchiveView):
 
     def _record(self, kind: str, value: Any, bus_s: float) -> None:
         number = self._next("records", "record")
-        self._insert("records", number, self._run, utc_now(), float(bus_s), kind, to_json(value))
+        self._insert("records", number, self._run, self.utc(), float(bus_s), kind, to_json(value))
 
     def _next(self, table: str, key: str) -> int:
         (largest,) = self._connection.execute(f"SELECT coalesce(max({key}), 0) FROM {table}").fetchone()

@@ -18,18 +18,22 @@ determinants). An odd number separates the harmonics of the residual up to the f
 
 from __future__ import annotations
 
-import difflib
 import itertools
+import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from adis_gonio.base.errors import UsageError
-from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
+from adis_gonio.base.errors import DataError, UsageError, suggest
+from adis_gonio.base.jsonable import OPTIONAL, JsonRecord, finite, json_value
 from adis_gonio.base.numbers import counted
+from adis_gonio.base.output import ends_in, replacing
+from adis_gonio.base.shapes import ShapeError, anything, choice, fields, list_of, number, shown, text
 from adis_gonio.model.records import Plane, Use
 
 Approach = Literal[-1, 0, 1]
@@ -41,7 +45,6 @@ GYRO_TURNS = "gyro-turns"
 DEFAULT_PLAN = "two-position"
 
 
-@dataclass(frozen=True)
 class Position(JsonRecord):
     """One position of a plan: its angle or direction, approach, use and conditions.
 
@@ -84,7 +87,6 @@ class Position(JsonRecord):
         return f"{place}{way}{' (check)' if self.use == 'check' else ''}"
 
 
-@dataclass(frozen=True)
 class Plan(JsonRecord):
     """A plan: the positions of a session in the order in which they are visited.
 
@@ -188,9 +190,7 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     if name == GYRO_TURNS:
         raise UsageError("gyro turns have no positions: calibrate URL --plan gyro-turns --turns N")
     if kind is None:
-        near = difflib.get_close_matches(name, _KINDS, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(_KINDS)}"
-        raise UsageError(f"no plan is called '{name}'; {hint}")
+        raise UsageError(f"no plan is called '{name}'; {suggest(name, _KINDS)}")
     count = kind.default if positions is None else positions
     if kind.fixed and count != kind.default:
         raise UsageError(
@@ -309,7 +309,7 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
         relative,
         degrees,
         f"{counted(len(angles), 'position')} cannot see a bias: {bias_mg:g} mg on each axis would put"
-        f" {degrees:.2f}° into delta_phi and {relative:.4f} into delta_k; the opposite positions cancel it",
+        f" {degrees:.2f}° into Δφ and {relative:.4f} into ΔK; the opposite positions cancel it",
     )
 
 
@@ -343,3 +343,141 @@ def extension(plan: Plan, done: int) -> Plan | None:
     if plan.name != "two-position" or done < len(plan):
         return None
     return Plan("four-position", (*plan.positions, Position(180.0), Position(270.0)), plan.plane)
+
+
+# -- plan files: JSON with a version ------------------------------------------------------------------
+
+SCHEMA = "adis-gonio/plan"
+VERSION = 1
+LARGEST_BYTES = 10_000_000
+LARGEST_DEG = 3600.0
+LONGEST_WAIT_S = 86_400.0
+_NAME = re.compile(r"[\w.+-]{1,60}")
+_ENTRY = fields(
+    {"angle_deg": number(-LARGEST_DEG, LARGEST_DEG)},
+    {"approach": choice(1, -1), "use": choice("fit", "check"), "wait_s": number(0.0, LONGEST_WAIT_S)},
+)
+_DOCUMENT = fields(
+    {"name": text, "plane": choice("xy"), "positions": list_of(_ENTRY, 2, MOST_POSITIONS)},
+    {"schema": anything, "version": anything, "made_for": anything},
+)
+
+
+def document_of(made: Plan, made_for: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return the JSON document that a plan file contains.
+
+    Parameters
+    ----------
+    made_for : mapping, optional
+        Facts about the search, for people; the program does not read them.
+    """
+    names = ("angle_deg", "approach", "use", "wait_s")
+    document = {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "name": made.name,
+        "plane": made.plane,
+        "positions": [{name: getattr(position, name) for name in names} for position in made.positions],
+    }
+    return document if made_for is None else {**document, "made_for": finite(made_for)}
+
+
+def write_plan(path: str | Path, made: Plan, made_for: Mapping[str, Any] | None = None) -> None:
+    """Write a plan to a JSON file.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    content = json.dumps(document_of(made, made_for), ensure_ascii=False, indent=1, allow_nan=False)
+    with replacing(path) as temporary:
+        temporary.write_text(f"{content}\n", encoding="utf-8", newline="\n")
+
+
+def read_plan(path: str | Path) -> Plan:
+    """Read a plan from a JSON file.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read or is no plan; the message names the file and the field.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > LARGEST_BYTES:
+            raise DataError(f"{path}: is no plan: it has more than {LARGEST_BYTES // 1_000_000} MB")
+        content = path.read_text(encoding="utf-8-sig")
+        document = json_value(content, object_pairs_hook=_unique_fields, parse_constant=float)
+    except ShapeError as error:
+        raise DataError(f"{path}: {error} is given twice: remove one of them") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except json.JSONDecodeError as error:
+        raise DataError(f"{path}: is no plan: no JSON at line {error.lineno}") from None
+    except ValueError as error:
+        raise DataError(f"{path}: is no plan: {error}") from None
+    return plan_from(document, str(path))
+
+
+def _unique_fields(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    names = [name for name, _ in pairs]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ShapeError(shown(twice))
+    return dict(pairs)
+
+
+def plan_from(document: Any, name: str = "plan") -> Plan:
+    """Convert a JSON document to a plan; error messages begin with `name`.
+
+    Raises
+    ------
+    DataError
+        The document is no plan, has a newer version, or a field with an impossible value.
+    """
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        raise DataError(f"{name}: schema is not '{SCHEMA}'; make a plan with adis-gonio plan -o NAME.json")
+    version = document.get("version")
+    if isinstance(version, bool) or version != VERSION:
+        newer = isinstance(version, int) and version > VERSION
+        cure = "update adis-gonio" if newer else f"take {VERSION}"
+        raise DataError(f"{name}: version is {shown(version)}, this program reads {VERSION}: {cure}")
+    try:
+        _DOCUMENT(document)
+    except ShapeError as error:
+        raise DataError(f"{name}: {str(error).lstrip(' .')}") from None
+    called = document["name"]
+    if not _NAME.fullmatch(called):
+        raise DataError(f"{name}: name is {shown(called)}: take a word of letters, digits and . + - _")
+    if called in PLAN_NAMES:
+        raise DataError(f"{name}: name is '{called}', which is a plan of the program: take another")
+    positions = tuple(
+        Position(**{**entry, "angle_deg": float(entry["angle_deg"])}) for entry in document["positions"]
+    )
+    if all(position.use == "check" for position in positions):
+        raise DataError(f"{name}: positions are all for checking: at least two have to be of use 'fit'")
+    return Plan(called, positions)
+
+
+def find_plan(name: str, positions: int | None = None, check: int = 0) -> Plan:
+    """Return a built-in plan by its name; if `name` looks like a path, read the plan from this file.
+
+    Parameters
+    ----------
+    positions, check : int
+        See `plan`; a file has its own number of positions.
+
+    Raises
+    ------
+    DataError
+        The file is no plan.
+    UsageError
+        An unknown plan, or a number that the plan does not allow.
+    """
+    if name in PLAN_NAMES or not (ends_in(name, ".json") or "/" in name or Path(name).is_file()):
+        return plan(name, positions, check)
+    made = read_plan(name)
+    if positions is not None:
+        raise UsageError(f"{name}: fixes {counted(len(made), 'position')}: leave --positions out")
+    return with_checks(made, check)

@@ -7,22 +7,23 @@ adds other sources by an entry point in the group `adis_gonio.source`: scheme = 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from adis_gonio.base import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
-from adis_gonio.device.sensor.data_ready import MASK as DATA_READY_BITS
-from adis_gonio.device.sensor.data_ready import DataReadyLoan
+from adis_gonio.device.sensor.data_ready import MASK as DATA_READY_BITS, DataReadyLoan
 from adis_gonio.device.sensor.driver import Adis16354, open_sensor
 from adis_gonio.device.sensor.registers import BY_NAME, READING_BITS, REGISTERS
 from adis_gonio.device.sensor.settings import Configuration, Status, white_noise_gain
 from adis_gonio.record.blocks import Block
 from adis_gonio.record.settings import Settings
+
+T = TypeVar("T")
 
 
 class Measuring(Protocol):
@@ -123,6 +124,10 @@ class SampleSource(Closing):
         The data-ready line is reserved until `give_back`.
         """
 
+    def witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return `observe()`, a JSON value from outside the sensor; see `SpiBus.witness`."""
+        return observe()
+
     def give_back(self) -> None:
         """Undo the temporary changes that `configure` and `mark_restart` made; may be called twice."""
 
@@ -196,6 +201,10 @@ class ChipSource(SampleSource):
     def sleep_s(self, seconds: float) -> None:
         """Wait for `seconds` on the bus's clock."""
         self.sensor.bus.sleep_s(seconds)
+
+    def witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return the value that the bus returns."""
+        return self.sensor.bus.witness(name, observe)
 
     def configure(self, settings: Settings) -> Configuration:
         """Configure the chip, and enable data-ready if it is wired and the settings do not forbid it.

@@ -4,12 +4,12 @@ A single pose does not show gains, angles or a bias. The base model is therefore
 the candidates vary in time: temperature (up to the third power), its lag, warm-up, drift, supply. Each axis
 has its own degree and time constant.
 
-Neighbouring samples are correlated, so no test uses their noise. An effect is added if it reduces the error
-in held-out blocks of time consistently from block to block (t-test over blocks, family-wise 1 %).
-Held-out blocks are used neither for the fit nor for the choice of degree and time constant. Inside a fold,
-degrees and time constants are averaged instead of chosen: each variant predicts with the weight of its
-likelihood, and a recording has as many independent values as blocks. A choice would depend mostly on the
-last time in which the temperature was constant.
+A zero also moves without a recorded cause: it jumps, it walks at random, or its noise is 1/f. An effect is
+therefore added only if it is more probable than these (`_Noise`), and if the error in most held-out blocks
+of time does not grow. Held-out blocks are used neither for the fit nor for the choice of degree and time
+constant. Inside a fold, degrees and time constants are averaged instead of chosen: each variant predicts
+with the weight of its likelihood, and a recording has as many independent values as blocks. A choice would
+depend mostly on the last time in which the temperature was constant.
 
 All candidate columns form one design, and its normal equations are summed once for each block. Leaving out
 blocks is then a subtraction, and a variant is a choice of rows and columns.
@@ -29,22 +29,24 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import attempt, check
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.uncertainty import FOUND_IN_ONE_POSE, Detectable, Value
+from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
 from adis_gonio.model.records import Dwell, Session
+from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Step, TraceResult
 
 BLOCKS = 10
 LEAST_ROWS = 200
-LEAST_GAIN = 0.02
-"""Smallest relative decrease of the held-out error for which an effect is added."""
+AVERAGES = 100
+"""Number of averages over equal intervals for which slow noise is modelled."""
+NOISE_RATIOS = (0.1, 1.0, 10.0, 1e2, 1e3, 1e4)
+"""Variances of slow noise over the session to try, in variances of an average from its fast noise."""
 DEGREES = (1, 2, 3)
 ONE_WAY = 0.98
 """Rank correlation above which temperature and time count as one covariate."""
-ALIKE = 1.05
-"""Ratio of held-out errors below which two effects are not distinguished."""
 TAUS = 14
+_WHITE = "white noise"
 _POLYNOMIAL = ("bias_temperature", "thermal_lag")
 _RIDGE = 1e-12
 """Ridge relative to the largest diagonal entry, so that equal columns do not make the system singular."""
@@ -89,6 +91,10 @@ class _Problem:
     cross : (BLOCKS, P, axes) float
     square : (BLOCKS, axes) float
         Sums of squares of the readings after subtraction of their means.
+    tried : int
+        Number of candidate effects.
+    noises : tuple of _Noise
+        Ways in which the zero may move without a recorded cause.
     """
 
     readings: Floats
@@ -97,6 +103,33 @@ class _Problem:
     gram: Floats
     cross: Floats
     square: Floats
+    tried: int
+    noises: tuple[_Noise, ...]
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """A kind of slow noise, and averages over short intervals that are whitened for R sizes of this noise.
+
+    A jump of the zero at any time competes as one more column: a step between two averages.
+
+    Attributes
+    ----------
+    kind : str
+    readings : (R, n, axes) float
+        Whitened averages of the readings, projected off a constant as all other columns.
+    design : (R, n, P) float
+    steps : (R, n, n − 1) float
+        Steps of unit size between neighbouring averages.
+    scale : (R,) float
+        Logarithm of the density's factor that depends only on the noise.
+    """
+
+    kind: str
+    readings: Floats
+    design: Floats
+    steps: Floats
+    scale: Floats
 
 
 Model = tuple[_Candidate, ...]
@@ -128,15 +161,38 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     losses = _held_out(problem, model)
     squares = [float(losses.sum())]
     history = [("base", _figures(problem, model))]
+    reasons: dict[str, str] = {}
+    shares: list[dict[_Candidate, float]] = []
     while len(model) < max_effects:
-        nothing: tuple[_Candidate | None, Floats] = (None, losses)
-        work = partial(_best_addition, problem, model, candidates, losses)
-        chosen, better = attempt("further effects", work, nothing)
-        if chosen is None:
+        nothing: dict[_Candidate, float] = {}
+        share = attempt("further effects", partial(_shares, problem, model, candidates), nothing)
+        chosen = max(share, key=share.__getitem__, default=None)
+        none = 1 - sum(share.values())
+        if chosen is None or none > limits.certain:
+            reasons = {
+                one.effect.name: f"a jump or slow noise of the zero is in its place with {none:.0%}"
+                for one in share
+                if share[one] > 1 - limits.set_level
+            }
+            break
+        better = _held_out(problem, (*model, chosen))
+        if np.median(better / losses) > limits.worse**2:
+            reasons = {chosen.effect.name: "most held-out blocks of time would have a larger error with it"}
             break
         model, losses = (*model, chosen), better
         squares.append(float(losses.sum()))
         history.append((chosen.effect.name, _figures(problem, model)))
+        shares.append(share)
+    rest = [tuple(one for one in model if one is not chosen) for chosen in model]
+    shares = attempt(
+        "what cannot be told apart", lambda: [_shares(problem, one, candidates) for one in rest], shares
+    )
+    # The names that may be in the place of each effect, the effect first.
+    rivals = [
+        [one.effect.name, *(k.effect.name for k in share if k != one and share[k] > 1 - limits.set_level)]
+        for one, share in zip(model, shares, strict=True)
+    ]
+    uncaused: list[str] = attempt("movements without a cause", partial(_uncaused, problem, model), [])
     one_way = _one_way(conditions)
     advice: tuple[str, ...] = (
         "one pose cannot tell a change of zero from a change of gain: repeat the cycle with the part "
@@ -150,21 +206,20 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     return TraceResult(
         adequate=False,
         found=tuple(
-            _finding(problem, model, k, len(candidates), (squares[k] - squares[k + 1]) / squares[0])
-            for k in range(len(model))
+            _finding(problem, model, k, (squares[k] - squares[k + 1]) / squares[0], shares[k][one])
+            for k, one in enumerate(model)
+            if shares[k][one] >= limits.certain
         ),
         steps=tuple(Step(name, error) for name, error in history[1:]),
-        confounded=attempt(
-            "what cannot be told apart",
-            lambda: _confounded(problem, model, candidates, losses, one_way),
-            (),
-        ),
+        confounded=tuple(tuple(names) for names in rivals if len(names) > 1),
         unnamed=None,
         before=history[0][1],
         after=history[-1][1],
         detectable=_detectable(problem, model),
         advice=advice,
+        reasons=reasons,
         notes=(
+            *(["the zero moves without a recorded cause: " + ", ".join(uncaused)] if uncaused else []),
             "one pose, traced sample by sample; adequacy cannot be tested, since the noise of neighbouring "
             "samples is not independent",
             "held-out rms by axis: "
@@ -243,6 +298,8 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
     centred = readings - readings.mean(axis=0)
     parts = [(design[blocks == b], centred[blocks == b]) for b in range(BLOCKS)]
     problem = _Problem(
+        tried=len(candidates),
+        noises=_whiten_averages(centred, design, conditions.time_s),
         readings=centred,
         design=design,
         size=size,
@@ -327,7 +384,7 @@ def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
     return solution
 
 
-def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Floats, Floats]:
+def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Floats, Floats, Floats]:
     """Fit every combination of variants to all blocks of time except one, leaving out each in turn.
 
     Returns
@@ -336,21 +393,27 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
     coefficients : (choices, BLOCKS, P, axes) float
     inside : (choices, BLOCKS, axes) float
         Sums of squares of the residual in the fitted blocks.
+    spread : (choices, BLOCKS) float
+        Mean variance of the prediction in the left-out block, in variances of the noise.
     """
     choices = _choices(model)
     total, total_cross = problem.gram.sum(axis=0), problem.cross.sum(axis=0)
     square = problem.square.sum(axis=0) - problem.square
     coefficients = np.zeros((len(choices), *problem.cross.shape))
     inside = np.zeros((len(choices), *problem.square.shape))
+    spread = np.zeros((len(choices), BLOCKS))
     for j, choice in enumerate(choices):
         columns = _columns(model, choice)
         # Normal equations of all blocks but one, restricted to the columns of this choice.
-        gram = (total - problem.gram)[:, columns][:, :, columns]
+        own = problem.gram[:, columns][:, :, columns]
+        gram = total[columns][:, columns] - own
         cross = (total_cross - problem.cross)[:, columns]
         solution = _solve_with_ridge(gram, cross)
         coefficients[j][:, columns] = solution
         inside[j] = _squares(square, cross, gram, solution)
-    return choices, coefficients, inside
+        # The mean of x (XᵀX)⁻¹ xᵀ over the samples of the left-out block.
+        spread[j] = np.trace(_solve_with_ridge(gram, own), axis1=1, axis2=2) / own[:, 0, 0]
+    return choices, coefficients, inside, spread
 
 
 def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> Floats:
@@ -362,53 +425,157 @@ def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> F
 
 
 def _held_out(problem: _Problem, model: Model) -> Floats:
-    """Return the held-out sum of squares (BLOCKS, axes) of a model, averaged over its variants."""
-    _, coefficients, inside = _fits(problem, model)
+    """Return the held-out sum of squares (BLOCKS, axes) of a model, averaged over its variants.
+
+    A variant takes no part in a block that the others predict with more than four times the variance of the
+    noise; a block without any variant counts as a constant.
+    """
+    _, coefficients, inside, spread = _fits(problem, model)
     # The noise is fitted: −n/2 ln(sum of squares), with one independent value per block.
     likelihood = -BLOCKS / 2 * np.log(np.maximum(inside, 1e-300))
-    weight = np.exp(likelihood - likelihood.max(axis=0))
-    weight /= weight.sum(axis=0)
+    weight = np.exp(likelihood - likelihood.max(axis=0)) * (spread <= limits.predicted - 1)[:, :, None]
+    weight /= np.maximum(weight.sum(axis=0), 1e-300)
     mean = np.einsum("jba,jbpa->bpa", weight, coefficients)
     return _squares(problem.square, problem.cross, problem.gram, mean)
 
 
 def _best_variants(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
     """Return for each axis the most likely combination of the variants of the model's effects."""
-    choices, _, inside = _fits(problem, model)
+    choices, _, inside, _ = _fits(problem, model)
     return [choices[k] for k in inside.sum(axis=1).argmin(axis=0)]
 
 
-def _gain(before: Floats, after: Floats) -> tuple[float, float]:
-    """Return the relative decrease of the held-out error, and the p-value that it is no decrease.
+def _whiten_averages(readings: Floats, design: Floats, time_s: Floats) -> tuple[_Noise, ...]:
+    """Average samples over short intervals, and whiten the averages for each kind of slow noise."""
+    count = min(AVERAGES, len(time_s))
+    cuts = np.arange(count) * len(time_s) // count
+    size = np.diff(np.append(cuts, len(time_s)))[:, None]
 
-    The test compares the mean over the blocks of ln(error before / error after) with zero.
+    def averaged(rows: Floats) -> Floats:
+        return np.asarray(np.add.reduceat(rows, cuts) / size)
+
+    t = averaged(time_s[:, None])[:, 0] - time_s[0]
+    length = float(t[-1])
+    steps = np.tri(count, count - 1, -1)  # step k is 0 up to average k and 1 after it
+    columns = np.hstack([np.ones((count, 1)), averaged(readings), averaged(design[:, 1:]), steps])
+    gaps = np.abs(t[:, None] - t)
+    # 1/f noise is the sum of processes with correlation times at equal logarithmic spacing.
+    taus = np.geomspace(length / count, 10 * length, 12)
+    kernels = {
+        _WHITE: np.zeros((count, count)),
+        "a random walk": np.minimum(t[:, None], t),
+        "1/f noise": np.exp(-gaps[None] / taus[:, None, None]).mean(axis=0),
+    }
+    centre = np.eye(count) - 1 / count
+    noises = []
+    for kind, kernel in kernels.items():
+        variance = np.trace(centre @ kernel @ centre) / count
+        values, vectors = np.linalg.eigh(kernel / variance if variance > 0 else kernel)
+        ratios = np.array(NOISE_RATIOS if variance > 0 else (0.0,))
+        spread = 1 + ratios[:, None] * np.maximum(values, 0.0)
+        white = (vectors.T @ columns) / np.sqrt(spread)[:, :, None]
+        constant = white[:, :, :1]
+        norm = (constant**2).sum(axis=1, keepdims=True)
+        white = white[:, :, 1:] - constant * (constant * white[:, :, 1:]).sum(axis=1, keepdims=True) / norm
+        scale = -0.5 * (np.log(spread).sum(axis=1) + np.log(norm[:, 0, 0]))
+        axes = readings.shape[1]
+        parts = white[:, :, :axes], white[:, :, axes : 1 - count], white[:, :, 1 - count :]
+        noises.append(_Noise(kind, *parts, scale))
+    return tuple(noises)
+
+
+def _log_evidence(problem: _Problem, model: Model) -> Floats:
+    """Return the log evidence (kinds, 2, axes) of a model by kind of noise, without and with a jump.
+
+    The kinds of noise have equal prior probability, and a jump has the probability of a candidate. The size
+    of the noise, the place of the jump and the variants of the model's effects are averaged. The prior of p
+    amplitudes is g times their covariance, with g the number n of averages (Zellner's prior; Liang et al.,
+    J. Am. Stat. Assoc. 103, 2008): with a share R² explained, they multiply the evidence by
+    (1 + g)^((n − 1 − p)/2) (1 + g (1 − R²))^(−(n − 1)/2).
     """
-    from scipy import stats
+    from scipy.special import logsumexp
 
-    scale = np.maximum(before.sum(axis=0), 1e-300)
-    relative = 1 - float(np.sqrt((after.sum(axis=0) / scale).mean()))
-    # Blocks of constant temperature have little to gain or lose. A floor of a thousandth of the mean
-    # block keeps them from dominating the mean of the logarithms.
-    floor = 1e-3 * scale / BLOCKS
-    gains = np.log((before + floor) / (after + floor)).mean(axis=1)
-    p = float(stats.ttest_1samp(gains, 0.0, alternative="greater").pvalue) if np.ptp(gains) > 0 else 1.0
-    return relative, p
+    choices = _choices(model)
+    out = np.empty((len(problem.noises), 2, problem.readings.shape[1]))
+    for k, noise in enumerate(problem.noises):
+        n = noise.readings.shape[1]
+        total = (noise.readings**2).sum(axis=1)
+
+        def factor(rest: Floats, p: int, n: int = n) -> Floats:
+            """Return the logarithm of the factor of p amplitudes that leave a share `rest`, 1 − R²."""
+            g = float(n)
+            return np.asarray(
+                0.5 * (n - 1 - p) * np.log1p(g) - 0.5 * (n - 1) * np.log1p(g * np.maximum(rest, 0.0))
+            )
+
+        alone = noise.scale[:, None] - 0.5 * (n - 1) * np.log(np.maximum(total, 1e-300))
+        parts = np.empty((2, len(choices), *alone.shape))
+        for j, choice in enumerate(choices):
+            columns = [c - 1 for c in _columns(model, choice)[1:]]
+            basis = np.linalg.qr(noise.design[:, :, columns])[0]
+            turned = basis.transpose(0, 2, 1)
+            left = noise.readings - basis @ (turned @ noise.readings)
+            steps = noise.steps - basis @ (turned @ noise.steps)
+            rest = (left**2).sum(axis=1)
+            norm = (steps**2).sum(axis=1)
+            # A step inside the span of the other columns explains nothing more.
+            gain = (steps.transpose(0, 2, 1) @ left) ** 2 / np.maximum(norm, 1e-9 * n)[:, :, None]
+            floor = np.maximum(total, 1e-300)
+            parts[0, j] = factor(rest / floor, len(columns))
+            jumped = factor((rest[:, None] - gain) / floor[:, None], len(columns) + 1)
+            parts[1, j] = logsumexp(jumped, axis=1) - np.log(jumped.shape[1])
+        parts += alone
+        out[k] = logsumexp(parts, axis=(1, 2)) - np.log(len(choices) * len(alone))
+    jump = 1 / (1 + problem.tried)
+    return out + np.log([1 - jump, jump])[:, None]
 
 
-def _best_addition(
-    problem: _Problem, model: Model, candidates: tuple[_Candidate, ...], losses: Floats
-) -> tuple[_Candidate | None, Floats]:
-    """Return the effect that lowers the held-out error most, or None if the decrease is not significant."""
-    best: tuple[float, _Candidate | None, Floats] = (LEAST_GAIN, None, losses)
-    for candidate in candidates:
-        if candidate in model:
-            continue
+def _log_odds(problem: _Problem, model: Model, simpler: Model) -> float:
+    """Return the log posterior odds of a model against a model that lacks one of its effects.
+
+    An effect has the prior odds 1 to the number of candidates. It may be absent on some axes, each with
+    probability ½.
+    """
+    from scipy.special import logsumexp
+
+    by_axis = [logsumexp(_log_evidence(problem, one), axis=(0, 1)) for one in (model, simpler)]
+    gained = by_axis[0] - by_axis[1]
+    # Π (1 + BF) over the axes, without the product in which the effect is absent on each.
+    product = float(np.logaddexp(0.0, gained).sum())
+    inside = product + np.log(-np.expm1(-product)) if product > 0 else -np.inf
+    return float(inside - np.log(2.0 ** len(gained) - 1) - np.log(problem.tried))
+
+
+def _shares(problem: _Problem, model: Model, candidates: Sequence[_Candidate]) -> dict[_Candidate, float]:
+    """Return the probability of each further effect of a model; the rest is that there is none.
+
+    The odds against none are 1 to the number of candidates before the measurement.
+    """
+    from scipy.special import softmax
+
+    others = [one for one in candidates if one not in model]
+    odds = [0.0]
+    for one in others:
         check()
-        new = _held_out(problem, (*model, candidate))
-        relative, p = _gain(losses, new)
-        if p < FOUND_IN_ONE_POSE / len(candidates) and relative > best[0]:
-            best = (relative, candidate, new)
-    return best[1], best[2]
+        odds.append(_log_odds(problem, (*model, one), model))
+    return dict(zip(others, softmax(odds).tolist()[1:], strict=True))
+
+
+def _uncaused(problem: _Problem, model: Model) -> list[str]:
+    """Return the movement of the zero on each axis for which no recorded condition is a cause."""
+    from scipy.special import softmax
+
+    out = []
+    chance = softmax(_log_evidence(problem, model), axis=(0, 1))
+    for axis in range(chance.shape[2]):
+        ways = {
+            "a jump": chance[:, 1, axis].sum(),
+            **{noise.kind: chance[k, 0, axis] for k, noise in enumerate(problem.noises)},
+        }
+        likely = max(ways, key=ways.__getitem__)
+        if likely != _WHITE and chance[0, 0, axis] < 1 - limits.set_level:
+            out.append(f"{AXES[axis]} by {likely} ({ways[likely]:.0%})")
+    return out
 
 
 def _one_way(conditions: Conditions) -> bool:
@@ -419,30 +586,6 @@ def _one_way(conditions: Conditions) -> bool:
     if np.ptp(temperature) == 0:
         return False
     return abs(float(stats.spearmanr(conditions.time_s, temperature).statistic)) > ONE_WAY
-
-
-def _confounded(
-    problem: _Problem, model: Model, candidates: tuple[_Candidate, ...], losses: Floats, one_way: bool
-) -> tuple[tuple[str, ...], ...]:
-    """Return groups of effects that the recording cannot distinguish: a found effect and its rivals.
-
-    If the temperature only rose or only fell, its effect cannot be distinguished from a drift in time.
-    """
-    groups = []
-    for which, one in enumerate(model):
-        others = []
-        for other in candidates:
-            check()
-            if other in model:
-                continue
-            trial = tuple(other if k == which else m for k, m in enumerate(model))
-            ratio = _held_out(problem, trial).sum(axis=0) / np.maximum(losses.sum(axis=0), 1e-300)
-            same = one_way and {one.effect.name, other.effect.name} == {"bias_temperature", "bias_drift"}
-            if same or np.sqrt(ratio.mean()) < ALIKE:
-                others.append(other.effect.name)
-        if others:
-            groups.append((one.effect.name, *others))
-    return tuple(groups)
 
 
 def _figures(problem: _Problem, model: Model) -> ErrorFigures:
@@ -472,7 +615,7 @@ def _coefficients(problem: _Problem, columns: list[int], axis: int, without: int
     return out
 
 
-def _finding(problem: _Problem, model: Model, which: int, tried: int, explains: float) -> Finding:
+def _finding(problem: _Problem, model: Model, which: int, explains: float, share: float) -> Finding:
     made = model[which].effect
     parameters: dict[str, Value] = {}
     for axis, choice in enumerate(_best_variants(problem, model)):
@@ -485,16 +628,13 @@ def _finding(problem: _Problem, model: Model, which: int, tried: int, explains: 
             parameters[f"{name}_{AXES[axis]}"] = Value(float(values[k]), float(spread[k]), unit)
         if variant.shape is not None:
             parameters[f"tau_{AXES[axis]}"] = Value(variant.shape, None, "s")
-    whole = _held_out(problem, model)
-    without = _held_out(problem, tuple(m for k, m in enumerate(model) if k != which))
-    _, p = _gain(without, whole)
     return Finding(
         effect=made.name,
         axes=made.axes,
         parameters=parameters,
-        p_value=min(1.0, p * tried),
+        p_value=1.0 - share,
         explains=float(np.clip(explains, 0, 1)),
-        probability=1.0 - min(1.0, p * tried),
+        probability=share,
         cause=made.cause,
     )
 

@@ -99,7 +99,7 @@ def test_a_board_in_use_is_busy_and_is_free_after_closing(bridge):
         *(("mcp2210", f"mcp2210:?{one}") for one in ("timeout_ms=0", "cs=3&reset_gpio=3")),
         ("mcp2210", "mcp2210:?cs=6&event_counter=1"),
         *(("serial", f"?{one}") for one in ("baud=x", "edge=both", "speed=1", "boot_ms=1")),
-        *(("spidev", f"?{one}") for one in ("reset_gpio=x", "cs_high_us=-1", "speed=1")),
+        *(("spidev", f"?{one}") for one in ("reset_gpio=17", "cs_high_us=-1", "speed=1")),
     ],
 )
 def test_a_wrong_option_is_refused_and_leaves_the_board_free(bridge, options):
@@ -204,6 +204,28 @@ def test_unplugging_is_a_clear_error_and_plugging_in_again_works(bridge):
     bench.plug_in()
     with bench.open() as again:
         assert again.exchange([0x3800, 0])[1] == 0x0402
+
+
+@pytest.mark.parametrize("after", range(1, 9))
+@each_usb
+def test_an_interruption_by_the_operator_leaves_no_answer_to_the_next_request(bridge, after):
+    bench = USB[bridge]()
+    with bench.open() as bus:
+        (owner, name), calls = bench.reader(bus), []
+        read = getattr(owner, name)
+
+        def interrupted(size, timeout_ms=0):
+            calls.append(timeout_ms)
+            if len(calls) == after:
+                raise KeyboardInterrupt
+            return read(size, timeout_ms)
+
+        setattr(owner, name, interrupted)
+        with contextlib.suppress(KeyboardInterrupt):
+            bus.exchange([0x3800, 0x3600, 0, 0x3800, 0x3600, 0, 0x3600, 0])
+        setattr(owner, name, read)
+        assert len(calls) == after
+        assert bus.exchange([0x3600, 0x3800, 0])[1:] == [0x0001, 0x0402]
 
 
 @pytest.mark.parametrize(("bridge", "most_s"), [("cp2130", 0.35), ("mcp2210", 0.25)])

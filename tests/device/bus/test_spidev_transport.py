@@ -7,14 +7,12 @@ import sys
 import pytest
 
 from adis_gonio.base.errors import BusTimeoutError, CannotOpenError, ProtocolError, UsageError
-from adis_gonio.device.bus import BusUrl, Capability, SpiTiming
-from adis_gonio.device.bus import spidev as k
+from adis_gonio.device.bus import BusUrl, Capability, SpiTiming, spidev as k
 from adis_gonio.device.bus.spidev import find_devices, open_from_url
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig, assert_timing
 from adis_gonio.sim.testing.faults import Faults
-from fakes.benches import SPIDEV_PATH
-from fakes.benches import SpidevBench as Bench
+from fakes.benches import SPIDEV_PATH, SpidevBench as Bench
 from fakes.spidev_kernel import (
     CPHA,
     CS_HIGH,
@@ -29,7 +27,7 @@ FAST = SpiTiming(1e6, 9.0, 40.0)
 
 
 class TestSpidev(BusContract):
-    options = "?reset_gpio=17"
+    options = "?reset_gpio=gpiochip0:17"
 
     def make(self) -> Rig:
         bench = Bench(**self.machine())
@@ -229,7 +227,7 @@ def test_a_failed_opening_gives_everything_back():
     bench = Bench()
     bench.kernel.reset_line = 3
     with pytest.raises(CannotOpenError, match="busy"):
-        bench.open("?reset_gpio=17")
+        bench.open("?reset_gpio=gpiochip0:17")
     with pytest.raises(UsageError, match="no line 99"):
         bench.open("?reset_gpio=gpiochip0:99")
     with pytest.raises(CannotOpenError, match="no /dev/gpiochip4 "):
@@ -284,6 +282,44 @@ def test_the_controller_going_away_is_a_clear_error(code):
         bench.kernel.ioctl = unbound
         with pytest.raises(CannotOpenError, match="gone"):
             bus.exchange([0])
+
+
+def open_with_line(tmp_path, line, kernel):
+    """Open and close a bus on a machine with the GPIO chips of this kernel."""
+    for name in kernel.chips:
+        (tmp_path / name).touch()
+    url = BusUrl.parse(f"spidev:{next(iter(kernel.pins))}?reset_gpio={line}")
+    open_from_url(url, system=kernel, folder=str(tmp_path)).close()
+    assert not kernel.files
+
+
+# On some boards gpiochip0 is another chip, and the lines of the header are on gpiochip4.
+BOARD = {"gpiochip0": ["ID_SDA", "", "GPIO20"], "gpiochip4": [f"GPIO{k}" for k in range(5, 30)]}
+
+
+def test_a_reset_line_is_found_by_its_name_on_any_chip(tmp_path):
+    kernel = Bench().kernel
+    kernel.chips, kernel.reset_line = BOARD, 12
+    open_with_line(tmp_path, "GPIO17", kernel)
+    assert kernel.requested == [("gpiochip4", 12)]
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("17", r"GPIO17.*gpiochip0:17"),
+        ("GPIO20", "gpiochip0:2 or gpiochip4:15"),
+        ("GPI017", "did you mean GPIO17"),
+        ("RESET", "no GPIO line is called 'RESET'"),
+    ],
+)
+def test_an_ambiguous_or_unknown_reset_line_drives_nothing(tmp_path, line, says):
+    kernel = Bench().kernel
+    kernel.chips = BOARD
+    with pytest.raises(UsageError, match=says):
+        open_with_line(tmp_path, line, kernel)
+    assert not kernel.requested
+    assert not kernel.files
 
 
 def test_only_a_wired_reset_is_a_capability():

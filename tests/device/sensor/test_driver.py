@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from adis_gonio import open_bus, open_sensor
 from adis_gonio.base.errors import (
@@ -23,7 +22,8 @@ from adis_gonio.device.sensor.registers import BY_NAME, FAST, NORMAL, REGISTERS
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.chip import State
 from adis_gonio.sim.sampling import OUTPUTS, SignalChain
-from fakes.buses import ConstantBus, RecordingBus, ScriptedBus
+from adis_gonio.testing import ExpectedFrames
+from fakes.buses import ConstantBus, RecordingBus
 from fakes.numbered_scans import Judge, NumberedChip
 
 SIM = "sim:?seed=3"
@@ -168,7 +168,7 @@ def test_the_frames_of_a_verified_write_are_the_data_sheets():
         (0xA034, 0x0000), (0xA102, 0x0000),  # XACCL_OFF low, high
         (0x2000, 0x0000), (0x0000, 0x0234),  # read back, one frame late
     ]  # fmt: skip
-    with Adis16354(ScriptedBus(script), check=False) as sensor:
+    with Adis16354(ExpectedFrames(script), check=False) as sensor:
         sensor.write("XACCL_OFF", 0x234)
 
 
@@ -177,7 +177,7 @@ def test_a_write_that_does_not_stick_is_an_error():
         *CONFIGURATION,
         (0xA034, 0), (0xA102, 0), (0x2000, 0), (0x0000, 0x0034),
     ]  # fmt: skip
-    sensor = Adis16354(ScriptedBus(script), check=False)
+    sensor = Adis16354(ExpectedFrames(script), check=False)
     with pytest.raises(VerifyError, match="XACCL_OFF: wrote 0x0234, read back 0x0034"):
         sensor.write("XACCL_OFF", 0x234)
 
@@ -393,11 +393,10 @@ def test_saved_offsets_survive_a_reset_and_unsaved_ones_do_not(sensor):
 def test_a_flash_update_that_was_not_done_is_found_by_the_counter():
     script = [
         *CONFIGURATION,
-        *checked_reading((0x0000, 7)),  # life
         *checked_reading((0x0000, 7)),  # before
         (0xBE08, 0), *checked_reading((0x0000, 7)),  # the command, and the counter stands still
     ]  # fmt: skip
-    sensor = Adis16354(ScriptedBus(script), check=False)
+    sensor = Adis16354(ExpectedFrames(script), check=False)
     with pytest.raises(VerifyError, match="ENDURANCE was 7 and is 7"):
         sensor.save_to_flash()
 
@@ -405,7 +404,7 @@ def test_a_flash_update_that_was_not_done_is_found_by_the_counter():
 def test_a_worn_flash_is_not_written_unless_forced():
     script = [*CONFIGURATION, *checked_reading((0x0000, 10_000))]
     with (
-        Adis16354(ScriptedBus(script), check=False) as sensor,
+        Adis16354(ExpectedFrames(script), check=False) as sensor,
         pytest.raises(ChipError, match="made for 10000"),
     ):
         sensor.save_to_flash()

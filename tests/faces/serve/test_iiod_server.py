@@ -1,5 +1,6 @@
 """The server with plain sockets: answers, errors, many clients, clients that die, and its end."""
 
+import contextlib
 import gc
 import os
 import signal
@@ -15,6 +16,7 @@ import pytest
 from adis_gonio.base.errors import BusTimeoutError
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
+from adis_gonio.faces.serve import iio_server
 from adis_gonio.faces.serve.iio_server import MOST_PENDING, SEND_BUFFER
 from adis_gonio.sim.bus import SimBus
 from faces.serve.raw_client import WAIT_S, RawClient, served
@@ -128,6 +130,25 @@ def test_with_leave_offsets_rate_and_filter_are_written_and_read_back():
         after = int(client.text("READ iio:device0 INPUT accel_z raw"))
         assert after - before == pytest.approx(-1000, abs=60)
     assert server.failure == []
+
+
+def test_a_connection_that_is_idle_gives_way_and_one_in_use_does_not(monkeypatch):
+    monkeypatch.setattr(iio_server, "MOST_CLIENTS", 3)
+    monkeypatch.setattr(iio_server, "IDLE_S", 600.0)
+    with served() as server, contextlib.ExitStack() as stack:
+        streaming, first, second = (stack.enter_context(server.client()) for _ in range(3))
+        assert streaming.ask(f"OPEN iio:device0 64 {ALL:08x}") == 0
+        for client in (first, second):
+            assert client.text("READ iio:device0 sampling_frequency")
+        with server.client() as refused:
+            assert refused.file.read() == b""
+        monkeypatch.setattr(iio_server, "IDLE_S", 0.0)
+        # With no time allowed, the client that asked first has been idle for the longest time.
+        new = stack.enter_context(server.client())
+        assert new.text("READ iio:device0 sampling_frequency")
+        assert first.file.read() == b""
+        assert second.text("READ iio:device0 sampling_frequency")
+        assert streaming.ask("CLOSE iio:device0") == 0
 
 
 def test_five_clients_each_with_a_mask_of_its_own_lose_nothing():

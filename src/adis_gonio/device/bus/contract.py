@@ -38,10 +38,10 @@ from __future__ import annotations
 import threading
 import time
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,7 @@ from numpy.typing import NDArray
 from adis_gonio.base import Closing
 from adis_gonio.base.errors import BusClosedError, CapabilityError, ProtocolError, UsageError
 
+T = TypeVar("T")
 Words = NDArray[np.uint16]
 
 FRAME_BITS = 16
@@ -126,6 +127,11 @@ class SpiBus(Closing):
     # -- public methods --------------------------------------------------------------------------
 
     @property
+    def kind(self) -> str:
+        """Class of the bus, for a report."""
+        return type(self).__name__
+
+    @property
     def timing(self) -> SpiTiming:
         """Timing that the bus uses now."""
         return self._timing
@@ -200,6 +206,13 @@ class SpiBus(Closing):
     def sleep_s(self, seconds: float) -> None:
         """Wait for `seconds` on the clock of this bus."""
         time.sleep(seconds)
+
+    def witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return `observe()`, a JSON value from outside the bus, such as an answer of the operator.
+
+        A recording bus keeps the value, and a replay returns the kept value instead.
+        """
+        return observe()
 
     # -- optional capabilities --------------------------------------------------------------------
 

@@ -2,7 +2,7 @@
 
 | option | meaning | default |
 |---|---|---|
-| `reset_gpio` | the chip's RST: `17` on gpiochip0, or `gpiochip4:17` | none |
+| `reset_gpio` | the chip's RST: name of a GPIO line, such as `GPIO17`, or `gpiochip0:17` | none |
 | `cs_high_us` | time for which the kernel keeps CS high within a message | 10 |
 
 Many frames are one ioctl if the kernel can keep the stall; otherwise each frame is one. The structures
@@ -30,12 +30,12 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import difflib
 import errno
 import os
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -49,11 +49,11 @@ from adis_gonio.device.bus.host import (
     HostBus,
     UrlOptions,
     busy,
+    choose,
     gone,
     missing,
     no_permission,
     readable_and_writable,
-    several,
 )
 from adis_gonio.device.bus.opening import BusUrl, Device
 
@@ -134,6 +134,28 @@ class LineValues(ctypes.Structure):
     _fields_ = (("bits", ctypes.c_uint64), ("mask", ctypes.c_uint64))
 
 
+class ChipInfo(ctypes.Structure):
+    """Linux struct gpiochip_info."""
+
+    _fields_ = (("name", ctypes.c_char * 32), ("label", ctypes.c_char * 32), ("lines", ctypes.c_uint32))
+
+
+class LineInfo(ctypes.Structure):
+    """Linux struct gpio_v2_line_info."""
+
+    _fields_ = (
+        ("name", ctypes.c_char * 32),
+        ("consumer", ctypes.c_char * 32),
+        ("offset", ctypes.c_uint32),
+        ("num_attrs", ctypes.c_uint32),
+        ("flags", ctypes.c_uint64),
+        ("attrs", ctypes.c_uint64 * 20),
+        ("padding", ctypes.c_uint32 * 4),
+    )
+
+
+GET_CHIP_INFO = _ioc(_READ, 0xB4, 0x01, ctypes.sizeof(ChipInfo))
+GET_LINE_INFO = _ioc(_READ | _WRITE, 0xB4, 0x05, ctypes.sizeof(LineInfo))
 GET_LINE = _ioc(_READ | _WRITE, 0xB4, 0x07, ctypes.sizeof(LineRequest))
 SET_VALUES = _ioc(_READ | _WRITE, 0xB4, 0x0F, ctypes.sizeof(LineValues))
 LINE_OUTPUT, LINE_OPEN_DRAIN = 1 << 3, 1 << 6
@@ -153,24 +175,8 @@ def open_drain_line(offset: int) -> LineRequest:
     return request
 
 
-class Kernel(Protocol):
-    """The system calls that this module uses; tests replace them."""
-
-    def open(self, path: str) -> int:
-        """Open a device file for reading and writing; return its descriptor or raise `OSError`."""
-
-    def ioctl(self, fd: int, request: int, argument: Any) -> int:
-        """Call ioctl with a ctypes object that the kernel reads and writes; raise `OSError` on failure."""
-
-    def lock(self, fd: int) -> None:
-        """Take an advisory lock; raise `BlockingIOError` if another program has it."""
-
-    def close(self, fd: int) -> None:
-        """Close a file descriptor."""
-
-
-class LinuxKernel:
-    """The system calls of Linux that this module uses.
+class Kernel:
+    """The system calls of Linux that this module uses; tests replace them.
 
     Raises
     ------
@@ -220,8 +226,6 @@ class SpidevBus(HostBus):
         System calls.
     fd : int
         The open device file.
-    release : callable
-        Called when the bus is closed.
     url : str
         For messages.
     cs_high_us : float
@@ -243,14 +247,12 @@ class SpidevBus(HostBus):
         self,
         system: Kernel,
         fd: int,
-        *,
-        release: Callable[[], object],
-        url: str = "spidev:",
-        cs_high_us: float = CS_HIGH_US,
-        reset_fd: int | None = None,
+        url: str,
+        cs_high_us: float,
+        reset_fd: int | None,
         clock: Clock = WALL,
     ) -> None:
-        super().__init__(url, clock, release)
+        super().__init__(url, clock)
         self._system = system
         self._fd = fd
         self._cs_high_us = cs_high_us
@@ -366,7 +368,7 @@ class SpidevBus(HostBus):
 
 
 _OPTIONS = ("reset_gpio", "cs_high_us")
-_LINE = re.compile(r"(?:(gpiochip\d+):)?(\d+)")
+_LINE = re.compile(r"(gpiochip\d+):(\d+)")
 
 
 def open_from_url(
@@ -392,18 +394,20 @@ def open_from_url(
     """
     options = UrlOptions(url, _OPTIONS)
     cs_high_us = options.number("cs_high_us", round(CS_HIGH_US), 0, 1_000_000)
-    line = _line(url, options)
+    line = options.text("reset_gpio")
+    if line.isdecimal():
+        raise UsageError(
+            f"'{url.text}': reset_gpio={line} could be on several GPIO chips;"
+            f" name the line (GPIO{line}) or its chip (gpiochip0:{line})"
+        )
     path = url.place
     if not path:
-        devices = find_devices(folder=folder)
-        if len(devices) > 1:
-            raise several(url.text, devices)
-        if not devices:
-            raise missing(url.text, "SPI device file (on a Raspberry Pi: dtparam=spi=on)")
-        path = BusUrl.parse(devices[0].url).place
+        found = find_devices(folder=folder)
+        only = choose(url, "SPI device file (on a Raspberry Pi: dtparam=spi=on)", found, [], list)
+        path = BusUrl.parse(only.url).place
     if system is None:
         try:
-            system = LinuxKernel()
+            system = Kernel()
         except ImportError:
             raise CannotOpenError(f"{url.text}: spidev is Linux's; this system has none") from None
     with contextlib.ExitStack() as stack:
@@ -414,21 +418,10 @@ def open_from_url(
         except BlockingIOError:
             raise busy(url.text, path) from None
         reset_fd = None
-        if line is not None:
-            reset_fd = _request_line(system, url.text, f"{folder}/{line[0]}", line[1], folder)
+        if line:
+            reset_fd = _request_line(system, url.text, *_find_line(system, url.text, line, folder), folder)
             stack.callback(system.close, reset_fd)
-        kept = contextlib.ExitStack()
-        bus = SpidevBus(
-            system,
-            fd,
-            release=kept.close,
-            url=url.text,
-            cs_high_us=cs_high_us,
-            reset_fd=reset_fd,
-            clock=clock,
-        )
-        kept.push(stack.pop_all())
-    return bus
+        return SpidevBus(system, fd, url.text, cs_high_us, reset_fd, clock).take_over(stack)
 
 
 def find_devices(*, folder: str = "/dev") -> list[Device]:
@@ -440,14 +433,35 @@ def find_devices(*, folder: str = "/dev") -> list[Device]:
     return devices
 
 
-def _line(url: BusUrl, options: UrlOptions) -> tuple[str, int] | None:
-    text = options.text("reset_gpio")
-    if not text:
-        return None
-    found = _LINE.fullmatch(text)
-    if found is None:
-        raise UsageError(f"'{url.text}': reset_gpio is a line such as 17 or gpiochip4:17")
-    return found[1] or "gpiochip0", int(found[2])
+def _find_line(system: Kernel, url: str, line: str, folder: str) -> tuple[str, int]:
+    """Find a GPIO line by `gpiochipN:OFFSET` or by its name; return the path of its chip and its offset."""
+    written = _LINE.fullmatch(line)
+    if written:
+        return f"{folder}/{written[1]}", int(written[2])
+    names: dict[str, list[tuple[str, int]]] = {}
+    for path in map(str, sorted(Path(folder).glob("gpiochip*"))):
+        chip = _open(system, url, path, "gpiochip", folder)
+        try:
+            about = ChipInfo()
+            system.ioctl(chip, GET_CHIP_INFO, about)
+            for offset in range(about.lines):
+                info = LineInfo(offset=offset)
+                system.ioctl(chip, GET_LINE_INFO, info)
+                names.setdefault(info.name.decode(errors="replace"), []).append((path, offset))
+        except OSError as error:
+            raise _cannot_open(error, url, path, "gpiochip", folder) from error
+        finally:
+            system.close(chip)
+    names.pop("", None)
+    found = names.get(line, [])
+    if len(found) == 1:
+        return found[0]
+    if found:
+        places = " or ".join(f"{Path(path).name}:{offset}" for path, offset in found)
+        raise UsageError(f"'{url}': {len(found)} GPIO lines are called '{line}'; choose {places}")
+    near = difflib.get_close_matches(line, names, n=3)
+    hint = f"did you mean {' or '.join(near)}?" if near else "gpioinfo lists the lines"
+    raise UsageError(f"'{url}': no GPIO line is called '{line}'; {hint}")
 
 
 def _open(system: Kernel, url: str, path: str, rule: str, folder: str) -> int:

@@ -17,7 +17,7 @@ from pathlib import Path
 import click
 
 from adis_gonio.base import __version__
-from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.base.errors import AdisGonioError, BusTimeoutError, ChipError, ProtocolError
 from adis_gonio.faces.cli.command_groups import Home, LazyGroup
 from adis_gonio.faces.cli.terminal import RepeatedInterrupt, format_message, replace_missing_letters
 
@@ -30,6 +30,7 @@ GROUPS = {
         "angle": Home("live_commands", "Show the live angle, raw and corrected, with u."),
         "stream": Home("live_commands", "Show or record the sensor's readings."),
         "registers": Home("device_commands", "List, read and write registers."),
+        "frames": Home("device_commands", "List the frames of a recording, decoded."),
         "selftest": Home("device_commands", "Run the sensor's internal self-test."),
         "write": Home("board_commands", "Write a session's biases into the offset registers."),
     },
@@ -84,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except click.ClickException as error:
         return _fail(" ".join(error.format_message().split()), error.exit_code)
     except AdisGonioError as error:
-        return _fail(str(error), error.exit_code)
+        return _fail(f"{error}{_recording_hint(error)}", error.exit_code)
     except (KeyboardInterrupt, click.Abort):
         return _fail("stopped by the operator; what was recorded is kept", 130)
     except BrokenPipeError:
@@ -103,6 +104,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}", 1)
     return status if isinstance(status, int) else 0
+
+
+def _recording_hint(error: AdisGonioError) -> str:
+    """Advice to record the frames of the command, if the error came from a device; else empty."""
+    if not isinstance(error, BusTimeoutError | ProtocolError | ChipError):
+        return ""
+    return " (to report it: repeat it with record:run.rec: before the URL and attach run.rec)"
 
 
 def _fail(message: str, status: int) -> int:

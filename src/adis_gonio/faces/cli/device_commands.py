@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import use_minus
 from adis_gonio.device.bus import find_devices
 from adis_gonio.device.bus.host import udev_rules
 from adis_gonio.device.sensor import DEFAULT_SCAN, REGISTERS, Adis16354, Register, open_sensor
-from adis_gonio.device.sensor.registers import Kind, register, registers
+from adis_gonio.device.sensor.registers import CONFIDENCES, Kind, register, registers
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json, table_of
 
@@ -130,6 +131,70 @@ def serve_command(
         IioServer(sensor, settings, tell=lambda line: click.echo(line, err=True), ready=ready).run()
 
 
+@option.command("frames")
+@click.argument("recording", type=option.FILE, metavar="RECORDING")
+@click.option("--register", "names", metavar="NAME,…", help="List only these registers.")
+@click.option("--from", "from_s", type=float, metavar="SECONDS", help="List nothing before this time.")
+@click.option("--to", "to_s", type=float, metavar="SECONDS", help="List nothing from this time on.")
+@option.flag("--errors", help="List only errors and frames that break a rule of timing.")
+@option.flag("--scans", help="List every word of a stream, not one row for each block.")
+@option.variant
+@option.json
+def frames_command(
+    *,
+    recording: Path,
+    names: str | None,
+    from_s: float | None,
+    to_s: float | None,
+    errors: bool,
+    scans: bool,
+    variant: str,
+    as_json: bool,
+) -> int:
+    """List the frames of a RECORDING with register names and decoded words.
+
+    RECORDING is a file of record: or the VCD file of a logic analyser on CS, SCLK, MOSI and MISO, such as
+    capture.vcd.
+
+    Put record:FILE: before the URL of any command to record it: record:run.rec:serial:/dev/ttyACM0. A URL
+    replay:FILE plays it back to any command. A row has the number of the record, the time on the clock of
+    the bus, the register, the frame, the word that answers it, and its value. A row with ! has an error, or
+    a frame that breaks a rule of timing of the data sheet. The exit status is 1 if there is such a row, or
+    if the recording is damaged.
+    """
+    from adis_gonio.device.bus.capture import LogicCapture
+    from adis_gonio.device.bus.recording import BusRecording
+    from adis_gonio.device.sensor.frame_log import FrameLog
+    from adis_gonio.device.sensor.variants import variant as variant_of
+
+    wanted = {row.name for row in registers(names.split(","))} if names else None
+    capture = recording.suffix.lower() == ".vcd"
+    source = LogicCapture(recording) if capture else BusRecording(recording)
+    problems, listed = 0, []
+    for row in FrameLog(variant_of(variant), scans=scans).rows(source):
+        problems += bool(row.problem)
+        chosen = (
+            (wanted is None or row.register.removesuffix("+1") in wanted)
+            and (from_s is None or row.time_s >= from_s)
+            and (to_s is None or row.time_s < to_s)
+            and (row.problem or not errors)
+        )
+        if chosen and as_json:
+            listed.append(row.as_dict())
+        elif chosen:
+            frame, word = (f"{x:04X}" if x is not None else "    " for x in (row.frame, row.word))
+            line = f"{row.record:6} {row.time_s:12.6f} {row.action:5} {row.register:10} {frame} {word}"
+            problem = f"  ! {row.problem}" if row.problem else ""
+            click.echo(f"{line} {row.value}".rstrip() + problem)
+    if as_json:
+        print_json({"frames": listed, "problems": problems, "damage": source.damage})
+    else:
+        click.echo(f"{problems} with a problem", err=True)
+        if source.damage:
+            click.echo(f"{recording}: {source.damage}", err=True)
+    return 1 if problems or source.damage else 0
+
+
 @option.command("registers")
 @click.argument("url", required=False)
 @click.argument("words", nargs=-1, metavar="[NAME | NAME=VALUE]...")
@@ -226,30 +291,35 @@ def _show_registers(
     from rich.table import Table
 
     with_values = any(quantity is not None for _, quantity in rows)
-    if with_values:
-        columns = (">number", ">value", *([">by the calibration"] if wanted else []))
-    else:
-        columns = (">bits", "access", ">default", "flash", "confidence")
+    columns = (">number", ">value", *([">by the calibration"] if wanted else []))
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("register", "address", *columns):
+    for name in ("register", "at", *(columns if with_values else (">bits", "access", "evidence"))):
         table.add_column(name.lstrip(">"), justify="right" if name[0] == ">" else "left")
     table.add_column("meaning", overflow="fold")
     for row, quantity in rows:
+        meaning = row.meaning
         if with_values:
-            number = f"0x{quantity.number:04X}" if row.kind is Kind.FIELDS else str(quantity.number)
+            number = (
+                f"0x{quantity.number:04X}" if row.kind is Kind.FIELDS else use_minus(str(quantity.number))
+            )
             cells = [number, "" if row.kind in (Kind.FIELDS, Kind.COUNT) else str(quantity)]
             cells += [str(wanted.get(row.name, ""))] if wanted else []
         else:
-            bits, flash = f"{row.bits}{'s' if row.signed else 'u'}", "yes" if row.flash_mask else ""
-            cells = [bits, row.access.value, f"0x{row.default:04X}", flash, row.confidence]
-        table.add_row(row.name, f"0x{row.address:02X}", *cells, row.meaning)
+            access = row.access.value + (", flash" if row.flash_mask else "")
+            cells = [f"{row.bits}{'s' if row.signed else 'u'}", access, row.confidence]
+            meaning += f" (default 0x{row.default:04X})" if row.default else ""
+        table.add_row(row.name, f"0x{row.address:02X}", *cells, meaning)
         if fields or (with_values and len(rows) <= 4):
             for field in row.fields:
                 bits = f"[{field.high}:{field.low}]" if field.high != field.low else f"[{field.low}]"
                 held = [str(field.of(quantity.number))] if with_values else []
                 spare = [""] * (len(cells) - len(held))
                 table.add_row(f"  {field.name}", bits, *held, *spare, field.meaning, style="dim")
-    console().print(table)
+    screen = console()
+    screen.print(table)
+    if not with_values:
+        for letter, meaning in CONFIDENCES.items():
+            screen.print(f"evidence {letter}: {meaning}")
 
 
 def _register_document(row: Register, quantity: Any) -> dict[str, Any]:

@@ -39,6 +39,9 @@ PORT = 30431
 MOST_CLIENTS = 64
 """Most connections; a context of libiio has one, and one more for each open buffer."""
 
+IDLE_S = 60.0
+"""Time without a request after which a connection without a buffer gives way to a new connection."""
+
 SEND_BUFFER = 1 << 15
 """Bytes in the system's send buffer: more than a second of all channels at full rate."""
 
@@ -181,12 +184,18 @@ class ClientSession:
         self._lost_before = 0
         self._timeout_s: float | None = None
         self._gone = False
+        self._last_s = time.monotonic()
         self._pending: asyncio.Queue[Request] = asyncio.Queue(MOST_PENDING)
 
     @property
     def lost(self) -> int:
         """Number of scans that were lost because this client read too slowly."""
         return self._lost_before + (self._buffer.queue.lost if self._buffer else 0)
+
+    @property
+    def idle_s(self) -> float:
+        """Time in s since the last request; 0 while a buffer is open."""
+        return 0.0 if self._buffer is not None else time.monotonic() - self._last_s
 
     async def run(self) -> None:
         """Answer requests until the client leaves, sends EXIT, or sends a malformed request.
@@ -216,6 +225,7 @@ class ClientSession:
         parser = Parser()
         with contextlib.suppress(ConnectionError, TimeoutError):
             while data := await self._reader.read(_READ):
+                self._last_s = time.monotonic()
                 for request in parser.feed(data):
                     await self._pending.put(request)
         self._gone = True
@@ -410,7 +420,7 @@ class IioServer:
         self._sampler = Sampler(sensor, names, self._scans_came, self._sensor_failed)
         self._hub = Hub(self._sampler.want, settings.queue_s)
         self._port = AttributePort(self._device, self._sampler, settings.allow_writes, self._hub.counts)
-        self._clients: set[asyncio.Task[None]] = set()
+        self._clients: dict[ClientSession, asyncio.Task[None]] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end = asyncio.Event()
 
@@ -449,9 +459,10 @@ class IioServer:
                 await self._end.wait()
         finally:
             server.close()
-            for task in self._clients:
+            tasks = list(self._clients.values())
+            for task in tasks:
                 task.cancel()
-            await asyncio.gather(*self._clients, return_exceptions=True)
+            await asyncio.gather(*tasks, return_exceptions=True)
             await asyncio.to_thread(self._sampler.stop)
         if self._hub.failure is not None:
             raise self._hub.failure
@@ -471,16 +482,16 @@ class IioServer:
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         name = _name_of(writer)
-        if self._hub.clients >= MOST_CLIENTS:
-            self._tell(f"{name}: refused, {MOST_CLIENTS} connections are open")
+        if len(self._clients) >= MOST_CLIENTS and not self._end_idlest():
+            self._tell(f"{name}: refused, {MOST_CLIENTS} connections are in use")
             writer.close()
             return
         if (task := asyncio.current_task()) is None:
             return  # asyncio runs this in a task
-        self._clients.add(task)
-        self._hub.clients += 1
         _prepare(writer)
         client = ClientSession(reader, writer, self._device, self._port, self._hub)
+        self._clients[client] = task
+        self._hub.clients += 1
         begin_s = time.monotonic()
         try:
             # The end of the server cancels the task; asyncio would log a cancelled connection as an error.
@@ -488,12 +499,20 @@ class IioServer:
                 await client.run()
         finally:
             self._hub.clients -= 1
-            self._clients.discard(task)
+            self._clients.pop(client, None)
             if client.sent or client.lost:
                 self._tell(
                     f"{name}: left after {time.monotonic() - begin_s:.1f} s,"
                     f" {counted(client.sent, 'scan')} sent, {client.lost} lost because it was slow"
                 )
+
+    def _end_idlest(self) -> bool:
+        """End the connection that has been idle for the longest time; False if all are in use."""
+        idlest = max(self._clients, key=lambda client: client.idle_s)
+        if idlest.idle_s < IDLE_S:
+            return False
+        self._clients.pop(idlest).cancel()
+        return True
 
     # -- from the sampler's thread ------------------------------------------------------------------
 

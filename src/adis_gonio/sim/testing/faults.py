@@ -18,13 +18,13 @@ import random
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.errors import BusTimeoutError, ProtocolError, UsageError
-from adis_gonio.device.bus.contract import FRAME_BITS, FrameBlock, FrameStream, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus.contract import FRAME_BITS, FrameBlock, FrameStream, SpiBus, Words
+from adis_gonio.device.bus.forwarding import ForwardingBus
 
 
 @dataclass
@@ -192,7 +192,7 @@ class BusFaults:
 NO_FAULTS = BusFaults()
 
 
-class FaultyBus(SpiBus):
+class FaultyBus(ForwardingBus):
     """A bus that passes frames to another bus and corrupts the replies.
 
     Parameters
@@ -208,12 +208,7 @@ class FaultyBus(SpiBus):
     """
 
     def __init__(self, inner: SpiBus, faults: BusFaults = NO_FAULTS) -> None:
-        super().__init__(inner.timing)
-        self.inner = inner
-        self.url = inner.url
-        self.capabilities = inner.capabilities
-        self.edge_rises = inner.edge_rises
-        self.unbroken_frames = inner.unbroken_frames
+        super().__init__(inner)
         self.seen: Counter[str] = Counter()
         self.faults = faults
 
@@ -230,49 +225,11 @@ class FaultyBus(SpiBus):
             self._dice = {k: np.random.default_rng(s) for k, s in zip(_KINDS, seeds, strict=True)}
             self._stuck_left, self._stuck_word = 0, 0
 
-    # -- unchanged calls -----------------------------------------------------------------------------
-
-    @property
-    def stage(self) -> Any:
-        """Stage of the wrapped bus; None if that bus has no stage."""
-        return getattr(self.inner, "stage", None)
-
-    @property
-    def world(self) -> Any:
-        """Simulated world of the wrapped bus; None if that bus has no world."""
-        return getattr(self.inner, "world", None)
-
-    def now_s(self) -> float:
-        """Time in s on the clock of the wrapped bus."""
-        return self.inner.now_s()
-
-    def sleep_s(self, seconds: float) -> None:
-        """Wait on the clock of the wrapped bus."""
-        self.inner.sleep_s(seconds)
-
-    def hard_reset(self) -> None:
-        """Reset the chip by the RST line of the wrapped bus."""
-        self.inner.hard_reset()
-
-    def read_event_counter(self) -> int:
-        """Data-ready edges that the wrapped bus has counted since the last call."""
-        return self.inner.read_event_counter()
-
-    def count_events(self) -> tuple[int, float]:
-        """Data-ready edges since the last call, and the time in s, from the wrapped bus."""
-        return self.inner.count_events()
-
-    def _configure(self, timing: SpiTiming) -> SpiTiming:
-        return self.inner.configure(timing)
-
-    def _close(self) -> None:
-        self.inner.close()
-
     # -- faulty calls --------------------------------------------------------------------------------
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream of the wrapped bus, with faults in the words of its scans."""
-        return _FaultyFrames(self, self.inner.stream(frames, block_scans=block_scans))
+        """Start a stream of the inner bus, with faults in the words of its scans."""
+        return _FaultyFrames(self, super().stream(frames, block_scans=block_scans))
 
     def _exchange(self, frames: Words) -> Words:
         if self._happens("busy"):

@@ -1,0 +1,85 @@
+"""A bus that forwards every call to another bus; a subclass changes or observes some of the calls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+from adis_gonio.device.bus.contract import FrameStream, SpiBus, SpiTiming, Words
+
+T = TypeVar("T")
+
+
+class ForwardingBus(SpiBus):
+    """Base class of buses in front of another bus.
+
+    Parameters
+    ----------
+    inner : SpiBus
+        The other bus; `close` also closes it.
+    """
+
+    def __init__(self, inner: SpiBus) -> None:
+        super().__init__(inner.timing)
+        self.inner = inner
+        self.url = inner.url
+        self.capabilities = inner.capabilities
+        self.edge_rises = inner.edge_rises
+        self.unbroken_frames = inner.unbroken_frames
+
+    @property
+    def kind(self) -> str:
+        """Class of the inner bus."""
+        return self.inner.kind
+
+    @property
+    def stage(self) -> Any:
+        """Stage of the inner bus; None if that bus has no stage."""
+        return getattr(self.inner, "stage", None)
+
+    @property
+    def world(self) -> Any:
+        """Simulated world of the inner bus; None if that bus has no world."""
+        return getattr(self.inner, "world", None)
+
+    @property
+    def virtual_time(self) -> bool:
+        """True if the clock of the inner bus advances only during calls."""
+        return bool(getattr(self.inner, "virtual_time", False))
+
+    def now_s(self) -> float:
+        """Time in s on the clock of the inner bus."""
+        return self.inner.now_s()
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait for some seconds on the clock of the inner bus."""
+        self.inner.sleep_s(seconds)
+
+    def witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return the value that the inner bus returns."""
+        return self.inner.witness(name, observe)
+
+    def hard_reset(self) -> None:
+        """Reset the chip by the RST line of the inner bus."""
+        self.inner.hard_reset()
+
+    def read_event_counter(self) -> int:
+        """Data-ready edges that the inner bus has counted since the last call."""
+        return self.inner.read_event_counter()
+
+    def count_events(self) -> tuple[int, float]:
+        """Data-ready edges since the last call, and the time in s, from the inner bus."""
+        return self.inner.count_events()
+
+    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
+        """Start a stream of the inner bus."""
+        return self.inner.stream(frames, block_scans=block_scans)
+
+    def _exchange(self, frames: Words) -> Words:
+        return self.inner.exchange_array(frames)
+
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        return self.inner.configure(timing)
+
+    def _close(self) -> None:
+        self.inner.close()

@@ -1,0 +1,620 @@
+"""`record:FILE:URL` and `replay:FILE` - record every call of a bus, and play a recording back as a bus.
+
+| URL | meaning |
+|---|---|
+| `record:FILE:URL` | opens URL and writes every call to the new file FILE, whose name has no colon |
+| `replay:FILE` | answers each call with the next recorded call that has the same frames |
+| `replay:FILE?mode=strict` | raises an error at the first call that differs from the recording |
+
+A file begins with the line `MAGIC`. After that come records, with all numbers little-endian:
+
+| part | type | meaning |
+|---|---|---|
+| kind | uint8 | one of `RecordKind` |
+| size | uint32 | number of bytes of the content |
+| content | bytes | by kind, see `RecordKind` |
+| crc | uint32 | CRC-32 (zlib) of kind, size and content |
+
+Each record is written by one system call, so a crash of the program loses none and a power cut at most the
+records that the system had not yet written. Reading ends at the first record that is incomplete or
+damaged. If the disk is full, recording ends, the bus goes on, and `close` reports it.
+
+Not in the file: the SPI clock of each frame. A recording has the times at which the host called the bus.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import struct
+import threading
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from enum import IntEnum
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from adis_gonio.base import errors
+from adis_gonio.base.errors import AdisGonioError, DataError, OutputError, ProtocolError, UsageError
+from adis_gonio.base.output import check_output
+from adis_gonio.device.bus.contract import Capability, FrameBlock, FrameStream, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus.forwarding import ForwardingBus
+from adis_gonio.device.bus.host import UrlOptions
+from adis_gonio.device.bus.opening import BusUrl, open_bus
+
+MAGIC = b"adis-gonio recording 1\n"
+_HEAD, _CRC, _CLOCK = struct.Struct("<BI"), struct.Struct("<I"), struct.Struct("<d")
+_TIMES, _BLOCK = struct.Struct("<dd"), struct.Struct("<ddqII")
+
+_OTHER_NAME = "choose another name for the recording"
+
+_EXPECTED = frozenset({"exchange", "configure", "stream", "block", "end_stream", "hard_reset"})
+"""Calls that a strict replay must repeat; looks at clocks and counters may be fewer or more."""
+
+T = TypeVar("T")
+
+
+class RecordKind(IntEnum):
+    """Kinds of records."""
+
+    HEADER = 1
+    """JSON object with url, timing, capabilities, edge_rises and unbroken_frames of the recorded bus."""
+    CLOCK = 2
+    """Time in s (float64) that the clock showed to a caller."""
+    EXCHANGE = 3
+    """Begin and end in s (float64), n frames (uint16), n replies (uint16)."""
+    BLOCK = 4
+    """Begin and end in s (float64), lost triggers (int64), n scans and k words (uint32 each), times in s
+    (n float64), words (n·k uint16)."""
+    CALL = 5
+    """JSON object with call, begin, end and, depending on the call, arguments, frames, result, error."""
+
+
+@dataclass(frozen=True)
+class Call:
+    """One recorded call of a bus.
+
+    Attributes
+    ----------
+    number : int
+        Number of the record in its file; the header is record 0.
+    name : str
+        Name of the method of the bus, `clock` for a look at the clock, or `block` for a block of a stream.
+    begin_s, end_s : float
+        Times of call and return on the clock of the bus.
+    frames : (n,) uint16 or None
+        Frames that were sent: a batch, or the list of a stream.
+    arguments : list
+        Other arguments, as JSON values.
+    result : object
+        Replies (n,) of an exchange, a `FrameBlock`, or the JSON value that the call returned.
+    error : AdisGonioError or None
+        Error that the call raised.
+    """
+
+    number: int
+    name: str
+    begin_s: float
+    end_s: float
+    frames: Words | None = None
+    arguments: Sequence[Any] = ()
+    result: Any = None
+    error: AdisGonioError | None = None
+
+    def __str__(self) -> str:
+        return f"record {self.number} at {self.begin_s:.6f} s: {self.name} {_hexadecimal(self.frames)}"
+
+
+# -- writing ---------------------------------------------------------------------------------------------
+
+
+class _Writer:
+    """Creates a file and appends records to it; may be used from several threads."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lock = threading.Lock()
+        self._failure: OSError | None = None
+        self._records = 0
+        try:
+            self._file = path.open("xb", buffering=0)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
+        self._write(MAGIC)
+
+    def add(self, kind: RecordKind, *content: bytes) -> None:
+        """Append one record; do nothing after a failure or after `close`."""
+        body = b"".join(content)
+        record = _HEAD.pack(kind, len(body)) + body
+        with self._lock:
+            if self._failure is None and not self._file.closed:
+                self._write(record + _CRC.pack(zlib.crc32(record)))
+
+    def call(self, name: str, begin_s: float, end_s: float, **facts: Any) -> None:
+        """Append a record of kind `CALL`."""
+        self.add(RecordKind.CALL, _to_json({"call": name, "begin": begin_s, "end": end_s} | facts))
+
+    def _write(self, record: bytes) -> None:
+        begin = self._file.tell()
+        try:
+            rest = memoryview(record)
+            while rest:
+                rest = rest[self._file.write(rest) :]
+            self._records += 1
+        except OSError as error:
+            self._failure = error
+            with contextlib.suppress(OSError):
+                self._file.truncate(begin)
+
+    @property
+    def failed(self) -> bool:
+        """True if a record could not be written."""
+        return self._failure is not None
+
+    def close(self) -> None:
+        """Close the file; raise `OutputError` if a record could not be written."""
+        with self._lock:
+            self._file.close()
+        if self._failure is not None:
+            raise OutputError(
+                f"{self._path}: the recording ends after {max(0, self._records - 2)} calls:"
+                f" {self._failure.strerror}; the bus itself went on"
+            )
+
+
+def _to_json(document: dict[str, Any]) -> bytes:
+    return json.dumps(document, ensure_ascii=True, separators=(",", ":")).encode()
+
+
+class RecordingBus(ForwardingBus):
+    """A bus that forwards every call to another bus and writes the call to a file.
+
+    Parameters
+    ----------
+    inner : SpiBus
+        The other bus; `close` also closes it.
+    path : str or Path
+        File to create.
+
+    Raises
+    ------
+    UsageError
+        The file exists.
+    OutputError
+        The file cannot be created. `close` raises it if a record could not be written.
+    """
+
+    def __init__(self, inner: SpiBus, path: str | Path) -> None:
+        super().__init__(inner)
+        self.writer = _Writer(check_output(path, cure=_OTHER_NAME))
+        header = {
+            "kind": inner.kind,
+            "url": inner.url,
+            "timing": asdict(inner.timing),
+            "capabilities": sorted(inner.capabilities),
+            "edge_rises": inner.edge_rises,
+            "unbroken_frames": inner.unbroken_frames,
+            "virtual_time": self.virtual_time,
+            "helpers": {name: _describe(getattr(inner, name, None)) for name in _HELPERS},
+        }
+        self.writer.add(RecordKind.HEADER, _to_json(header))
+        if self.writer.failed:
+            self.writer.close()
+
+    @property
+    def stage(self) -> Any:
+        """Stage of the inner bus, with recorded calls; None if that bus has no stage."""
+        return self._helper("stage")
+
+    @property
+    def world(self) -> Any:
+        """Simulated world of the inner bus, with recorded calls; None if that bus has no world."""
+        return self._helper("world")
+
+    def _helper(self, name: str) -> Any:
+        helper = getattr(self.inner, name, None)
+
+        def call(method: str, *arguments: Any) -> Any:
+            return self._record(f"{name}.{method}", lambda: getattr(helper, method)(*arguments))
+
+        return _stand_in(_describe(helper), call)
+
+    def witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return `observe()` and record it, unless it is empty or false."""
+        value = self.inner.witness(name, observe)
+        if value:
+            now = self.inner.now_s()
+            self.writer.call(name, now, now, result=value)
+        return value
+
+    def now_s(self) -> float:
+        """Time in s on the clock of the inner bus."""
+        now = self.inner.now_s()
+        self.writer.add(RecordKind.CLOCK, _CLOCK.pack(now))
+        return now
+
+    def sleep_s(self, seconds: float) -> None:
+        """Wait for some seconds on the clock of the inner bus."""
+        self._record("sleep_s", lambda: self.inner.sleep_s(seconds), arguments=[float(seconds)])
+
+    def hard_reset(self) -> None:
+        """Reset the chip by the RST line of the inner bus."""
+        self._record("hard_reset", self.inner.hard_reset)
+
+    def read_event_counter(self) -> int:
+        """Data-ready edges that the inner bus has counted since the last call."""
+        return self._record("read_event_counter", self.inner.read_event_counter)
+
+    def count_events(self) -> tuple[int, float]:
+        """Data-ready edges since the last call, and the time in s, from the inner bus."""
+        return self._record("count_events", self.inner.count_events)
+
+    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
+        """Start a stream of the inner bus and record its blocks."""
+
+        def start() -> FrameStream:
+            return self.inner.stream(frames, block_scans=block_scans)
+
+        facts = {"frames": [int(frame) for frame in frames], "arguments": [block_scans]}
+        return _RecordedStream(self, self._record("stream", start, lambda _: None, **facts))
+
+    def _exchange(self, frames: Words) -> Words:
+        begin_s = self.inner.now_s()
+        try:
+            replies = self.inner.exchange_array(frames)
+        except AdisGonioError as error:
+            self.writer.call(
+                "exchange", begin_s, self.inner.now_s(), frames=frames.tolist(), error=_error(error)
+            )
+            raise
+        words = np.concatenate([frames, replies]).astype("<u2")
+        self.writer.add(RecordKind.EXCHANGE, _TIMES.pack(begin_s, self.inner.now_s()), words.tobytes())
+        return replies
+
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        return self._record(
+            "configure", lambda: self.inner.configure(timing), asdict, arguments=[asdict(timing)]
+        )
+
+    def _close(self) -> None:
+        try:
+            self._record("close", self.inner.close)
+        finally:
+            self.writer.close()
+
+    def _record(
+        self,
+        name: str,
+        action: Callable[[], T],
+        document: Callable[[T], Any] = lambda value: value,
+        **facts: Any,
+    ) -> T:
+        """Run one call of the inner bus and record it; `document` converts its result to a JSON value."""
+        begin_s = self.inner.now_s()
+        try:
+            result = action()
+        except AdisGonioError as error:
+            self.writer.call(name, begin_s, self.inner.now_s(), **facts, error=_error(error))
+            raise
+        self.writer.call(name, begin_s, self.inner.now_s(), **facts, result=document(result))
+        return result
+
+
+_HELPERS = ("stage", "world")
+"""Attributes of a bus that a session calls: a stage that moves by program, and a simulated world."""
+
+
+def _describe(helper: object) -> dict[str, Any] | None:
+    """Names of the public methods of an object, and its settings if it has any; None without an object."""
+    if helper is None:
+        return None
+    kind = type(helper)
+    methods = [name for name in dir(kind) if name[0] != "_" and callable(getattr(kind, name))]
+    settings = getattr(helper, "settings", None)
+    return {"methods": methods, "settings": None if settings is None else asdict(settings)}
+
+
+def _stand_in(described: dict[str, Any] | None, call: Callable[..., Any]) -> Any:
+    """Make an object with the described methods, of which each calls `call(name, *arguments)`."""
+    if described is None:
+        return None
+    named = {name: lambda _, *given, name=name: call(name, *given) for name in described["methods"]}
+    return type("StandIn", (), named | {"settings": SimpleNamespace(**described["settings"] or {})})()
+
+
+def _error(error: AdisGonioError) -> list[str]:
+    return [type(error).__name__, str(error)]
+
+
+class _RecordedStream(FrameStream):
+    """A running stream of the inner bus, with a record for each block."""
+
+    def __init__(self, bus: RecordingBus, inner: FrameStream) -> None:
+        self._bus, self._inner = bus, inner
+        self._closed = False
+
+    def __next__(self) -> FrameBlock:
+        clock, writer = self._bus.inner.now_s, self._bus.writer
+        begin_s = clock()
+        try:
+            block = next(self._inner)
+        except AdisGonioError as error:
+            writer.call("block", begin_s, clock(), error=_error(error))
+            raise
+        n, k = block.words.shape
+        writer.add(
+            RecordKind.BLOCK,
+            _BLOCK.pack(begin_s, clock(), block.lost, n, k),
+            block.time_s.astype("<f8").tobytes(),
+            block.words.astype("<u2").tobytes(),
+        )
+        return block
+
+    def close(self) -> None:
+        """Stop the stream and free the bus; may be called twice."""
+        if not self._closed:
+            self._closed = True
+            self._bus._record("end_stream", self._inner.close)
+
+
+# -- reading ---------------------------------------------------------------------------------------------
+
+
+class BusRecording:
+    """The calls of a recording.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Attributes
+    ----------
+    header : dict
+        Facts about the recorded bus.
+    damage : str
+        Reason why reading ended before the end of the file; empty if all records could be read. It is known
+        when the calls have been iterated.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read or is no recording.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.damage = ""
+        try:
+            self._data = self.path.read_bytes()
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+        if not self._data.startswith(MAGIC):
+            raise DataError(
+                f"{path}: is no recording; record: makes one, such as record:run.rec:sim:?seed=1"
+            )
+        kind, content = next(self._records(), (None, b""))
+        if kind != RecordKind.HEADER:
+            raise DataError(f"{path}: the header of the recording is damaged")
+        self.header: dict[str, Any] = json.loads(content)
+
+    def __iter__(self) -> Iterator[Call]:
+        for number, (kind, content) in enumerate(self._records()):
+            if kind != RecordKind.HEADER:
+                yield _call(number, kind, content)
+
+    def _records(self) -> Iterator[tuple[int, bytes]]:
+        """Yield kind and content of each undamaged record; set `damage` if some bytes remain."""
+        data, at, number = self._data, len(MAGIC), 0
+        while at + _HEAD.size + _CRC.size <= len(data):
+            kind, size = _HEAD.unpack_from(data, at)
+            end = at + _HEAD.size + size
+            if end + _CRC.size > len(data) or _CRC.unpack_from(data, end)[0] != zlib.crc32(data[at:end]):
+                break
+            yield kind, data[at + _HEAD.size : end]
+            at, number = end + _CRC.size, number + 1
+        if at < len(data):
+            self.damage = f"ends at record {number}, because the rest is incomplete or damaged"
+
+
+def _call(number: int, kind: int, content: bytes) -> Call:
+    """Decode the content of one record."""
+    if kind == RecordKind.CLOCK:
+        (now,) = _CLOCK.unpack(content)
+        return Call(number, "clock", now, now, result=now)
+    if kind == RecordKind.EXCHANGE:
+        frames, replies = np.frombuffer(content, "<u2", offset=_TIMES.size).astype(np.uint16).reshape(2, -1)
+        begin_s, end_s = _TIMES.unpack_from(content)
+        return Call(number, "exchange", begin_s, end_s, frames, result=replies)
+    if kind == RecordKind.BLOCK:
+        begin_s, end_s, lost, n, k = _BLOCK.unpack_from(content)
+        times = np.frombuffer(content, "<f8", count=n, offset=_BLOCK.size).astype(np.float64)
+        words = np.frombuffer(content, "<u2", offset=_BLOCK.size + times.nbytes).astype(np.uint16)
+        return Call(number, "block", begin_s, end_s, result=FrameBlock(words.reshape(n, k), times, lost))
+    facts = json.loads(content)
+    frames = facts.get("frames")
+    return Call(
+        number,
+        facts["call"],
+        facts["begin"],
+        facts["end"],
+        None if frames is None else np.array(frames, np.uint16),
+        facts.get("arguments", ()),
+        facts.get("result"),
+        _rebuild(*facts["error"]) if "error" in facts else None,
+    )
+
+
+def _rebuild(name: str, message: str) -> AdisGonioError:
+    """Make an error of the class with this name; `BusError` if this version does not know it."""
+    kind = getattr(errors, name, None)
+    if isinstance(kind, type) and issubclass(kind, AdisGonioError):
+        return kind(message)
+    return errors.BusError(message)
+
+
+class ReplayBus(SpiBus):
+    """A bus that answers each call from a recording, with the recorded times; waits cost nothing.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording.
+    strict : bool
+        Raise `ProtocolError` at the first call that differs from the recording. Otherwise the next recorded
+        call with the same name and frames answers, and the calls before it are skipped.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read or is no recording.
+    ProtocolError
+        In a call: no further record answers it. An error that was recorded is raised again.
+    """
+
+    replayed = True
+
+    def __init__(self, path: str | Path, *, strict: bool = False) -> None:
+        recording = BusRecording(path)
+        header = recording.header
+        super().__init__(SpiTiming(**header["timing"]))
+        self.url = header["url"]
+        self._path = path
+        self._kind: str = header["kind"]
+        self.virtual_time = header["virtual_time"]
+        self.stage, self.world = (self._helper(name, header["helpers"][name]) for name in _HELPERS)
+        self.capabilities = frozenset(map(Capability, header["capabilities"]))
+        self.edge_rises = header["edge_rises"]
+        self.unbroken_frames = header["unbroken_frames"]
+        self._strict = strict
+        self._calls = list(recording)
+        self._damage = f" (it {recording.damage})" if recording.damage else ""
+        self._next = 0
+        self._now_s = self._calls[0].begin_s if self._calls else 0.0
+
+    @property
+    def kind(self) -> str:
+        """Class of the recorded bus."""
+        return self._kind
+
+    def now_s(self) -> float:
+        """Time in s that the recorded clock showed here; otherwise the end of the last recorded call."""
+        self._now_s = self.witness("clock", lambda: self._now_s)
+        return self._now_s
+
+    def sleep_s(self, seconds: float) -> None:
+        """Return at once."""
+        self.witness("sleep_s", lambda: None)
+
+    def witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return the value that was recorded here; otherwise `observe()`."""
+        with self._lock:
+            if self._next < len(self._calls) and self._calls[self._next].name == name:
+                self._next += 1
+                value: T = self._calls[self._next - 1].result
+                return value
+        return observe()
+
+    def _helper(self, name: str, described: dict[str, Any] | None) -> Any:
+        return _stand_in(described, lambda method, *_: self.answer(f"{name}.{method}").result)
+
+    def count_events(self) -> tuple[int, float]:
+        """Recorded number of data-ready edges since the last call, and the time in s."""
+        with self._lock:
+            self._require(Capability.EVENT_COUNTER)
+            count, time_s = self.answer("count_events").result
+            return count, time_s
+
+    def answer(self, name: str, frames: Words | None = None) -> Call:
+        """Return the recorded call that answers a call; raise its error if it failed then."""
+        for at in range(self._next, len(self._calls)):
+            call = self._calls[at]
+            if call.name == name and np.array_equal(_or_empty(call.frames), _or_empty(frames)):
+                self._next, self._now_s = at + 1, call.end_s
+                if call.error is not None:
+                    raise call.error
+                return call
+            if self._strict and call.name in _EXPECTED:
+                raise ProtocolError(
+                    f"{self._path}: the recording goes on with {call}, not with {name}"
+                    f" {_hexadecimal(frames)}"
+                )
+        raise ProtocolError(
+            f"{self._path}: no further record answers {name} {_hexadecimal(frames)}{self._damage}"
+        )
+
+    def _exchange(self, frames: Words) -> Words:
+        return np.asarray(self.answer("exchange", frames).result)
+
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        return SpiTiming(**self.answer("configure").result)
+
+    def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
+        self.answer("stream", np.array(frames, np.uint16))
+        return _ReplayedStream(self)
+
+    def _pull_reset(self) -> None:
+        self.answer("hard_reset")
+
+    def _count_edges(self) -> int:
+        return int(self.answer("read_event_counter").result)
+
+    def _close(self) -> None:
+        self._calls = []
+
+
+def _or_empty(frames: Words | None) -> Words:
+    return np.empty(0, np.uint16) if frames is None else frames
+
+
+def _hexadecimal(frames: Words | None) -> str:
+    """Frames as text, at most eight of them."""
+    shown = " ".join(f"{frame:04X}" for frame in _or_empty(frames)[:8])
+    return shown if frames is None or len(frames) <= 8 else f"{shown} … ({len(frames)} frames)"
+
+
+class _ReplayedStream(FrameStream):
+    """A stream that delivers the recorded blocks."""
+
+    def __init__(self, bus: ReplayBus) -> None:
+        self._bus, self._open = bus, True
+
+    def __next__(self) -> FrameBlock:
+        if not self._open:
+            raise StopIteration
+        block: FrameBlock = self._bus.answer("block").result
+        return block
+
+    def close(self) -> None:
+        """Stop the stream and free the bus; may be called twice."""
+        if self._open:
+            self._open = False
+            self._bus.answer("end_stream")
+
+
+# -- opening ---------------------------------------------------------------------------------------------
+
+
+def open_recorder(url: BusUrl) -> RecordingBus:
+    """Open `record:FILE:URL`; `UsageError` if a part is missing."""
+    path, colon, inner = url.text.partition(":")[2].partition(":")
+    if not path or not colon or not inner:
+        raise UsageError(f"'{url.text}': write record:FILE:URL, such as record:run.rec:sim:?seed=1")
+    check_output(path, cure=_OTHER_NAME)
+    bus = open_bus(inner)
+    try:
+        return RecordingBus(bus, path)
+    except BaseException:
+        bus.close()
+        raise
+
+
+def open_replay(url: BusUrl) -> ReplayBus:
+    """Open `replay:FILE` or `replay:FILE?mode=strict`."""
+    options = UrlOptions(url, ("mode",))
+    if not url.place:
+        raise UsageError(f"'{url.text}': write replay:FILE, such as replay:run.rec")
+    return ReplayBus(url.place, strict=options.one_of("mode", ("order", "strict")) == "strict")

@@ -1,0 +1,222 @@
+"""Frames of a recording or capture as rows: register, decoded word, and broken rules of timing.
+
+The rules come from the data sheet (DS; sources in `registers`): the clock, stall and period that the
+mode of SMPL_PRD needs, and silence after a reset, a restore, a flash update or a precision autonull. The
+mode is known from the first access to SMPL_PRD on; before that no rule of timing is checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.device.bus import FrameBlock, SpiTiming
+from adis_gonio.device.bus.recording import Call
+from adis_gonio.device.sensor.registers import BY_ADDRESS, EA, FAST, ND, WRITE, Kind, Register, timing_for
+from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.device.sensor.variants import Variant
+
+BUSY_S = {"reset": 0.15, "restore": 0.15, "flash_update": 0.1, "precision_autonull": 30.0}
+"""Time in s after a command during which the chip must not be addressed: the start-up time after a reset
+and a restore (DS, B), 100 ms of a flash update (A), 30 s of a precision autonull (B)."""
+FASTEST_FAST_HZ, FASTEST_NORMAL_HZ = 2e6, 300e3
+"""Highest SPI clock in both modes (DS, A)."""
+
+TOLERANCE = 0.01
+"""Relative error that a measured time may have, because a logic analyser samples in steps."""
+
+
+class FrameRow(JsonRecord):
+    """One frame, or one other call of the bus.
+
+    Attributes
+    ----------
+    record : int
+        Number of the record in the recording.
+    time_s : float
+        Start of the frame on the clock of the bus; within a batch interpolated.
+    action : str
+        `read`, `write`, or the name of another call.
+    register : str
+        Register that the frame addresses; `+1` marks its high byte.
+    frame, word : int or None
+        The frame, and the word that answers it, which the chip shifts out during the next frame.
+    value : str
+        Decoded word, or a description of the call.
+    problem : str
+        Recorded error, or broken rule of timing; otherwise empty.
+    """
+
+    record: int
+    time_s: float
+    action: str
+    register: str = ""
+    frame: int | None = None
+    word: int | None = None
+    value: str = ""
+    problem: str = ""
+
+
+class FrameLog:
+    """Converts the calls of a recording to rows.
+
+    Parameters
+    ----------
+    part : Variant
+        Variant that decodes the words.
+    scans : bool
+        Make a row for each word of a stream; otherwise a row for each block.
+    """
+
+    def __init__(self, part: Variant, *, scans: bool = False) -> None:
+        self._part, self._scans = part, scans
+        self._gyro_range = 300
+        self._timing: SpiTiming | None = None
+        self._smpl_prd: int | None = None
+        self._busy_until_s, self._busy_with = float("-inf"), ""
+        self._listed: list[Register | None] = []
+        self._before: tuple[int, float, int, str] | None = None
+        self._ended: tuple[float, float] | None = None
+
+    def rows(self, calls: Iterable[Call]) -> Iterator[FrameRow]:
+        """Yield the rows of calls in their order; looks at the clock have none."""
+        for call in calls:
+            if call.name == "exchange":
+                yield from self._exchanged(call)
+            elif call.name == "frame":
+                yield from self._captured(call)
+            elif call.name == "block" and isinstance(call.result, FrameBlock):
+                yield from self._streamed(call, call.result)
+            elif call.name != "clock":
+                if call.name == "configure" and call.result:
+                    self._timing = SpiTiming(**call.result)
+                elif call.name == "stream" and call.frames is not None:
+                    self._listed = [_addressed(int(frame))[0] for frame in call.frames]
+                elif call.name == "hard_reset":
+                    self._busy_until_s, self._busy_with = call.begin_s + BUSY_S["reset"], "a hard reset"
+                yield FrameRow(
+                    call.number, call.begin_s, call.name, value=_described(call), problem=_failure(call)
+                )
+        if self._before is not None:
+            yield self._frame_row(*self._before, None)
+
+    def _exchanged(self, call: Call) -> Iterator[FrameRow]:
+        assert call.frames is not None
+        n = len(call.frames)
+        times = np.linspace(call.begin_s, call.end_s, n, endpoint=False)
+        # The word of a frame is shifted out during the next frame.
+        words = [None] * n if call.result is None else [*map(int, call.result[1:]), None]
+        for frame, word, time_s in zip(call.frames.tolist(), words, times.tolist(), strict=True):
+            problem = _failure(call) or self._broken_rule(time_s)
+            yield self._frame_row(call.number, time_s, frame, problem, word)
+
+    def _captured(self, call: Call) -> Iterator[FrameRow]:
+        """Yield the row of the previous frame, which the reply of a captured frame completes."""
+        assert call.frames is not None
+        if self._before is not None:
+            yield self._frame_row(*self._before, int(call.result[0]))
+        if self._ended is not None and call.arguments[0] > 0:
+            began_s, ended_s = self._ended
+            stall_us, period_us = (call.begin_s - ended_s) * 1e6, (call.begin_s - began_s) * 1e6
+            self._timing = SpiTiming(call.arguments[0], stall_us, period_us)
+        self._ended = call.begin_s, call.end_s
+        problem = _failure(call) or self._broken_rule(call.begin_s)
+        self._before = call.number, call.begin_s, int(call.frames[0]), problem
+
+    def _frame_row(
+        self, number: int, time_s: float, frame: int, problem: str, word: int | None
+    ) -> FrameRow:
+        row, high = _addressed(frame)
+        action = "write" if frame & WRITE else "read"
+        name = f"0x{frame >> 8 & 0x3F:02X}" if row is None else row.name + ("+1" if high else "")
+        if frame & WRITE:
+            self._follow_write(row, high, frame & 0xFF, time_s)
+            value = f"0x{frame & 0xFF:02X}{_written_fields(row, high, frame)}"
+        else:
+            value = "" if word is None else self._decoded(row, word)
+        return FrameRow(number, time_s, action, name, frame, word, value, problem)
+
+    def _streamed(self, call: Call, block: FrameBlock) -> Iterator[FrameRow]:
+        n, k = block.words.shape
+        lost = f", {block.lost} lost before their end" if block.lost else ""
+        if not self._scans:
+            yield FrameRow(call.number, call.end_s, "block", value=f"{n} scans of {k} words{lost}")
+            return
+        for words, time_s in zip(block.words.tolist(), block.time_s.tolist(), strict=True):
+            for row, word in zip(self._listed, words, strict=False):
+                name = "" if row is None else row.name
+                yield FrameRow(call.number, time_s, "scan", name, None, word, self._decoded(row, word))
+
+    def _decoded(self, row: Register | None, word: int) -> str:
+        if row is None:
+            return ""
+        if row.name == "SMPL_PRD":
+            self._smpl_prd = word & 0xFF
+        elif row.name == "SENS_AVG":
+            self._gyro_range = Configuration.from_words(0, word, 0).gyro_range_dps or self._gyro_range
+        if row.kind is Kind.FIELDS:
+            return " ".join(f"{field.name}={field.of(word)}" for field in row.fields if field.of(word))
+        if row.kind is Kind.COUNT:
+            return str(row.number(word))
+        lsb, zero, unit = self._part.lsb(row.kind, self._gyro_range)
+        flags = " (old)" if row.flags and not word & ND else ""
+        flags += " (error or alarm)" if row.flags and word & EA else ""
+        return f"{row.number(word) * lsb + zero:.6g} {unit}{flags}"
+
+    def _follow_write(self, row: Register | None, high: bool, byte: int, time_s: float) -> None:
+        """Update the known mode and the time of silence by a written byte."""
+        if row is None or high:
+            return
+        if row.name == "SMPL_PRD":
+            self._smpl_prd = byte
+        if row.name == "COMMAND":
+            for name, busy_s in BUSY_S.items():
+                if byte & row.field(name).mask:
+                    self._busy_until_s, self._busy_with = time_s + busy_s, name.replace("_", " ")
+
+    def _broken_rule(self, time_s: float) -> str:
+        if time_s < self._busy_until_s:
+            return f"sent {self._busy_until_s - time_s:.3g} s before the end of {self._busy_with}"
+        if self._smpl_prd is None or self._timing is None:
+            return ""
+        needed = timing_for(self._smpl_prd)
+        fastest_hz = FASTEST_FAST_HZ if needed is FAST else FASTEST_NORMAL_HZ
+        now = self._timing
+        if now.clock_hz > fastest_hz * (1 + TOLERANCE):
+            return f"clock {now.clock_hz / 1e3:.4g} kHz, at most {fastest_hz / 1e3:g} kHz"
+        if now.frame_s < needed.period_us * 1e-6 * (1 - TOLERANCE):
+            return f"period {now.frame_s * 1e6:.3g} µs, at least {needed.period_us:g} µs"
+        if now.stall_us < needed.stall_us * (1 - TOLERANCE):
+            return f"stall {now.stall_us:.3g} µs, at least {needed.stall_us:g} µs"
+        return ""
+
+
+def _written_fields(row: Register | None, high: bool, frame: int) -> str:
+    """Names of the commands or fields that a written byte sets, in brackets."""
+    if row is None or row.kind is not Kind.FIELDS:
+        return ""
+    shifted = (frame & 0xFF) << (8 if high else 0)
+    names = [field.name for field in row.fields if shifted & field.mask]
+    return f" ({', '.join(names)})" if names else ""
+
+
+def _addressed(frame: int) -> tuple[Register | None, bool]:
+    """Register that a frame addresses, and True if it addresses the high byte."""
+    address = frame >> 8 & 0x3F
+    return BY_ADDRESS.get(address & ~1), bool(address & 1)
+
+
+def _failure(call: Call) -> str:
+    return "" if call.error is None else f"{type(call.error).__name__}: {call.error}"
+
+
+def _described(call: Call) -> str:
+    if call.name == "configure" and call.result:
+        timing = SpiTiming(**call.result)
+        kilohertz = timing.clock_hz / 1e3
+        return f"{kilohertz:g} kHz, stall {timing.stall_us:g} µs, period {timing.period_us:g} µs"
+    parts = [] if call.frames is None else [f"{len(call.frames)} frames"]
+    parts += [str(argument) for argument in call.arguments]
+    return ", ".join(parts) + ("" if call.result is None else f" → {call.result}")

@@ -1,0 +1,93 @@
+"""A strict bus for tests of drivers: an ordered list of frames with their replies."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from adis_gonio.device.bus.contract import SpiBus, SpiTiming, Words
+from adis_gonio.device.bus.host import SAFE_TIMING
+
+
+@dataclass(frozen=True)
+class _Expected:
+    frame: int
+    reply: int
+    place: str
+
+
+class ExpectedFrames(SpiBus):
+    """A bus that accepts only the expected frames, in their order, and gives their replies.
+
+    Another frame, a missing frame at `close` and a frame after the last one raise `AssertionError`; the
+    message names the line of the test that expected the frame. Time is virtual.
+
+    Parameters
+    ----------
+    script : iterable of (frame, reply)
+        Expected frames; the line of the test is the line of this call. `expect` adds more.
+
+    Examples
+    --------
+    >>> bus = ExpectedFrames()
+    >>> bus.expect(0x3600, 0x0000)  # read SMPL_PRD; the reply belongs to the frame before
+    >>> bus.expect(0x0000, 0x0001)
+    >>> bus.exchange([0x3600, 0x0000])
+    [0, 1]
+    """
+
+    def __init__(self, script: Iterable[tuple[int, int]] = ()) -> None:
+        super().__init__(SAFE_TIMING)
+        self.url = "expected:"
+        place = _place_of_caller()
+        self._script = [_Expected(frame, reply, place) for frame, reply in script]
+        self._at = 0
+        self._time_s = 0.0
+
+    def expect(self, frame: int, reply: int) -> None:
+        """Expect one more frame; the chip shifts `reply` out while it shifts the frame in."""
+        self._script.append(_Expected(frame, reply, _place_of_caller()))
+
+    def now_s(self) -> float:
+        """Virtual time in s."""
+        return self._time_s
+
+    def sleep_s(self, seconds: float) -> None:
+        """Advance the virtual time by some seconds."""
+        self._time_s += seconds
+
+    def _exchange(self, frames: Words) -> Words:
+        replies = []
+        for frame in frames.tolist():
+            if self._at == len(self._script):
+                raise AssertionError(f"frame 0x{frame:04X} comes after all {self._at} expected frames")
+            expected = self._script[self._at]
+            if frame != expected.frame:
+                raise AssertionError(
+                    f"{expected.place}: frame {self._at} is 0x{frame:04X}, expected 0x{expected.frame:04X}"
+                )
+            replies.append(expected.reply)
+            self._at += 1
+            self._time_s += self.timing.frame_s
+        return np.array(replies, np.uint16)
+
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        return timing
+
+    def _close(self) -> None:
+        missing = self._script[self._at :]
+        if missing:
+            first = missing[0]
+            raise AssertionError(
+                f"{first.place}: {len(missing)} expected frames were not sent, first 0x{first.frame:04X}"
+            )
+
+
+def _place_of_caller() -> str:
+    """File and line of the code that called a method of the bus."""
+    frame = sys._getframe(2)
+    return f"{Path(frame.f_code.co_filename).name}:{frame.f_lineno}"

@@ -1,0 +1,349 @@
+"""A recording keeps every call of a bus, and a replay answers as the recorded bus did."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adis_gonio.base.errors import BusTimeoutError, DataError, OutputError, ProtocolError, UsageError
+from adis_gonio.device.bus import SpiBus, SpiTiming, open_bus
+from adis_gonio.device.bus.capture import LogicCapture
+from adis_gonio.device.bus.recording import BusRecording, RecordingBus, ReplayBus
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.device.sensor.frame_log import FrameLog, FrameRow
+from adis_gonio.device.sensor.variants import variant
+from adis_gonio.faces.cli import main
+from adis_gonio.sim import SimBus, SimulatedChip, World
+from adis_gonio.sim.testing.bus_contract import BusContract, Rig, WatchedChip
+from adis_gonio.testing import BusFaults, ExpectedFrames, FaultyBus
+
+SEED = 11
+
+
+class TestRecordingBus(BusContract):
+    @pytest.fixture(autouse=True)
+    def _folder(self, tmp_path: Path) -> None:
+        self.folder = tmp_path
+
+    def make(self) -> Rig:
+        world = World(seed=SEED)
+        chip = WatchedChip(world, start_s=-0.5)
+        number = len(list(self.folder.iterdir()))
+        bus = RecordingBus(SimBus(world=world, chip=chip), self.folder / f"{number}.rec")
+        return Rig(bus, chip, SimulatedChip(World(seed=SEED), start_s=-0.5))
+
+
+def work(bus: SpiBus) -> list[object]:
+    """Everything that a driver sees in some seconds of work."""
+    seen: list[object] = []
+    with Adis16354(bus) as sensor:
+        sensor.configure(smpl_prd=1, filter_m=2, gyro_range_dps=300)
+        seen += [sensor.read_all(), sensor.scan(), list(sensor.status().messages)]
+        with sensor.stream() as stream:
+            for _ in range(3):
+                block = next(stream)
+                seen.append((block.words.tolist(), block.time_s.tolist(), block.lost))
+        sensor.reset()
+        seen += [sensor.scan(), bus.now_s()]
+    return seen
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> tuple[Path, list[object]]:
+    path = tmp_path / "run.rec"
+    return path, work(open_bus(f"record:{path}:sim:?seed=3"))
+
+
+@pytest.mark.parametrize("mode", ["order", "strict"])
+def test_a_replay_gives_the_driver_the_same_words_and_times(
+    recorded: tuple[Path, list[object]], mode: str
+) -> None:
+    path, seen = recorded
+    assert work(open_bus(f"replay:{path}?mode={mode}")) == seen
+    assert not BusRecording(path).damage
+
+
+def test_a_recorded_error_is_raised_again(tmp_path: Path) -> None:
+    path = tmp_path / "faults.rec"
+    bus = RecordingBus(FaultyBus(SimBus(seed=1), BusFaults(seed=2, silent=0.3)), path)
+    frames, outcomes = [0x3600, 0x0000], []
+    for _ in range(20):
+        try:
+            outcomes.append(bus.exchange(frames))
+        except BusTimeoutError as error:
+            outcomes.append(str(error))
+    bus.close()
+    replayed = ReplayBus(path, strict=True)
+    assert any(isinstance(outcome, str) for outcome in outcomes)
+    for outcome in outcomes:
+        if isinstance(outcome, str):
+            with pytest.raises(BusTimeoutError) as caught:
+                replayed.exchange(frames)
+            assert str(caught.value) == outcome
+        else:
+            assert replayed.exchange(frames) == outcome
+
+
+def test_a_strict_replay_names_the_record_that_differs_and_a_loose_one_skips(tmp_path: Path) -> None:
+    path = tmp_path / "a.rec"
+    bus = RecordingBus(SimBus(seed=1), path)
+    first, second = bus.exchange([0x3600, 0]), bus.exchange([0x3800, 0])
+    bus.close()
+    strict = ReplayBus(path, strict=True)
+    with pytest.raises(ProtocolError, match=r"record 1 .*3600 0000.*3800 0000"):
+        strict.exchange([0x3800, 0])
+    assert strict.exchange([0x3600, 0]) == first
+    loose = ReplayBus(path)
+    assert loose.exchange([0x3800, 0]) == second
+    with pytest.raises(ProtocolError, match="3600"):
+        loose.exchange([0x3600, 0])
+
+
+def test_a_file_cut_at_any_byte_keeps_every_earlier_record(tmp_path: Path) -> None:
+    path, cut = tmp_path / "a.rec", tmp_path / "cut.rec"
+    bus = RecordingBus(SimBus(seed=1), path)
+    for _ in range(3):
+        bus.exchange([0x3600, 0])
+    whole = path.read_bytes()
+    bus.exchange([0x3800, 0])
+    longer = path.read_bytes()
+    bus.close()
+    for size in range(len(whole) + 1, len(longer)):
+        cut.write_bytes(longer[:size])
+        recording = BusRecording(cut)
+        assert [call.name for call in recording] == ["exchange"] * 3
+        assert "record 4" in recording.damage
+    for flipped in range(len(whole), len(longer)):
+        cut.write_bytes(longer[:flipped] + bytes([longer[flipped] ^ 4]) + longer[flipped + 1 :])
+        recording = BusRecording(cut)
+        assert len(list(recording)) == 3
+        assert recording.damage
+
+
+def test_a_full_disk_ends_the_recording_but_not_the_work(tmp_path: Path) -> None:
+    script = f"""
+import resource, signal
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000))
+from adis_gonio.device.bus import open_bus
+bus = open_bus("record:{tmp_path}/a.rec:sim:?seed=1")
+replies = [bus.exchange([0x3600, 0])[1] for _ in range(200)]
+assert set(replies) == {{1}}, replies
+try:
+    bus.close()
+except Exception as error:
+    print(type(error).__name__, error)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.startswith("OutputError")
+    assert f"{tmp_path}/a.rec" in done.stdout
+    recording = BusRecording(tmp_path / "a.rec")
+    kept = [call for call in recording if call.name == "exchange"]
+    assert 20 < len(kept) < 200
+    assert not recording.damage
+
+
+def test_a_wrong_url_or_file_gives_one_clear_line(tmp_path: Path) -> None:
+    there = tmp_path / "there.rec"
+    there.write_bytes(b"something else")
+    with pytest.raises(UsageError, match=r"there\.rec"):
+        open_bus(f"record:{there}:sim:")
+    assert there.read_bytes() == b"something else"
+    for text in ("record:", "record:a.rec", "record:a.rec:", "record::sim:", "replay:"):
+        with pytest.raises(UsageError, match="write re"):
+            open_bus(text)
+    with pytest.raises(DataError, match="no recording"):
+        open_bus(f"replay:{there}")
+    with pytest.raises(DataError, match=r"none\.rec"):
+        open_bus(f"replay:{tmp_path / 'none.rec'}")
+    with pytest.raises(OutputError, match="no folder"):
+        open_bus(f"record:{tmp_path}/none/a.rec:sim:")
+    with pytest.raises(UsageError, match="quantum"):
+        open_bus(f"record:{tmp_path}/new.rec:quantum:")
+    assert not (tmp_path / "new.rec").exists()
+
+
+def test_a_session_is_recorded_again_from_a_recording_byte_for_byte(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    # A note, positions, a skipped one; the replay has no input at all.
+    for url, output, answers in (
+        ("record:run.rec:sim:?seed=5", "a.session", "n a note\n\n\ns\n\n\n\n\n"),
+        ("replay:run.rec?mode=strict", "b.session", ""),
+    ):
+        command = [sys.executable, "-m", "adis_gonio", "calibrate", url, "--dwell", "1", "-o", output]
+        done = subprocess.run(
+            command, input=answers, capture_output=True, text=True, timeout=120, check=False
+        )
+        assert "Traceback" not in done.stderr
+        assert done.returncode == 0, done.stderr
+    original = Path("a.session").read_bytes()
+    assert b"a note" in original
+    assert Path("b.session").read_bytes() == original
+
+
+@pytest.mark.parametrize("options", [[], ["--allow-writes", "--yes", "--flash"]])
+def test_a_bring_up_is_repeated_from_a_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["bringup", "record:run.rec:sim:?seed=1&flash=part.flash", "-o", "a.html", *options]) == 0
+    Path("part.flash").unlink(missing_ok=True)
+    assert main(["bringup", "replay:run.rec?mode=strict", "-o", "b.html", *options]) == 0
+    assert Path("b.json").read_bytes() == Path("a.json").read_bytes()
+    assert main(["frames", "run.rec", "--errors"]) == 0
+
+
+def rows_of(path: Path) -> list[FrameRow]:
+    return list(FrameLog(variant("adis16354")).rows(BusRecording(path)))
+
+
+def test_the_log_names_registers_and_decodes_words(recorded: tuple[Path, list[object]]) -> None:
+    rows = rows_of(recorded[0])
+    assert not any(row.problem for row in rows)
+    accel = [row for row in rows if row.register == "XACCL_OUT" and row.word is not None]
+    assert accel
+    for row in accel:
+        number = (row.word & 0x3FFF) - (0x4000 if row.word & 0x2000 else 0)
+        assert float(row.value.split()[0]) == pytest.approx(number * 0.4672, rel=1e-5)
+    written = [row for row in rows if row.action == "write"]
+    assert "COMMAND" in {row.register for row in written}
+    assert any("reset" in row.value for row in written)
+
+
+def test_the_log_finds_frames_that_break_a_rule_of_timing(tmp_path: Path) -> None:
+    path = tmp_path / "bad.rec"
+    bus = RecordingBus(SimBus(seed=1), path)
+    bus.exchange([0x3600, 0x0000])  # SMPL_PRD is 1: fast mode
+    bus.configure(SpiTiming(1e6, 9.0, 40.0))
+    bus.exchange([0xB60A, 0x0000])  # SMPL_PRD 0x0A: normal mode from here on
+    bus.exchange([0x0A00, 0x0000])
+    bus.configure(SpiTiming(250e3, 75.0, 160.0))
+    bus.exchange([0x0A00, 0xBE80])  # a reset …
+    bus.exchange([0x0C00, 0x0000])  # … and a frame at once
+    bus.sleep_s(0.3)
+    bus.exchange([0x0E00, 0x0000])
+    bus.close()
+    problems = {row.register: row.problem for row in rows_of(path) if row.frame}
+    assert "kHz" in problems["XACCL_OUT"] or not problems["XACCL_OUT"]
+    first_x = next(row for row in rows_of(path) if row.register == "XACCL_OUT")
+    assert "1000 kHz" in first_x.problem
+    assert "reset" in problems["YACCL_OUT"]
+    assert not problems["ZACCL_OUT"]
+
+
+def test_the_command_lists_and_filters_frames(
+    recorded: tuple[Path, list[object]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(recorded[0])
+    assert main(["frames", path, "--register", "SMPL_PRD"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines
+    assert all("SMPL_PRD" in line for line in lines)
+    assert max(map(len, lines)) <= 80
+    assert main(["frames", path, "--errors"]) == 0
+    assert capsys.readouterr().out == ""
+    Path(path).write_bytes(Path(path).read_bytes()[:-3])
+    assert main(["frames", path]) == 1
+    assert path in capsys.readouterr().err
+
+
+def test_expected_frames_name_the_line_of_the_test() -> None:
+    bus = ExpectedFrames()
+    bus.expect(0x3600, 0x0000)
+    bus.expect(0x0000, 0x0001)  # the line that the message names
+    here = sys._getframe().f_lineno - 1
+    with pytest.raises(AssertionError, match=rf"test_recording\.py:{here}: .*0x0A00.*0x0000"):
+        bus.exchange([0x3600, 0x0A00])
+    with pytest.raises(AssertionError, match=rf"test_recording\.py:{here}: 1 expected"):
+        bus.close()
+    done = ExpectedFrames([(0x3600, 5), (0x0000, 1)])
+    assert done.exchange([0x3600, 0x0000]) == [5, 1]
+    with pytest.raises(AssertionError, match="after all 2"):
+        done.exchange([0x3600])
+    done.close()
+
+
+def test_recorded_words_are_exact(recorded: tuple[Path, list[object]]) -> None:
+    blocks = [call.result for call in BusRecording(recorded[0]) if call.name == "block"]
+    seen = [item for item in recorded[1] if isinstance(item, tuple)]
+    words = np.concatenate([block.words for block in blocks[-3:]]).tolist()
+    assert words == [row for item in seen for row in item[0]]
+
+
+def write_vcd(path: Path, frames: list[tuple[float, float, int, int, int]], names: str) -> None:
+    """Write frames (begin in µs, clock in kHz, frame, reply, bits) in steps of 10 ns."""
+    cs, clock, mosi, miso = names.split()
+    lines = ["$timescale 10 ns $end", "$scope module top $end"]
+    lines += [
+        f"$var wire 1 {code} {name} $end"
+        for code, name in zip("!#%&", (cs, clock, mosi, miso), strict=True)
+    ]
+    lines += ["$upscope $end", "$enddefinitions $end", "$dumpvars", "1!", "1#", "0%", "z&", "$end"]
+    changes: list[tuple[int, str]] = []
+    for begin_us, khz, frame, reply, bits in frames:
+        half = 1e5 / khz / 2
+        at = begin_us * 100
+        changes.append((round(at), "0!"))
+        for k in range(bits):
+            down = at + 20 + 2 * half * k
+            changes += [(round(down), "0#"), (round(down) + 1, f"{frame >> (15 - k) & 1}%")]
+            changes += [(round(down) + 1, f"{reply >> (15 - k) & 1}&"), (round(down + half), "1#")]
+        changes += [
+            (round(at + 20 + 2 * half * bits) + 5, "1!"),
+            (round(at + 20 + 2 * half * bits) + 6, "z&"),
+        ]
+    for time, change in changes:
+        lines += [f"#{time}", change]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_a_capture_of_a_logic_analyser_is_decoded_and_judged_by_its_own_times(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "capture.VCD"
+    frames = [
+        (100, 1000, 0x3600, 0x0402, 16),  # read SMPL_PRD
+        (150, 1000, 0x0A00, 0x0001, 16),  # its word is 1: fast mode; read XACCL_OUT
+        (200, 1000, 0x0C00, 0x8852, 16),
+        (235, 1000, 0x0E00, 0x0000, 16),  # a period of 35 µs is too short
+        (300, 3000, 0x0200, 0x0000, 16),  # 3 MHz are too fast
+        (400, 1000, 0x1000, 0x0000, 15),  # one clock is missing
+        (500, 1000, 0x0000, 0x0000, 16),
+    ]
+    write_vcd(path, frames, "CS SCLK MOSI MISO")
+    assert main(["frames", str(path), "--json"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    rows = document["frames"]
+    assert [row["frame"] for row in rows if row["register"] != "XTEMP_OUT"][:5] == [
+        f[2] for f in frames[:5]
+    ]
+    by_name = {row["register"]: row for row in rows}
+    assert by_name["SMPL_PRD"]["word"] == 1
+    assert by_name["XACCL_OUT"]["value"].startswith("995.136 mg")
+    assert by_name["XACCL_OUT"]["time_s"] == pytest.approx(150e-6)
+    for name in ("SMPL_PRD", "XACCL_OUT", "YACCL_OUT"):
+        assert not by_name[name]["problem"]
+    assert "period 35 µs" in by_name["ZACCL_OUT"]["problem"]
+    assert "3000 kHz" in by_name["SUPPLY_OUT"]["problem"]
+    assert sum("15 clocks" in row["problem"] for row in rows) == 1
+    assert document["problems"] == 3
+
+
+def test_a_capture_without_a_signal_names_the_signals_that_it_has(tmp_path: Path) -> None:
+    path = tmp_path / "capture.vcd"
+    write_vcd(path, [], "CS D1 MOSI MISO")
+    assert main(["frames", str(path)]) == 1
+    with pytest.raises(DataError, match=r"sclk.*d1"):
+        LogicCapture(path)
+    path.write_text("time,cs,sclk\n0,1,1\n")
+    with pytest.raises(DataError, match="no VCD file"):
+        LogicCapture(path)

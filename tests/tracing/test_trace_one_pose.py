@@ -1,0 +1,38 @@
+"""One pose: a zero that jumps or wanders is no effect, and effects are found beside such a zero."""
+
+import pytest
+
+from adis_gonio.tracing.trace import trace
+from tracing.one_pose_sessions import CAUSES, one_pose
+
+
+def named(kind: str, seeds: range, beside: float = 0.0) -> list[dict[str, float]]:
+    """For each session of this kind: the effects that are found, with their probabilities."""
+    results = [trace(one_pose(kind, seed, beside)) for seed in seeds]
+    return [{one.effect: one.probability for one in result.found} for result in results]
+
+
+@pytest.mark.parametrize("kind", ["jump", "random walk", "flicker", "two jumps"])
+def test_a_zero_that_moves_without_a_cause_gets_no_name(kind):
+    found = named(kind, range(14))
+    assert sum(bool(one) for one in found) <= 1
+    assert not any(probability > 0.95 for one in found for probability in one.values())
+
+
+@pytest.mark.parametrize(
+    ("kind", "seeds", "least"), [("drift", 10, 9), ("temperature", 8, 7), ("lag", 6, 5), ("warm-up", 10, 7)]
+)
+def test_a_true_course_is_found_beside_noise_that_wanders(kind, seeds, least):
+    found = named(kind, range(seeds), beside=0.3)
+    assert sum(CAUSES[kind] in one for one in found) >= least
+
+
+def test_two_courses_that_are_alike_share_the_probability():
+    # The temperature rises as the zero settles: no name is certain.
+    found = [names for seed in (202, 204, 213) for names in named("warm-up", range(seed, seed + 1))]
+    assert all(probability < 0.95 for one in found for probability in one.values())
+
+
+def test_a_jump_is_reported_on_its_axis():
+    result = trace(one_pose("jump", 3))
+    assert any(note.startswith("the zero moves without a recorded cause: ") for note in result.notes)
