@@ -125,11 +125,10 @@ def test_every_unit_of_the_catalogue_has_one_of_si_or_is_refused():
 def test_every_unit_is_read_by_the_reader_of_ptb():
     """dsiUnits parses the notation of D-SI; it gives the base units that the name of a unit means."""
     dsi_unit = pytest.importorskip("dsi_unit", reason="dsiunits is not installed (pip install '.[test]')")
-    from adis_gonio.handover.certificate import _UNITS
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns of its own notation
-        read = {name: dsi_unit.DsiUnit(unit) for name, (unit, _) in _UNITS.items()}
+        read = {name: dsi_unit.DsiUnit(unit) for name, (unit, _) in SI_UNITS.items()}
     assert [name for name, unit in read.items() if not unit.valid] == []
     meant = {"mg": "ms⁻²", "mg/g²": "m⁻¹s²", "mg/°C": "ms⁻²K⁻¹", "ppm/V": "V⁻¹", "dps": "°s⁻¹", "deg": "°"}
     assert {name: read[name].to_utf8() for name in meant} == meant
