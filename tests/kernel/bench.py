@@ -58,43 +58,29 @@ class Bench:
 
     def __init__(self, devices: Forked) -> None:
         self._devices = devices
-        self._ports: dict[int, tuple[str, str]] = {}
-        self._faulty: set[int] = set()
-        self._left: int | None = None
+        self._ports: dict[int, str] = {}
 
     def plug(self, kind: str, serial: str) -> int:
-        """Plug a board in, wait until kernel and udev are done with it; return its port.
-
-        If a test begins with the board that the last test left, the board stays in: the guest needs seconds
-        to plug it in.
-        """
-        left, self._left = self._left, None
-        if left is not None:
-            if self._ports[left] == (kind, serial):
-                return left
-            self.unplug(left)
+        """Plug a board in, wait until kernel and udev are done with it; return its port."""
         port = min(set(range(8)) - set(self._ports))
         self._command("plug", kind=kind, serial=serial, port=port)
-        self._ports[port] = kind, serial
+        self._ports[port] = serial
         self._until(lambda: serial in serials() and self._has_driver(serial), f"{serial} to be enumerated")
         settle()
         return port
 
     def unplug(self, port: int) -> None:
         """Pull a board out, wait until the kernel has noticed (it may have been gone already)."""
-        _, serial = self._ports.pop(port, ("", ""))
-        self._faulty.discard(port)
+        serial = self._ports.pop(port, None)
         self._command("unplug", port=port)
         self._until(lambda: serial not in serials(), f"{serial} to go")
 
     def stall(self, port: int, address: int) -> None:
         """Halt an endpoint until the host clears it."""
-        self._faulty.add(port)
         self._command("stall", port=port, address=address)
 
     def refuse(self, port: int, address: int) -> None:
         """Make an endpoint not answer."""
-        self._faulty.add(port)
         self._command("refuse", port=port, address=address)
 
     def heal(self, port: int) -> None:
@@ -103,7 +89,6 @@ class Bench:
 
     def unplug_after(self, port: int, count: int) -> None:
         """Pull the board out when `count` more transfers of data have gone either way."""
-        self._faulty.add(port)
         self._command("unplug_after", port=port, count=count)
 
     def state(self, port: int) -> dict[str, Any]:
@@ -112,16 +97,8 @@ class Bench:
 
     def clear(self) -> None:
         """Pull everything out."""
-        self._left = None
         for port in list(self._ports):
             self.unplug(port)
-
-    def leave(self) -> None:
-        """Leave one sound board for the next test, and pull the others out."""
-        sound = sorted(set(self._ports) - self._faulty)
-        for port in set(self._ports) - set(sound[:1]):
-            self.unplug(port)
-        self._left = next(iter(sound), None)
 
     def _command(self, command: str, **arguments: Any) -> dict[str, Any]:
         answer: dict[str, Any] = self._devices.ask({"do": command, **arguments})

@@ -36,9 +36,9 @@ def all_boards() -> Bench:
 
 @pytest.fixture
 def bench(all_boards: Bench) -> Iterator[Bench]:
-    """An empty bench; a sound board may stay in for the next test, if that begins with it."""
+    """An empty bench; what a test plugs in is pulled out after it."""
     yield all_boards
-    all_boards.leave()
+    all_boards.clear()
 
 
 @pytest.fixture(autouse=True)

@@ -1,7 +1,6 @@
 """Every bridge's transport through the kernel: the same tests for each and for both HID backends."""
 
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import pytest
@@ -50,14 +49,7 @@ BRIDGES = (
     Bridge("cp2130", "cp2130", "{serial}", 0x82, 0x01),
     Bridge("serial", "serial", "?serial_number={serial}", 0x83, 0x04, unplugged_after=3),
 )
-each_bridge = pytest.mark.parametrize("bridge", BRIDGES, indirect=True, ids=lambda bridge: bridge.name)
-
-
-@pytest.fixture(scope="module")
-def bridge(request: pytest.FixtureRequest, all_boards: Bench) -> Iterator[Bridge]:
-    """All tests of one bridge in a row: a sound board stays plugged in between them."""
-    yield request.param
-    all_boards.clear()
+each_bridge = pytest.mark.parametrize("bridge", BRIDGES, ids=lambda bridge: bridge.name)
 
 
 def supply_is_read(bus: SpiBus) -> bool:
@@ -77,13 +69,11 @@ def test_the_driver_finds_its_chip_and_writes_a_register(bench: Bench, bridge: B
 @each_bridge
 def test_two_boards_are_told_apart_by_serial_number(bench: Bench, bridge: Bridge) -> None:
     ports = [bench.plug(bridge.kind, serial) for serial in ("A1", "B2")]
-    before = [bench.state(port)["frames"] for port in ports]
     with pytest.raises(UsageError, match=rf"{bridge.kind}:\S+ or {bridge.kind}:\S+"):
         open_bus(bridge.any)
     with open_bus(bridge.url("B2")) as bus:
         assert supply_is_read(bus)
-    frames = [bench.state(port)["frames"] for port in ports]
-    assert [now - then for now, then in zip(frames, before, strict=True)] == [0, 2]
+    assert [bench.state(port)["frames"] for port in ports] == [0, 2]
 
 
 @each_bridge
@@ -144,7 +134,7 @@ def test_a_device_that_takes_nothing_is_a_time_out(bench: Bench, bridge: Bridge)
 
 
 # Not serial: Linux gives a tty 30 s to get rid of its bytes, and nobody but root may shorten that.
-@pytest.mark.parametrize("bridge", BRIDGES[:3], indirect=True, ids=lambda bridge: bridge.name)
+@pytest.mark.parametrize("bridge", BRIDGES[:3], ids=lambda bridge: bridge.name)
 def test_a_bus_that_waits_for_a_write_is_closed_cleanly(bench: Bench, bridge: Bridge) -> None:
     port = bench.plug(bridge.kind, "A1")
     with open_bus(bridge.url()) as bus:
