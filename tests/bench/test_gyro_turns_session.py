@@ -33,8 +33,7 @@ from adis_gonio.fitting.gyros.gyro_fit import gains_of
 from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.plans import Plan, Position
-from adis_gonio.record.plans import plan as plan_by_name
+from adis_gonio.record.plans import Plan, Position, plan as plan_by_name
 from adis_gonio.record.settings import Settings
 from bench.hand_bench import Hand, hand_sensor
 
@@ -166,7 +165,7 @@ def test_each_whole_turn_is_three_hundred_and_sixty_degrees_by_its_mark(recorded
     found = rate_intervals(load_session(recorded[0]))
     angle = np.linalg.norm(found.rotation_dps * found.length_s[:, None], axis=1)[found.turn]
     assert angle == pytest.approx(np.full(6, 360.0))
-    assert set(np.array(found.references)[found.turn]) == {"whole turns"}
+    assert set(np.array(found.references)[found.turn]) == {"declared"}
     assert not found.refused
     axis = found.rotation_dps[found.turn] / np.linalg.norm(found.rotation_dps[found.turn], axis=1)[:, None]
     u = np.sqrt(np.einsum("ni,nij,nj->n", axis, found.rotation_covariance_dps2[found.turn], axis))

@@ -25,6 +25,7 @@ error                  who acts
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 
 def one_line(text: str) -> str:
@@ -127,3 +128,12 @@ class OutputError(AdisGonioError):
 
 class FleetError(AdisGonioError):
     """A fleet has no worker: no process can be started, or no scheduler answers."""
+
+
+def suggest(word: str, known: Iterable[str]) -> str:
+    """Clause for a message about an unknown word: the most similar known word, or all known words."""
+    import difflib
+
+    words = list(known)
+    near = difflib.get_close_matches(word, words, n=1)
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(words) or 'none'}"

@@ -7,19 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.fitting import FitResult
-from adis_gonio.fitting import fit as _fit
+from adis_gonio.fitting import FitResult, fit as _fit
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, GYRO, known_part
-from adis_gonio.fitting.gyros.gyro_fit import METHOD as GYRO_METHOD
-from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro
+from adis_gonio.fitting.gyros.gyro_fit import METHOD as GYRO_METHOD, GyroFit, fit_gyro
 from adis_gonio.model import Session
 from adis_gonio.record.loading import load_session
-from adis_gonio.tracing.trace import trace as _trace
-from adis_gonio.tracing.trace_result import TraceResult
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+    from adis_gonio.tracing.trace_result import TraceResult
 
 
 @overload
@@ -109,7 +106,9 @@ def trace(
     DataError, FitError
         See `adis_gonio.tracing.trace`.
     """
-    return _trace(_load(session, "trace"), max_effects, time_limit, part)
+    from adis_gonio.tracing.trace import trace as trace_session
+
+    return trace_session(_load(session, "trace"), max_effects, time_limit, part)
 
 
 def _load_gyros(

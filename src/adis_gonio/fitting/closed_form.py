@@ -37,7 +37,6 @@ from adis_gonio.fitting.fit_result import (
 )
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions, settle
 from adis_gonio.fitting.uncertainty import Sources, Unseen, sources_of
-from adis_gonio.model.effects import effect
 
 ALPHA, SCALE_X, SCALE_Y, DELTA_PHI, BIAS_X, BIAS_Y = range(6)
 """Parameters in the order of `determination.names_of`, in natural units: a bias in local gravity."""
@@ -360,7 +359,7 @@ def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
 
 def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
     """Base model, with or without a bias, evaluated at the given natural parameters and declared angles."""
-    term = NamedTerm("bias", (), 0.0, effect("bias", ("x", "y")))
+    term = NamedTerm.offset("xy")
     fit = Fit.begin(data, with_prior=False)
     values = replace(fit.values, base=beta[:BIAS_X].copy())
     terms, own = ((term,), (beta[BIAS_X:] * data.gravity_mg,)) if bias else ((), ())

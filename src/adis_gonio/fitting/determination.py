@@ -19,7 +19,7 @@ from adis_gonio.base.numbers import signed
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.model.effects import AXES, effect
+from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import SENSOR_SPREAD
 
 LIMIT = 0.1
@@ -164,8 +164,7 @@ def _may_hold(data: Readings) -> list[int]:
 
 
 def _bias(data: Readings, spread: float | None = None) -> NamedTerm:
-    axes = tuple(AXES[: data.axes])
-    return NamedTerm("bias", (), 0.0, effect("bias", axes), spread=spread)
+    return NamedTerm.offset(AXES[: data.axes], spread)
 
 
 def _start(data: Readings) -> Fit:

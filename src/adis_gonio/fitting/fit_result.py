@@ -26,7 +26,7 @@ from adis_gonio.fitting.linked import LinkReport
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.position_diagnosis import listed
-from adis_gonio.fitting.uncertainty import BudgetRow, ShownAngle, Sources, budget_of
+from adis_gonio.fitting.uncertainty import FIXTURE, BudgetRow, ShownAngle, Sources, budget_of
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_MPS2
@@ -99,7 +99,6 @@ MISFIT = (
 )
 
 
-@dataclass(frozen=True)
 class FitResult(ParameterTable):
     """Fitted parameters of a session, with their covariance, warnings and residuals.
 
@@ -276,6 +275,19 @@ class FitResult(ParameterTable):
         if made is None or made.sources is None or not made.readings.planar or self._around is None:
             return None
         return made.sources.roots(self._around.gradient, self._around.reading)
+
+    @property
+    def stage_influence(self) -> dict[str, Floats]:
+        """Change (k,) of each parameter by one u of each independent error of the stage's certificate.
+
+        Empty without such a certificate.
+        """
+        made = self.origin
+        if made is None or made.sources is None or not made.readings.stage_modes:
+            return {}
+        fixture = next(source for source in made.sources.each if source.name == FIXTURE)
+        moves = fixture.moves[:, -made.readings.stage_modes :]
+        return {output.name: output.gradient @ moves for output in made.outputs}
 
     def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
         """Error of the angle without and with this calibration; see `Calibration.error_curves`.
@@ -473,7 +485,14 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
     assumed = assumed_parameters(model, names)
     scales = [estimates[f"scale_{axis}"].value for axis in AXES[: model.axes]] if where.counts else []
     counts = tuple(scale / MG_PER_MPS2 for scale in scales) or None
-    return Calibration(result.method, where, parameters, matrix, assumed=assumed, counts_per_mg=counts)
+    return Calibration(
+        method=result.method,
+        provenance=where,
+        parameters=parameters,
+        covariance=matrix,
+        assumed=assumed,
+        counts_per_mg=counts,
+    )
 
 
 def as_written(calibration: Calibration) -> Calibration:

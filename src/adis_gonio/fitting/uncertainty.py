@@ -580,7 +580,6 @@ ROUNDING = 1e-10
 """Relative contribution to u below which it counts as rounding error."""
 
 
-@dataclass(frozen=True)
 class BudgetRow(JsonRecord):
     """Contribution of one source to the uncertainty of one quantity.
 

@@ -97,7 +97,6 @@ class ThisProcess:
             yield job, record_of(job.path, **options.as_dict())
 
 
-@dataclass(frozen=True)
 class Repeated(JsonRecord):
     """A file that has the data of another file; only the other file is counted."""
 

@@ -142,8 +142,8 @@ def certificate_section(
             *(Table(["", ""], rows) for rows in (instrument, conditions, signature[:1], signature[1:])),
         ],
         notes=[
-            f"Method {answer.title}. U = k·u covers 95 %. The stated errors are those of the mean of many "
-            "readings; traceable to the declared angles of the stage only. The annex follows."
+            f"Method {answer.title}. U = k·u covers 95 %. The errors apply to the mean of many readings; "
+            "they are traceable to the declared angles of the stage only. The annex follows."
         ],
         sheet=True,
     )

@@ -88,7 +88,6 @@ def row_of(key: str, axis: Axis) -> TableRow:
     return next(row for row in TABLE if (row.key, row.axis) == (key, axis))
 
 
-@dataclass(frozen=True)
 class Truth(JsonRecord):
     """True parameters of the sensor in simulated sessions.
 

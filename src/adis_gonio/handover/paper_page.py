@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from adis_gonio.base.numbers import (
-    NO_BREAK,
-    counted,
-    format_fixed,
-    format_number,
-)
+from adis_gonio.base.numbers import NO_BREAK, counted, format_fixed, format_number
 from adis_gonio.handover.paper_map import BIASES_MG, FIXTURES_DEG, NOISES_MG, RMSD, TABLE, Point
 from adis_gonio.handover.paper_study import (
     COLUMNS,
@@ -255,10 +250,7 @@ def _map(done: Study) -> Section:
             " crossing in ΔK either.",
         ),
         figures=[Figure(svg, caption) for svg, caption in map_figures(done).values()],
-        tables=(
-            _ratios(done, "delta_k", "ΔK"),
-            _ratios(done, "non_orthogonality", "Δφ"),
-        ),
+        tables=(_ratios(done, "delta_k", "ΔK"), _ratios(done, "non_orthogonality", "Δφ")),
         notes=(f"Command: {done.command} --json (map)",),
     )
 

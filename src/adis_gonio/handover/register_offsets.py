@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError
@@ -18,7 +17,6 @@ from adis_gonio.model.effects import AXES
 from adis_gonio.tracing.trace_calibrations import load_calibration, load_gyro_calibration
 
 
-@dataclass(frozen=True)
 class OffsetWord(JsonRecord):
     """The number for one offset register, which the sensor adds to its output.
 

@@ -137,7 +137,7 @@ class ExportSource:
     overrides : Overrides or None
         Corrections of the session's metadata.
     tolerance : Tolerance or None
-        Tolerance of the angle, whose conformity a certificate states.
+        Tolerance of the angle, for the statement of conformity in a certificate.
     gyros : Path or None
         Session or calibration of the sensor's gyros, used instead of the gyros of this session.
     """

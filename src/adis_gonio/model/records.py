@@ -8,8 +8,10 @@ in `adis_gonio.record`; fits read them in `adis_gonio.fitting`.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -21,6 +23,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.computed_once import ComputedOnce
 from adis_gonio.base.errors import UsageError, one_line
+from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
 
 if TYPE_CHECKING:
@@ -190,6 +193,7 @@ def turns_of_recording(recording: Dwell, dwells: Sequence[Dwell]) -> tuple[Turn,
                 _rows(recording.gyro, rows),
                 _rows(recording.temperature_c, rows),
                 _rows(recording.supply_v, rows),
+                turned_deg=after.turned_deg,
                 temperatures_c=_rows(recording.temperatures_c, rows),
             )
         )
@@ -242,18 +246,36 @@ class StageCurve:
     error_deg: Floats
     covariance_deg2: Floats
 
-    def check(self, session: Session) -> None:
-        """Check that the certificate covers the declared angles of a session.
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> StageCurve:
+        """Restore the curve from the JSON object of its fields."""
+        numbers = {name: np.array(value) for name, value in document.items() if name != "name"}
+        return cls(document["name"], **numbers)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the JSON object of the curve."""
+        return json_object(**vars(self))
+
+    @property
+    def digest(self) -> str:
+        """Hash of the curve, by which sessions on one stage are recognised."""
+        return hashlib.sha256(json.dumps(self.as_dict()).encode()).hexdigest()
+
+    def check(self, angles_deg: Iterable[float | None]) -> None:
+        """Check that the certificate covers the declared angles of a session or a plan.
 
         Raises
         ------
         UsageError
             There are none, or one is between angles of the certificate that are too far apart.
         """
-        session.require_angles("there is nothing that a stage's certificate corrects")
+        declared = [angle % 360 for angle in angles_deg if angle is not None]
+        if not declared:
+            raise UsageError(
+                f"{self.name}: no angle is declared that the stage's certificate could correct"
+            )
         steps = np.diff(self.angle_deg, prepend=self.angle_deg[-1] - 360)
-        for dwell in session.dwells:
-            angle = (dwell.angle_deg or 0.0) % 360
+        for angle in declared:
             after = int(np.searchsorted(self.angle_deg, angle)) % len(steps)
             if steps[after] > WIDEST_STEP_DEG and angle not in self.angle_deg:
                 raise UsageError(f"{self.name}: the certificate has no errors of the stage near {angle:g}°")
@@ -298,6 +320,8 @@ class Dwell:
         Temperatures of the three gyros' dies, if all three were recorded.
     first_row : int or None
         First row of the dwell in the file, for messages.
+    turned_deg : float or None
+        Declared angle of the turn that led here from the dwell before; see `Turn`.
     """
 
     position: int
@@ -311,6 +335,7 @@ class Dwell:
     supply_v: Floats | None = None
     first_row: int | None = None
     temperatures_c: Floats | None = None
+    turned_deg: float | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -326,6 +351,7 @@ class Dwell:
             "time_s": self.time_s,
             "position": np.full(n, self.position),
             "angle_deg": np.full(n, np.nan if self.angle_deg is None else self.angle_deg),
+            "turned_deg": np.full(n, np.nan if self.turned_deg is None else self.turned_deg),
             "approach": np.full(n, self.approach),
             "use": np.full(n, self.use),
         }
@@ -371,7 +397,7 @@ class Session(ComputedOnce):
     cut_by_stillness : bool
         True if the dwells were cut out of a continuous recording, so that rest is not declared.
     recording : Dwell or None
-        The whole continuous recording, including the samples between dwells.
+        The whole recording of a file that has samples between its dwells.
     free_turn : bool
         True if the recording is one turn without declared angles; there may then be no dwells.
     facts : mapping
@@ -431,7 +457,7 @@ class Session(ComputedOnce):
     def turns(self) -> tuple[Turn, ...]:
         """Turns (samples between successive dwells); read from the file when first asked for.
 
-        Empty if the file has nothing between its dwells, as a samples CSV with positions.
+        Empty if the file has nothing between its dwells.
         """
         if self.turns_from is not None:
             here = {dwell.position for dwell in self.dwells}
@@ -454,11 +480,6 @@ class Session(ComputedOnce):
     def gravity_mg(self) -> float:
         """Local gravity in mg (thousandths of the standard 9.80665 m/s²)."""
         return 1000.0 * self.gravity_mps2 / STANDARD_GRAVITY_MPS2
-
-    def require_angles(self, otherwise: str) -> None:
-        """Raise a `UsageError` if no angle is declared."""
-        if all(dwell.angle_deg is None for dwell in self.dwells):
-            raise UsageError(f"{self.source}: no angle is declared, {otherwise}")
 
     def used_for(self, use: Use) -> Session:
         """Copy of the session that contains only the dwells for one use, such as fit or check."""

@@ -48,7 +48,6 @@ _GOLDEN = (3 - math.sqrt(5)) / 2
 LEAST_GRID_DEG, WIDEST_GRID_DEG = 1.0, 60.0
 
 
-@dataclass(frozen=True)
 class Gain(JsonRecord):
     """Comparison of the best plan with another plan of as many positions; one value of `gain` in JSON.
 

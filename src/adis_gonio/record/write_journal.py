@@ -15,7 +15,7 @@ step behind the sensor, and the registers, ENDURANCE and the journal together de
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import StrEnum
 from typing import Any, Literal
 
@@ -55,7 +55,6 @@ class WriteStep(StrEnum):
     SET_BACK = "set-back"
 
 
-@dataclass(frozen=True)
 class Operation(JsonRecord):
     """One write, undo or autonull of offset registers, as recorded in the journal.
 
@@ -183,7 +182,6 @@ def find_undoable(known: Sequence[Operation]) -> Operation | None:
 RegisterState = Literal["old", "new", "half", "other"]
 
 
-@dataclass(frozen=True)
 class HeldOffsets(JsonRecord):
     """State of the sensor's offset registers, compared with the journal.
 

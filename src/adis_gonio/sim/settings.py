@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import itertools
 import math
@@ -10,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, Self, TypeVar, dataclass_transform
 
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 T = TypeVar("T")
@@ -319,8 +318,7 @@ class WorldSettings(GyroSettings):
             if name in others:
                 continue
             if name not in known:
-                near = difflib.get_close_matches(name, (*known, *others), n=1)
-                hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join((*others, *known))}"
+                hint = suggest(name, (*others, *known))
                 raise UsageError(f"the simulator has no option '{name}'; {hint}")
             try:
                 values[name] = float(text)

@@ -25,7 +25,7 @@ def test_a_url_is_taken_apart():
         ("sim:?seed=1&seed=2", "twice"),
         ("smi:?seed=1", "did you mean 'sim:'"),
         ("ioi:device0", "did you mean 'iio:'"),
-        ("gopher://x", "known: cp2130, iio, mcp2210, record, replay, serial, sim, spidev"),
+        ("gopher://x", "known: cp2130:, iio:, mcp2210:, record:, replay:, serial:, sim:, spidev:"),
     ],
 )
 def test_a_wrong_url_says_what_is_wrong_in_one_line(text, says):

@@ -8,8 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from adis_gonio.base.errors import (
     BusError,
@@ -19,13 +18,11 @@ from adis_gonio.base.errors import (
     ProtocolError,
     UsageError,
 )
-from adis_gonio.device.bus import BusUrl, Capability, SpiTiming, open_bus
-from adis_gonio.device.bus import serial as ports
+from adis_gonio.device.bus import BusUrl, Capability, SpiTiming, open_bus, serial as ports
 from adis_gonio.device.bus.serial import find_devices, open_from_url
 from adis_gonio.device.bus.serial.bus import ClockMap
 from adis_gonio.device.bus.serial.link import SerialLink
-from adis_gonio.device.bus.wire import Packet, Receiver, encode, load_cobs
-from adis_gonio.device.bus.wire import protocol as wire
+from adis_gonio.device.bus.wire import Packet, Receiver, encode, load_cobs, protocol as wire
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ND
@@ -50,13 +47,8 @@ class TestSerial(BusContract):
         bench = Bench()
         bus = bench.open()
 
-        def silence():
-            bench.port.faults = Faults(hang=1.0, hang_s=2.0)
-            bench.port.faults.hangs(bench.clock.now_s())
-            bench.port.faults.hang = 0.0
-
         twin = SimulatedChip(World(seed=Bench.seed), start_s=-0.5)
-        return Rig(bus, bench.chip, twin, {"hung": (silence, BusTimeoutError)}, slowest_hz=125_000)
+        return Rig(bus, bench.chip, twin, {"hung": (bench.silence, BusTimeoutError)}, slowest_hz=125_000)
 
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")

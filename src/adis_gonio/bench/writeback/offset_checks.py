@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,7 +50,6 @@ REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])
 
 
-@dataclass(frozen=True)
 class Rest(JsonRecord):
     """Mean readings of the sensor over a dwell at rest.
 
@@ -193,7 +192,6 @@ LEAST_SHARE = 0.5
 """Smallest share of gravity in the session's plane for a comparison of its length."""
 
 
-@dataclass(frozen=True)
 class Agreement(JsonRecord):
     """Comparison of measured with expected figures.
 
@@ -368,7 +366,6 @@ PRECISE_S = 30.0
 """Averaging time of a precision autonull (DS, A: about 30 s)."""
 
 
-@dataclass(frozen=True)
 class AutonullFound(JsonRecord):
     """Zero rates (3,) in °/s in the present pose, found by the chip's autonull and by the session.
 

@@ -442,13 +442,14 @@ class Adis16354(Closing):
         names: Sequence[str | Register] = DEFAULT_SCAN,
         *,
         data_ready: bool | None = None,
+        block_scans: int = 256,
     ) -> ScanBlock:
-        """Read `count` scans of new data, writing no register; `data_ready` as in `stream`."""
+        """Read `count` scans of new data, writing no register; other arguments as in `stream`."""
         if count < 1:
             raise UsageError(f"count is {count}: take 1 or more")
         blocks: list[ScanBlock] = []
         have = 0
-        size = min(count, 256)
+        size = min(count, block_scans)
         with self.stream(names, block_scans=size, leave_registers=True, data_ready=data_ready) as stream:
             for block in stream:
                 blocks.append(block)
@@ -571,8 +572,7 @@ class Adis16354(Closing):
         StatusError
             STATUS reports a failed flash update.
         """
-        self._require_flash_life(force)
-        return self._flash_command("flash_update", FLASH_UPDATE_S, "the flash update")
+        return self._flash_command("flash_update", FLASH_UPDATE_S, "the flash update", force=force)
 
     def autonull(self, *, force: bool = False) -> Offsets:
         """Let the chip cancel its present gyro outputs while it is at rest; return the new offsets.
@@ -581,9 +581,8 @@ class Adis16354(Closing):
 
         The duration is not given by the maker; the wait covers the filter and the flash update.
         """
-        self._require_flash_life(force)
         wait = self.configuration().settling_s + START_UP_S + FLASH_UPDATE_S
-        self._flash_command("autonull", wait, "the autonull")
+        self._flash_command("autonull", wait, "the autonull", force=force)
         return self.offsets()
 
     def precision_autonull(self, *, force: bool = False) -> Offsets:
@@ -591,8 +590,8 @@ class Adis16354(Closing):
 
         It ends in a flash update; only a reset stops it.
         """
-        self._require_flash_life(force)
-        self._flash_command("precision_autonull", PRECISION_AUTONULL_S, "the precision autonull")
+        what = "the precision autonull"
+        self._flash_command("precision_autonull", PRECISION_AUTONULL_S, what, force=force)
         return self.offsets()
 
     def restore_factory(self, *, force: bool = False) -> Offsets:
@@ -605,8 +604,7 @@ class Adis16354(Closing):
         VerifyError
             An offset is not zero afterwards, or the endurance counter did not go up.
         """
-        self._require_flash_life(force)
-        self._flash_command("restore", START_UP_S, "the factory restore")
+        self._flash_command("restore", START_UP_S, "the factory restore", force=force)
         left = self.offsets()
         if any((*left.gyro_dps, *left.accel_mg)):
             raise VerifyError(f"after the factory restore offsets are not zero: {left}")
@@ -699,8 +697,12 @@ class Adis16354(Closing):
         row = BY_NAME["COMMAND"]
         self.bus.exchange_array(write_frames(row, row.field(field).mask, byte_mask=0x00FF))
 
-    def _flash_command(self, field: str, wait_s: float, what: str) -> int:
+    def _flash_command(self, field: str, wait_s: float, what: str, *, force: bool) -> int:
         before = self.endurance()
+        if before >= FLASH_LIFE and not force:
+            raise ChipError(
+                f"ENDURANCE is {before}: the flash is made for {FLASH_LIFE} writes; force it if you must"
+            )
         self._command(field)
         self.bus.sleep_s(wait_s)
         after = self.endurance()
@@ -713,13 +715,6 @@ class Adis16354(Closing):
         if status.flags["flash"]:
             raise StatusError(f"STATUS after {what}: {status}")
         return after
-
-    def _require_flash_life(self, force: bool) -> None:
-        written = self.endurance()
-        if written >= FLASH_LIFE and not force:
-            raise ChipError(
-                f"ENDURANCE is {written}: the flash is made for {FLASH_LIFE} writes; force it if you must"
-            )
 
     def _follow(self) -> None:
         """Read the configuration and adapt the SPI timing and the gyro scale to it."""

@@ -18,7 +18,7 @@ from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 if TYPE_CHECKING:
     from adis_gonio.bench.advisor import TraceAdvisor
     from adis_gonio.bench.runner import SessionRunner
-    from adis_gonio.model.records import Session
+    from adis_gonio.model.records import Session, StageCurve
     from adis_gonio.record.plans import Plan
     from adis_gonio.record.source import SampleSource
     from adis_gonio.tracing.trace_result import TraceResult
@@ -92,7 +92,11 @@ _TURNED = {
     "--latitude", type=float, metavar="DEGREES", help="Use the ellipsoid's gravity at this latitude."
 )
 @click.option("--height", type=float, default=0.0, metavar="M", help="Height, with --latitude.")
-@option.fixture()
+@option.fixture(
+    type=option.parse_stage,
+    metavar="DEGREES|dcc:FILE",
+    help="Standard uncertainty of a stage angle in degrees; dcc:stage.xml: the stage's certificate.",
+)
 @option.title
 @click.option("--note", default="", help="Note to keep with the session.")
 @click.option("--operator", help="Operator; a terminal asks for it.")
@@ -339,7 +343,8 @@ def _runner(
         auto=auto,
         extend=extend,
         gravity_mps2=gravity,
-        fixture_sigma_deg=None if plan_name == FREE_TURN else fixture,
+        fixture_sigma_deg=fixture if isinstance(fixture, float) and plan_name != FREE_TURN else None,
+        stage_curve=None if isinstance(fixture, float | None) else fixture,
         title=options["title"],
         note=options["note"],
         **_metadata(options, ask=on_terminal() and not auto),
@@ -352,12 +357,12 @@ def _gravity_and_fixture(
     plan_name: str | None,
     *,
     gravity_mps2: float | None,
-    fixture_deg: float | None,
+    fixture_deg: float | StageCurve | None,
     latitude: float | None,
     height: float,
     **_: Any,
-) -> tuple[float, float | None]:
-    """Local gravity in m/s² and the standard uncertainty of a stage angle in degrees.
+) -> tuple[float, float | StageCurve | None]:
+    """Local gravity in m/s², and the uncertainty of a stage angle in degrees or the stage's certificate.
 
     A simulated bench states both if they are not given, as the operator of a real bench knows them.
     """

@@ -85,7 +85,7 @@ def parse_fixture(text: str) -> float:
     return sigma
 
 
-def _parse_stage(text: str) -> float | StageCurve:
+def parse_stage(text: str) -> float | StageCurve:
     """Parse the uncertainty of a declared angle, or read the stage's certificate from `dcc:FILE`."""
     if str(text).startswith("dcc:"):
         from adis_gonio.handover.certificate import read_stage_curve
@@ -230,7 +230,7 @@ def fixture(
 ) -> Option[Any]:
     """Return the option `--fixture` for the uncertainty of a stage angle."""
     help = help or "Standard uncertainty of a stage angle in degrees."
-    return click.option("--fixture", name, type=parse_fixture, metavar=metavar, help=help, **more)
+    return click.option("--fixture", name, metavar=metavar, help=help, **{"type": parse_fixture, **more})
 
 
 def gravity(help: str = "Local gravity in m/s² (default 9.80665).", **more: Any) -> Option[Any]:
@@ -284,7 +284,7 @@ _OVERRIDES = (
     click.option(
         "--fixture",
         "fixture_sigma_deg",
-        type=_parse_stage,
+        type=parse_stage,
         multiple=True,
         metavar="DEGREES|dcc:FILE",
         help="Correct the standard uncertainty of a stage angle in degrees; free: the angles are unknown;"
@@ -332,10 +332,10 @@ def _parse_tolerance(text: str) -> float:
 
 
 def _parse_risk(text: str) -> float:
-    value = _number(str(text).strip().removesuffix("%"))
+    value, percent = _number(str(text).strip().removesuffix("%")), str(text).strip().endswith("%")
     if value is None:
         raise click.BadParameter(f"'{text}' is no risk: give a percentage, such as 2%")
-    return value / 100 if str(text).strip().endswith("%") else value
+    return value / 100 if percent else value
 
 
 def tolerance(help: str) -> Option[Any]:

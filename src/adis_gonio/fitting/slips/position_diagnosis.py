@@ -43,7 +43,6 @@ SIZED: frozenset[Name] = frozenset({"mistyped", "misset", "slipped"})
 """Names of faults with an error of one size at one position or at all later ones."""
 
 
-@dataclass(frozen=True)
 class Named(JsonRecord):
     """One possible cause of an error, with its positions and probability.
 
