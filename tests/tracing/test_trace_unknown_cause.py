@@ -16,7 +16,7 @@ from adis_gonio.tracing.model_search import Search
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.selection import Selection, select
 from adis_gonio.tracing.trace import trace_readings
-from adis_gonio.tracing.unknown_cause import _features, _likeliest_size, beside_unknown_cause
+from adis_gonio.tracing.unknown_cause import beside_unknown_cause, likeliest_size, unknown_features
 from tracing.small_problems import U, function, ideal_mg, noisy, read, surroundings, turn
 
 
@@ -49,7 +49,7 @@ def test_scores_beside_a_process_are_those_of_generalised_least_squares() -> Non
     data = noisy(surroundings(), 3)
     fit = Fit.begin(data).refit()
     problem = linearise(fit, named_terms(data)[0])
-    features = 5 * _features(fit)
+    features = 5 * unknown_features(fit)
     beside = problem.with_covariance(features)
     inverse = np.linalg.inv(np.eye(len(problem.target)) + features @ features.T)
     assert beside.chi2 == pytest.approx(problem.target @ inverse @ problem.target)
@@ -63,14 +63,14 @@ def test_scores_beside_a_process_are_those_of_generalised_least_squares() -> Non
 def test_the_size_of_the_process_is_found() -> None:
     data = noisy(surroundings(), 4)
     fit = Fit.begin(data).refit()
-    features = _features(fit)
+    features = unknown_features(fit)
     rng = np.random.default_rng(4)
     sizes = []
     for _ in range(20):
         problem = linearise(fit, [])
         target = rng.normal(size=len(problem.target)) + 20 * features @ rng.normal(size=features.shape[1])
         target = span(replace(problem, target=target), ())[1]
-        sizes.append(_likeliest_size(replace(problem, target=target), (), features))
+        sizes.append(likeliest_size(replace(problem, target=target), (), features))
     assert np.median(sizes) == pytest.approx(20, rel=0.3)
 
 

@@ -73,7 +73,7 @@ def finding_of(
     judged : Selection, optional
         Selection with the posterior that gives the probability; by default `selection`.
     """
-    from scipy import stats
+    from scipy.special import chdtrc
 
     problem = selection.problem
     members = [k for k in selection.verdict.best if problem.terms[k].name == name]
@@ -103,7 +103,7 @@ def finding_of(
     # The prior distributes the test level: a name has a far greater share of it than one of thousands
     # of unnamed functions (weighted Bonferroni; Genovese, Roeder and Wasserman, Biometrika 93, 2006).
     share = float(np.exp(-sum(problem.cost[k] for k in members)))
-    p = float(stats.chi2.sf(gain / selection.inflation, width)) / share
+    p = float(chdtrc(width, gain / selection.inflation)) / share
     same = [
         " + ".join(sorted({problem.terms[k].shown_as for k in m}))
         for m in selection.verdict.same.get(selection.verdict.best, [])
@@ -158,7 +158,7 @@ def unnamed_of(
     Its probability is that of the credible sets: of the least probable function, by the posterior of
     `judged` if given.
     """
-    from scipy import stats
+    from scipy.special import chdtrc
 
     problem = selection.problem
     members = [k for k in selection.verdict.best if isinstance(problem.terms[k], NamelessTerm)]
@@ -175,7 +175,7 @@ def unnamed_of(
             probability=min(
                 probability_of(judged or selection, cause_name(term), averaged) for term in terms
             ),
-            p_value=min(1.0, float(stats.chi2.sf(gain / selection.inflation, width)) / share),
+            p_value=min(1.0, float(chdtrc(width, gain / selection.inflation)) / share),
         )
     if averaged is not None:
         smooth = averaged.smooth

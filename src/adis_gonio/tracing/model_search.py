@@ -325,7 +325,7 @@ def weigh(found: Search) -> ModelPosterior:
     each = posterior(found)
     same = _classes(found, list(each))
     weights = {m: sum(each[k] for k in (m, *others)) for m, others in same.items()}
-    names = _present(found.problem.terms, weights)
+    names = presence_probabilities(found.problem.terms, weights)
     # The result reports names and covariates: choose the best set of these, then its best model.
     skeletons: dict[Skeleton, float] = defaultdict(float)
     for model, weight in weights.items():
@@ -335,7 +335,7 @@ def weigh(found: Search) -> ModelPosterior:
     return ModelPosterior(best, weights, same, names)
 
 
-def _present(terms: Sequence[Term], weights: Mapping[Model, float]) -> dict[str, float]:
+def presence_probabilities(terms: Sequence[Term], weights: Mapping[Model, float]) -> dict[str, float]:
     """Return the probability that each name is present."""
     names: dict[str, float] = defaultdict(float)
     for model, weight in weights.items():

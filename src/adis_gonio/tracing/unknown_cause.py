@@ -37,18 +37,18 @@ def beside_unknown_cause(selection: Selection, max_terms: int) -> Selection:
     data, problem = selection.data, selection.problem
     if selection.adequate or not data.noise_known or len(problem.target) > MOST_ROWS or not max_terms:
         return selection
-    features = _features(selection.fit)
+    features = unknown_features(selection.fit)
     best = selection.verdict.best
     model: Model = tuple(k for k in best if problem.terms[k].constant)
     for _ in range(2):  # the size beside the bias alone, then beside the best model
-        beside = problem.with_covariance(features * _likeliest_size(problem, model, features))
+        beside = problem.with_covariance(features * likeliest_size(problem, model, features))
         found = search(beside, max_terms)
         model = found.best
     verdict = replace(weigh(found), best=best)
     return replace(selection, problem=beside, found=found, verdict=verdict)
 
 
-def _features(fit: Fit) -> Floats:
+def unknown_features(fit: Fit) -> Floats:
     """Return the whitened features (rows, k) of the process, projected off the base model."""
     c = fit.data.conditions
     unit = fit.ideal / np.linalg.norm(fit.ideal, axis=1)[:, None]
@@ -68,7 +68,7 @@ def _features(fit: Fit) -> Floats:
     return white - base @ (base.T @ white)
 
 
-def _likeliest_size(problem: LinearProblem, model: Model, features: Floats) -> float:
+def likeliest_size(problem: LinearProblem, model: Model, features: Floats) -> float:
     """Return the standard deviation of the process with the greatest restricted likelihood."""
     basis, residual = span(problem, model)
     rest = features - basis @ (basis.T @ features)
