@@ -244,9 +244,11 @@ class TraceRun:
         while gone := refuted_functions(self.selection, self.fits, self.errors):
             if current().left_out:
                 break
-            before, least = dict(vars(self)), min(error for error in self.errors if error is not None)
+            before = dict(vars(self))
+            least = min((error for error in self.errors if error is not None), default=math.inf)
             self.nest(self.selection.without_functions(gone))
-            if self.errors[-1] is not None and self.errors[-1] > limits.worse * least:
+            after = self.errors[-1] if self.errors else None
+            if after is not None and after > limits.worse * least:
                 vars(self).update(before)
                 break
 
