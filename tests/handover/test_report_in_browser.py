@@ -186,15 +186,15 @@ def test_the_numbers_of_the_page_are_those_of_fit_json(chrome, made, capsys):
                 given = parameters.get(NAMES.get(row[0], row[0]))
                 if given is None:
                     continue
-                agree(row[column], given["value"], given["u"])
+                agree(row[column], given["value"], given["U"])
                 compared += 1
     assert compared >= 2
 
 
-def agree(cell: str, value: float, u: float | None) -> None:
-    """A cell is a value and its uncertainty, each rounded to the digits that it shows."""
+def agree(cell: str, value: float, expanded: float | None) -> None:
+    """A cell is a value and its U, each rounded to the digits that it shows."""
     numbers = [part.strip(" ()°") for part in plain(cell).replace("−", "-").split("±")]
-    for shown, exact in zip(numbers, (value, u), strict=False):
+    for shown, exact in zip(numbers, (value, expanded), strict=False):
         mantissa, _, power = shown.partition("·10")
         digits = len(mantissa.partition(".")[2])
         scale = 10.0 ** int(power or 0)

@@ -294,10 +294,10 @@ def _moves(share: float, n: int) -> bool:
     """
     if share >= 0.5:
         return True
-    from scipy import stats  # late: it takes half a second, and a bench that only records needs none
+    from scipy.special import ndtri  # late: a bench that only records needs no scipy
 
-    z = float(stats.norm.isf(share))
-    cut = float(stats.norm.pdf(z)) - z * share  # in standard deviations of a sample
+    z = -float(ndtri(share))
+    cut = math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi) - z * share  # in standard deviations of a sample
     return cut > _HARMLESS / math.sqrt(n)
 
 
