@@ -84,13 +84,16 @@ class TestPrior:
         assert prior(nameless_terms(self.data)) == pytest.approx(0.3)
         assert sum(math.exp(-process.price) for process in processes(self.data)) == pytest.approx(0.3)
 
-    @pytest.mark.number("bias_weight")
+    @pytest.mark.number("bias_share")
+    def test_nine_parts_in_ten_have_a_bias_on_all_axes(self) -> None:
+        named, _ = named_terms(self.data)
+        whole = [term for term in named if term.label == "bias[xy]"]
+        assert prior(whole) == pytest.approx(0.9)
+        assert self.share("bias") == pytest.approx(0.9, abs=0.02)
+
     @pytest.mark.number("quadratic_weight")
-    @pytest.mark.parametrize(("name", "times"), [("bias", 6.0), ("quadratic", 1.5)])
-    def test_a_bias_is_six_times_and_a_curvature_half_again_as_likely_as_a_cubic(
-        self, name: str, times: float
-    ) -> None:
-        assert self.share(name) / self.share("cubic") == pytest.approx(times)
+    def test_a_curvature_is_half_again_as_likely_as_a_cubic(self) -> None:
+        assert self.share("quadratic") / self.share("cubic") == pytest.approx(1.5)
 
     @pytest.mark.number("g_weight")
     def test_a_gyro_that_feels_gravity_is_four_times_as_likely_as_one_that_drifts(self) -> None:
